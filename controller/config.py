@@ -1,0 +1,250 @@
+"""An arm's YAML file: what it may say, and every fault in it by the path of the field."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct, field
+
+from controller.manipulator import frames
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.module import Module, transforms
+from controller.manipulator.vgt import ACTUATORS, Diagonal, vgt
+from controller.search.method import Method
+from controller.strict import InputFaults, check, read_yaml
+
+Positive = Annotated[float, Meta(gt=0)]
+Pair = tuple[Positive, Positive]
+Count = Annotated[int, Meta(ge=1, le=10_000)]
+Bit = Annotated[int, Meta(ge=0, le=63)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Vector = Annotated[list[float], Meta(min_length=2, max_length=3)]
+Quaternion = Annotated[list[float], Meta(min_length=4, max_length=4)]
+
+
+class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A frame: planar with an angle [rad], or spatial with a quaternion x, y, z, w."""
+
+    position: Vector
+    orientation: float | Quaternion = 0.0
+
+
+class Legs(Struct, forbid_unknown_fields=True, frozen=True):
+    """Contracted and extended length of each actuator of a truss module."""
+
+    left: Pair
+    diagonal: Pair
+    right: Pair
+
+
+class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=True, frozen=True):
+    """`count` truss modules of section 4, their diagonals alternating from the first's."""
+
+    width: Positive
+    lengths: Pair | Legs
+    count: Count = 1
+    first_diagonal: Diagonal = "BC"
+
+
+class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
+    """`count` modules whose states are the listed frames."""
+
+    states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)]
+    count: Count = 1
+
+
+class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """How near to a goal is good enough, where the goal says nothing."""
+
+    position: Positive
+
+
+class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Finest pixel (absent: 1/400 of the arm's length), and memory [MiB] that one intermediate workspace may take."""
+
+    pixel: Positive | None = None
+    level_memory: Annotated[float, Meta(gt=0, le=4096)] = 2.0
+
+
+class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One CAN bus, by the names of python-can."""
+
+    name: Name
+    channel: str
+    interface: Literal["socketcan", "virtual"] = "socketcan"
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000
+
+
+class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """What holds for all boards; times in seconds."""
+
+    heartbeat: Annotated[float, Meta(ge=0.01, le=10)] = 0.1
+    heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30)] = 0.35
+    boot_timeout: Annotated[float, Meta(gt=0, le=120)] = 3.0
+    on_loss: Literal["hold", "contract"] = "hold"
+    shared_rpdo: bool = False
+
+
+class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Where one actuator is wired; the input bit, where there is an end-stop, reads 1 when extended."""
+
+    module: Annotated[int, Meta(ge=1)]
+    actuator: str
+    bus: str
+    node: Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
+    output: Bit
+    input: Bit | None = None
+
+
+class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The whole file."""
+
+    name: Name
+    modules: Annotated[list[VgtSettings | TransformsSettings], Meta(min_length=1)]
+    tolerance: ToleranceSettings
+    travel_time: Annotated[float, Meta(gt=0, le=60)] = 0.05
+    base: FrameSettings = FrameSettings([0.0, 0.0])
+    workspace: WorkspaceSettings = WorkspaceSettings()
+    method: Method = "ipop-previous"
+    boards: BoardSettings = BoardSettings()
+    buses: list[BusSettings] = field(default_factory=list)
+    actuators: list[ActuatorSettings] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm as its file describes it.
+
+    Attributes:
+        settings: the file's fields.
+        manipulator: the chain.
+        wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
+    """
+
+    settings: ArmSettings
+    manipulator: Manipulator
+    wiring: tuple[ActuatorSettings, ...]
+
+    @property
+    def pixel(self) -> float:
+        """Finest side of a pixel of the densities."""
+        return self.settings.workspace.pixel or self.manipulator.length / 400
+
+    @property
+    def level_pixels(self) -> int:
+        """Most pixels of one intermediate workspace, four bytes each."""
+        return max(1, int(self.settings.workspace.level_memory * 2**20 / 4))
+
+    @property
+    def tolerance(self) -> float:
+        """Position tolerance of goals that bring none."""
+        return self.settings.tolerance.position
+
+
+def load(path: Path) -> Arm:
+    """Returns the arm that a YAML file describes.
+
+    Raises:
+        InputFaults: the file is missing or wrong; one line per fault, each with the path of its field.
+    """
+    raw = read_yaml(path)
+    faults: list[str] = []
+    settings = check(raw, ArmSettings, faults)
+    if settings is None:
+        raise InputFaults(path, faults)
+    if settings.boards.heartbeat_timeout <= 1.5 * settings.boards.heartbeat:
+        faults.append(
+            f"boards.heartbeat_timeout: {settings.boards.heartbeat_timeout:g} s is too short for heartbeats every"
+            f" {settings.boards.heartbeat:g} s; more than 1.5 times that is needed"
+        )
+    modules = build_modules(settings, faults)
+    base = build_frame(settings.base, "base", faults)
+    if faults or not modules or base is None:
+        raise InputFaults(path, faults)
+    manipulator = Manipulator(modules, base)
+    wiring = map_actuators(settings, manipulator, faults)
+    if faults:
+        raise InputFaults(path, faults)
+    return Arm(settings, manipulator, wiring)
+
+
+def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames.Frame | None:
+    """Returns the frame (4, 4), or None and a fault."""
+    angle, position = settings.orientation, settings.position
+    if isinstance(angle, list):
+        if not math.isclose(np.linalg.norm(angle), 1.0, abs_tol=1e-3):
+            faults.append(f"{path}.orientation: a quaternion x, y, z, w of length 1 is needed, got {angle}")
+            return None
+        return frames.spatial([*position, 0.0][:3], angle)
+    if len(position) == 3:
+        if angle != 0.0:
+            faults.append(f"{path}.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle {angle:g}")
+            return None
+        return frames.spatial(position)
+    return frames.planar(position[0], position[1], angle)
+
+
+def build_modules(settings: ArmSettings, faults: list[str]) -> list[Module]:
+    """Returns the chain's modules, those of wrong geometry replaced by faults."""
+    modules: list[Module] = []
+    for g, group in enumerate(settings.modules):
+        path = f"modules[{g}]"
+        if isinstance(group, TransformsSettings):
+            listed = [build_frame(state, f"{path}.states[{k}]", faults) for k, state in enumerate(group.states)]
+            stack = [frame for frame in listed if frame is not None]
+            if len(stack) == len(listed):
+                flat = all(len(s.position) == 2 and not isinstance(s.orientation, list) for s in group.states)
+                modules += [transforms(stack, planar=flat)] * group.count
+            continue
+        legs = group.lengths if isinstance(group.lengths, Legs) else Legs(*[group.lengths] * 3)
+        lengths = (legs.left, legs.diagonal, legs.right)
+        for name, (contracted, extended) in zip(ACTUATORS, lengths, strict=True):
+            if contracted >= extended:
+                faults.append(f"{path}.lengths: {name} is {contracted:g} contracted, so not {extended:g} extended")
+        order: list[Diagonal] = ["BC", "AD"] if group.first_diagonal == "BC" else ["AD", "BC"]
+        try:
+            pair = [vgt(diagonal, group.width, *lengths) for diagonal in order]
+        except ValueError as error:
+            faults.append(f"{path}.lengths: {error}")
+            continue
+        modules += [pair[k % 2] for k in range(group.count)]
+    return modules
+
+
+def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[str]) -> tuple[ActuatorSettings, ...]:
+    """Returns the actuators' wiring in the order of the manipulator's actuators."""
+    buses = [bus.name for bus in settings.buses]
+    faults += [f"buses[{k}].name: {b!r} is already taken" for k, b in enumerate(buses) if b in buses[:k]]
+    found: dict[str, ActuatorSettings] = {}
+    taken: dict[tuple[str, str, int, int], str] = {}
+    for k, entry in enumerate(settings.actuators):
+        path, label = f"actuators[{k}]", f"{entry.module}.{entry.actuator}"
+        if entry.module > len(manipulator.modules):
+            faults.append(f"{path}.module: {entry.module}, but the arm has modules 1 to {len(manipulator.modules)}")
+        elif label not in manipulator.actuators:
+            names = ", ".join(manipulator.modules[entry.module - 1].actuators)
+            faults.append(f"{path}.actuator: {entry.actuator!r}, but module {entry.module} has {names}")
+        elif label in found:
+            faults.append(f"{path}: actuator {label} is mapped already")
+        else:
+            found[label] = entry
+        if entry.bus not in buses:
+            faults.append(f"{path}.bus: {entry.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
+        for kind, bit in (("output", entry.output), ("input", entry.input)):
+            if bit is None:
+                continue
+            where = (kind, entry.bus, entry.node, bit)
+            if where in taken:
+                faults.append(f"{path}.{kind}: {kind} {bit} of {entry.bus}/{entry.node} is {taken[where]}'s already")
+            taken.setdefault(where, label)
+    if settings.actuators or settings.buses:
+        faults += [f"actuators: {label} is not mapped" for label in manipulator.actuators if label not in found]
+    return tuple(found[label] for label in manipulator.actuators if label in found)
+
+
+def to_builtins(settings: Struct) -> object:
+    """Returns plain lists and dictionaries, for JSON."""
+    return msgspec.to_builtins(settings)

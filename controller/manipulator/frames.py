@@ -1,0 +1,61 @@
+"""Frames (R, b) as homogeneous 4x4 matrices; a planar frame is a spatial one that stays in the plane z = 0."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Frame = NDArray[np.float64]
+
+
+def planar(x: float, y: float, angle: float = 0.0) -> Frame:
+    """Returns the 4x4 frame at (x, y), turned counter-clockwise by `angle` [rad] about z."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def spatial(position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> Frame:
+    """Returns the 4x4 frame at `position` (3,) turned by the quaternion (x, y, z, w), which is normalised."""
+    q = np.asarray(quaternion, dtype=float)
+    x, y, z, w = q / np.linalg.norm(q)
+    frame = np.eye(4)
+    frame[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    frame[:3, 3] = position
+    return frame
+
+
+def inverse(frames: Frame) -> Frame:
+    """Returns the inverses (R^T, -R^T b) of frames (..., 4, 4)."""
+    result = np.zeros_like(frames)
+    rotation = np.swapaxes(frames[..., :3, :3], -1, -2)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, frames[..., :3, 3])
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def angle(frame: Frame) -> float:
+    """Returns the counter-clockwise angle [rad] of a planar frame (4, 4), in (-pi, pi]."""
+    return math.atan2(frame[1, 0], frame[0, 0])
+
+
+def quaternion(frame: Frame) -> NDArray[np.float64]:
+    """Returns the unit quaternion (x, y, z, w), w >= 0, of a frame (4, 4)."""
+    r = frame[:3, :3]
+    # The largest of the four squared components is taken as divisor, so that nothing cancels.
+    squares = np.array([1 + 2 * r[i, i] - np.trace(r) for i in range(3)] + [1 + np.trace(r)])
+    k = int(np.argmax(squares))
+    products = np.array(
+        [
+            [squares[0], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], squares[1], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[2], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], squares[3]],
+        ]
+    )
+    q = products[k] / np.linalg.norm(products[k])
+    return np.asarray(q if q[3] >= 0 else -q)

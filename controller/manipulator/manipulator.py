@@ -1,0 +1,118 @@
+"""A macroscopically-serial manipulator: a chain of modules on a base frame, numbered 1 to B from base to tip."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.manipulator.frames import Frame
+from controller.manipulator.module import Module
+
+Configuration = NDArray[np.int64]
+
+
+class Manipulator:
+    """The chain and its kinematics. Arrays over modules are padded to the largest number of states, Kmax.
+
+    Attributes:
+        modules: base first.
+        base: frame F_0 in the world, shape (4, 4).
+        planar: whether base and modules stay in the plane z = 0; positions then have two coordinates outside.
+        states: number of states K_i of each module, shape (B,).
+        rotations: R of each module's states, shape (B, Kmax, 3, 3).
+        translations: b of each module's states, shape (B, Kmax, 3).
+        bits: actuator states of each module's states, shape (B, Kmax, Amax).
+    """
+
+    def __init__(self, modules: Sequence[Module], base: Frame | None = None) -> None:
+        """Builds the padded arrays.
+
+        Raises:
+            ValueError: there is no module.
+        """
+        if not modules:
+            raise ValueError("a manipulator needs at least one module, got none")
+        self.modules = tuple(modules)
+        self.base = np.eye(4) if base is None else np.array(base, dtype=float)
+        self.planar = all(m.planar for m in self.modules) and bool(np.allclose(self.base[2], [0, 0, 1, 0]))
+        self.states = np.array([len(m.frames) for m in self.modules])
+        self.frames = np.tile(np.eye(4), (len(self.modules), self.states.max(), 1, 1))
+        most = max(len(m.actuators) for m in self.modules)
+        self.bits = np.zeros((*self.frames.shape[:2], most), dtype=np.uint8)
+        for i, module in enumerate(self.modules):
+            self.frames[i, : len(module.frames)] = module.frames
+            self.bits[i, : len(module.bits), : len(module.actuators)] = module.bits
+        self.rotations = np.ascontiguousarray(self.frames[:, :, :3, :3])
+        self.translations = np.ascontiguousarray(self.frames[:, :, :3, 3])
+
+    @property
+    def dimension(self) -> int:
+        """2 for a planar arm, 3 for a spatial one."""
+        return 2 if self.planar else 3
+
+    @cached_property
+    def actuators(self) -> tuple[str, ...]:
+        """Every actuator as "<module>.<name>", modules counted from 1 at the base; the order of all state vectors."""
+        return tuple(f"{i + 1}.{name}" for i, module in enumerate(self.modules) for name in module.actuators)
+
+    @cached_property
+    def length(self) -> float:
+        """The greatest distance the tip can have from the base by the triangle inequality."""
+        steps = np.linalg.norm(self.translations, axis=2)
+        return float(steps.max(axis=1).sum())
+
+    def tips(self, configurations: ArrayLike) -> Frame:
+        """Returns the tip frames (n, 4, 4) of configurations (n, B)."""
+        chosen = np.asarray(configurations, dtype=np.int64)
+        tip = np.tile(self.base, (len(chosen), 1, 1))
+        for i in range(len(self.modules)):
+            tip = tip @ self.frames[i, chosen[:, i]]
+        return np.asarray(tip)
+
+    def tip(self, configuration: ArrayLike) -> Frame:
+        """Returns the tip frame (4, 4) of one configuration (B,)."""
+        return np.asarray(self.tips(np.asarray(configuration)[None])[0])
+
+    def chain(self, configuration: ArrayLike) -> Frame:
+        """Returns the frames F_0 to F_B (B+1, 4, 4) of one configuration (B,)."""
+        chain = [self.base]
+        for i, state in enumerate(np.asarray(configuration)):
+            chain.append(chain[-1] @ self.frames[i, state])
+        return np.array(chain)
+
+    def body(self, configuration: ArrayLike) -> NDArray[np.float64]:
+        """Returns the line segments (n, 2, 3) of the arm's structure in the world."""
+        chain = self.chain(configuration)
+        return np.concatenate(
+            [
+                module.body[state] @ frame[:3, :3].T + frame[:3, 3]
+                for module, state, frame in zip(self.modules, np.asarray(configuration), chain, strict=False)
+            ]
+        )
+
+    def actuator_states(self, configuration: ArrayLike) -> NDArray[np.uint8]:
+        """Returns the actuator states (A,) of a configuration (B,)."""
+        return np.concatenate([m.bits[s] for m, s in zip(self.modules, np.asarray(configuration), strict=True)])
+
+    def configuration(self, actuator_states: ArrayLike) -> Configuration:
+        """Returns the configuration (B,) of actuator states (A,).
+
+        Raises:
+            ValueError: a module's actuator states belong to none of its configurations.
+        """
+        states = np.asarray(actuator_states)
+        result, start = np.empty(len(self.modules), dtype=np.int64), 0
+        for i, module in enumerate(self.modules):
+            own = states[start : start + len(module.actuators)]
+            match = np.flatnonzero((module.bits == own).all(axis=1))
+            if len(match) == 0:
+                raise ValueError(f"module {i + 1} has no configuration with actuator states {own.tolist()}")
+            result[i] = match[0]
+            start += len(module.actuators)
+        return result
+
+    def switches(self, first: ArrayLike, second: ArrayLike) -> int:
+        """Returns how many actuators differ between two configurations (B,)."""
+        module = np.arange(len(self.modules))
+        return int((self.bits[module, np.asarray(first)] != self.bits[module, np.asarray(second)]).sum())

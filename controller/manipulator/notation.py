@@ -1,0 +1,32 @@
+"""How a configuration is written: digits base first, or numbers with commas where a module has more than ten states."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+
+
+def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:
+    """Returns the configuration (B,) that `text` writes.
+
+    Raises:
+        ValueError: wrong characters, wrong number of modules, or a state that a module does not have.
+    """
+    digits = "," not in text and manipulator.states.max() <= 10
+    parts = list(text.strip()) if digits else text.strip().split(",")
+    try:
+        states = [int(part) for part in parts]
+    except ValueError:
+        raise ValueError(f"configuration {text!r}: every module state must be a whole number") from None
+    if len(states) != len(manipulator.modules):
+        raise ValueError(f"configuration {text!r} has {len(states)} modules, the arm has {len(manipulator.modules)}")
+    for i, (state, count) in enumerate(zip(states, manipulator.states, strict=True)):
+        if not 0 <= state < count:
+            raise ValueError(f"configuration {text!r}: module {i + 1} has states 0 to {count - 1}, not {state}")
+    return np.array(states, dtype=np.int64)
+
+
+def format_configuration(manipulator: Manipulator, configuration: ArrayLike) -> str:
+    """Returns the text that parse_configuration reads back."""
+    separator = "" if manipulator.states.max() <= 10 else ","
+    return separator.join(str(state) for state in np.asarray(configuration).tolist())

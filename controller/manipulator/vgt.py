@@ -1,0 +1,66 @@
+"""The variable geometry truss module of section 4: two triangles over a base of fixed width."""
+
+import math
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.frames import planar
+from controller.manipulator.module import Module, binary_code
+
+Point = NDArray[np.float64]
+Lengths = tuple[float, float]
+Diagonal = Literal["BC", "AD"]
+
+ACTUATORS = ("left", "diagonal", "right")
+
+
+def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right: Lengths) -> Module:
+    """Returns a truss module with base nodes A, B and top nodes C, D, |AB| = |CD| = `width`.
+
+    Args:
+        diagonal: "BC" (the paper's odd modules) or "AD" (its even ones).
+        width: of base and top.
+        left: contracted and extended length of the leg AC.
+        middle: contracted and extended length of the diagonal.
+        right: contracted and extended length of the leg BD.
+
+    Raises:
+        ValueError: some state's lengths do not close the two triangles.
+    """
+    a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
+    frames, body = [], []
+    for ac, across, bd in product(left, middle, right):
+        try:
+            if diagonal == "BC":
+                c = apex(a, b, ac, across)
+                d = apex(c, b, width, bd)
+            else:
+                d = apex(a, b, across, bd)
+                c = apex(a, d, ac, width)
+        except ValueError as error:
+            raise ValueError(f"legs {ac:g} and {bd:g}, diagonal {across:g}, width {width:g}: {error}") from None
+        x, y = (c + d) / 2
+        frames.append(planar(x, y, math.atan2(d[1] - c[1], d[0] - c[0])))
+        brace = (b, c) if diagonal == "BC" else (a, d)
+        body.append([[(*p, 0.0), (*q, 0.0)] for p, q in ((a, c), brace, (b, d), (c, d))])
+    return Module(np.array(frames), binary_code(8), ACTUATORS, np.array(body), planar=True)
+
+
+def apex(p: Point, q: Point, from_p: float, from_q: float) -> Point:
+    """Returns the apex over the base p -> q, on its left, at the given distances.
+
+    Raises:
+        ValueError: the triangle does not close.
+    """
+    along = q - p
+    base = math.hypot(*along)
+    foot = (base**2 + from_p**2 - from_q**2) / (2 * base)
+    height_squared = from_p**2 - foot**2
+    if height_squared <= 0:
+        raise ValueError(f"sides {from_p:g} and {from_q:g} do not meet over a base of {base:g}")
+    unit = along / base
+    normal = np.array([-unit[1], unit[0]])
+    return np.asarray(p + foot * unit + math.sqrt(height_squared) * normal)

@@ -1,0 +1,29 @@
+"""Secondary criteria (section 3.2.2) as penalties: what each state of each module costs, the base's modules most."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.manipulator.manipulator import Manipulator
+
+Penalties = NDArray[np.float64]
+
+
+def indifferent(manipulator: Manipulator) -> Penalties:
+    """Returns no penalty (B, Kmax) for any state: POP."""
+    return np.zeros(manipulator.bits.shape[:2])
+
+
+def similarity(manipulator: Manipulator, previous: ArrayLike) -> Penalties:
+    """Returns penalties (B, Kmax) that count the actuators which differ from configuration `previous` (B,)."""
+    own = manipulator.bits[np.arange(len(manipulator.modules)), np.asarray(previous)]
+    return weighted((manipulator.bits != own[:, None]).sum(axis=2))
+
+
+def contraction(manipulator: Manipulator) -> Penalties:
+    """Returns penalties (B, Kmax) that count the extended actuators."""
+    return weighted(manipulator.bits.sum(axis=2))
+
+
+def weighted(counts: NDArray[np.integer]) -> Penalties:
+    """Returns counts (B, Kmax) weighted from 2 at the base to 1 at the tip."""
+    return np.linspace(2.0, 1.0, len(counts))[:, None] * counts

@@ -1,0 +1,100 @@
+"""The descent of the configuration tree, from base to tip: POP and IPOP (section 3.2), one kernel."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@njit("f8(f4[::1], i8, i8[::1], f8[::1], f8, f8, f8, f8)", cache=True, nogil=True, error_model="numpy")
+def measure(
+    values: NDArray[np.float32], offset: int, shape: Index, reference: Array, pixel: float, x: float, y: float, z: float
+) -> float:
+    """Returns the measure of reachability (section 3.1.2) of a point in one intermediate workspace.
+
+    It is the value of the point's pixel (see Densities): ln of the number of configurations that end there, or minus
+    the distance to where any end. Outside the box, the distance to the box is taken off as well.
+    """
+    fx, fy, fz = (x - reference[0]) / pixel, (y - reference[1]) / pixel, (z - reference[2]) / pixel
+    ix = min(max(int(np.floor(fx + 0.5)), 0), shape[2] - 1)
+    iy = min(max(int(np.floor(fy + 0.5)), 0), shape[1] - 1)
+    iz = min(max(int(np.floor(fz + 0.5)), 0), shape[0] - 1)
+    value = float(values[offset + (iz * shape[1] + iy) * shape[2] + ix])
+    outside = max(abs(fx - ix), abs(fy - iy), abs(fz - iz))
+    if outside > 0.51:
+        dx, dy, dz = fx - ix, fy - iy, fz - iz
+        value = min(value, 0.0) - pixel * np.sqrt(dx * dx + dy * dy + dz * dz)
+    return value
+
+
+@njit(
+    "UniTuple(f8, 3)(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
+    " f8[:,::1], f8[::1], i8, i8[::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def descend(
+    goal: Array,
+    rotations: Array,
+    translations: Array,
+    states: Index,
+    values: NDArray[np.float32],
+    offsets: Index,
+    shapes: Index,
+    references: Array,
+    pixels: Array,
+    penalties: Array,
+    thresholds: Array,
+    depth: int,
+    configuration: Index,
+) -> tuple[float, float, float]:
+    """Fixes modules 1 to `depth`; writes their states to `configuration`, returns the goal in frame F_depth.
+
+    Of a module's states whose measure is at least the level's threshold, the one with the least penalty is taken (the
+    secondary criterion), the greater measure deciding between equals; where no state reaches the threshold, the one
+    with the greatest measure. POP is the case of thresholds that nothing reaches.
+
+    Args:
+        goal: position in frame F_0, shape (3,).
+        rotations: configuration sets, shape (B, Kmax, 3, 3).
+        translations: configuration sets, shape (B, Kmax, 3).
+        states: K_i, shape (B,).
+        values: and the next four: the arrays of Densities.
+        offsets: see Densities.
+        shapes: see Densities.
+        references: see Densities.
+        pixels: see Densities.
+        penalties: the secondary criterion, for each module's states, shape (B, Kmax).
+        thresholds: on the primary criterion, for each level, shape (B+1,).
+        depth: number of modules to fix.
+        configuration: written, shape (B,).
+    """
+    x, y, z = goal[0], goal[1], goal[2]
+    for i in range(depth):
+        best, best_measure, best_penalty, best_passes = -1, 0.0, 0.0, False
+        bx, by, bz = 0.0, 0.0, 0.0
+        for j in range(states[i]):
+            r, b = rotations[i, j], translations[i, j]
+            dx, dy, dz = x - b[0], y - b[1], z - b[2]
+            qx = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
+            qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
+            qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+            m = measure(values, offsets[i + 1], shapes[i + 1], references[i + 1], pixels[i + 1], qx, qy, qz)
+            passes = m >= thresholds[i + 1]
+            if best < 0 or (passes and not best_passes):
+                better = True
+            elif passes != best_passes:
+                better = False
+            elif passes and penalties[i, j] != best_penalty:
+                better = penalties[i, j] < best_penalty
+            else:
+                better = m > best_measure
+            if better:
+                best, best_measure, best_penalty, best_passes = j, m, penalties[i, j], passes
+                bx, by, bz = qx, qy, qz
+        configuration[i] = best
+        x, y, z = bx, by, bz
+    return x, y, z

@@ -1,0 +1,156 @@
+"""Inverse kinematics of one goal: the densities' descent, finished by the exact tail."""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.manipulator.frames import Frame, inverse
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.search import criteria
+from controller.search.descent import descend
+from controller.search.method import Method
+from controller.search.tail import build_tail, finish
+from controller.workspace.densities import Densities
+
+Vector = NDArray[np.float64]
+
+# The primary criterion's threshold: as many configurations must be expected to end within the tolerance. The first asks
+# little, to leave the secondary criterion room; the next is tried where the one before misses the tolerance; the last,
+# which nothing reaches, makes the search POP.
+ENOUGH = (30.0, 1_000.0, 10_000.0, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What a search found for one goal.
+
+    Attributes:
+        configuration: module states, base first, shape (B,).
+        tip: the frame it brings the tip to, in the world, shape (4, 4).
+        error: distance of the tip from the goal.
+        switches: actuators that differ from the previous configuration.
+        within_tolerance: whether the error is within the tolerance asked for.
+        seconds: time the search took.
+    """
+
+    configuration: Configuration
+    tip: Frame
+    error: float
+    switches: int
+    within_tolerance: bool
+    seconds: float
+
+
+class Solver:
+    """Searches configurations of one manipulator; holds its tables, so that a goal costs microseconds.
+
+    Attributes:
+        manipulator: the arm.
+        densities: of its intermediate workspaces.
+    """
+
+    def __init__(self, manipulator: Manipulator, densities: Densities) -> None:
+        """Builds the exact table of the last modules."""
+        self.manipulator = manipulator
+        self.densities = densities
+        self._tail = build_tail(manipulator)
+        self._to_base = inverse(manipulator.base)
+
+    def solve(
+        self, goal: ArrayLike, previous: ArrayLike, tolerance: float, method: Method = "ipop-previous"
+    ) -> Solution:
+        """Returns the configuration that a method takes for a goal.
+
+        Args:
+            goal: tip position in the world, shape (2,) or (3,).
+            previous: configuration to stay close to, and to count switches from, shape (B,).
+            tolerance: distance from the goal that is good enough.
+            method: the algorithm of section 3.2, and for IPOP the secondary criterion.
+        """
+        began = time.perf_counter()
+        world = np.zeros(3)
+        world[: len(np.asarray(goal))] = goal
+        local = self._to_base[:3, :3] @ world + self._to_base[:3, 3]
+        stays = np.linalg.norm(self.manipulator.tip(previous)[:3, 3] - world) <= tolerance
+        if method == "ipop-previous" and stays:
+            best = np.array(previous)
+        else:
+            best = self._search(local, np.asarray(previous), tolerance, method)
+        tip = self.manipulator.tip(best)
+        error = float(np.linalg.norm(tip[:3, 3] - world))
+        return Solution(
+            configuration=best,
+            tip=tip,
+            error=error,
+            switches=self.manipulator.switches(best, previous),
+            within_tolerance=error <= tolerance,
+            seconds=time.perf_counter() - began,
+        )
+
+    def _search(self, goal: Vector, previous: Configuration, tolerance: float, method: Method) -> Configuration:
+        """Returns the first configuration within the tolerance as the threshold rises, else the nearest seen."""
+        if method == "pop":
+            return self._descend(goal, 0.0, criteria.indifferent(self.manipulator), np.inf)[0]
+        if method == "ipop-previous":
+            penalties = criteria.similarity(self.manipulator, previous)
+        else:
+            penalties = criteria.contraction(self.manipulator)
+        best, best_error = previous, np.inf
+        for enough in ENOUGH:
+            configuration, error = self._descend(goal, tolerance, penalties, enough)
+            if error < best_error:
+                best, best_error = configuration, error
+            if error <= tolerance:
+                break
+        return best
+
+    def _descend(
+        self, goal: Vector, tolerance: float, penalties: criteria.Penalties, enough: float
+    ) -> tuple[Configuration, float]:
+        """Returns configuration and error of one descent to `goal` (3,) in the base frame."""
+        m, d, t = self.manipulator, self.densities, self._tail
+        configuration = np.zeros(len(m.modules), dtype=np.int64)
+        wanted = descend(
+            goal,
+            m.rotations,
+            m.translations,
+            m.states,
+            d.values,
+            d.offsets,
+            d.shapes,
+            d.references,
+            d.pixels,
+            penalties,
+            self._thresholds(tolerance, enough),
+            t.root,
+            configuration,
+        )
+        error = finish(
+            *wanted,
+            tolerance,
+            t.root,
+            t.depth,
+            t.points,
+            t.cell,
+            t.corner,
+            t.shape,
+            t.starts,
+            t.order,
+            penalties,
+            m.rotations,
+            m.translations,
+            m.states,
+            configuration,
+        )
+        return configuration, error
+
+    def _thresholds(self, tolerance: float, enough: float) -> NDArray[np.float64]:
+        """Returns, for each level, the ln of a pixel's count at which `enough` points are within the tolerance."""
+        if np.isinf(enough):
+            return np.full(len(self.densities.pixels), np.inf)
+        ball = math.pi * tolerance**2 if self.manipulator.planar else 4 / 3 * math.pi * tolerance**3
+        volumes = self.densities.pixels**self.manipulator.dimension
+        return np.log(np.maximum(enough * volumes / ball, 1.0))

@@ -1,0 +1,226 @@
+"""Exact table of the last few modules: every tip they can reach, so that no pixel decides what the tolerance asks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Manipulator
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MOST_POINTS = 1 << 16
+MOST_BRANCHES = 64
+POINTS_A_CELL = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Tail:
+    """All tips of modules depth+1 to B in frame F_depth, sorted into cells for search by distance.
+
+    Attributes:
+        root: number of modules that the densities decide; those from root+1 to depth are all tried over the table.
+        depth: number of modules below the table.
+        points: tips, in the order of the mixed-radix number their states write, first module most significant, (n, 3).
+        cell: side of a cell.
+        corner: least corner of the cells' box, shape (3,).
+        shape: cells along x, y, z, shape (3,).
+        starts: where each cell's points start in `order`, shape (cells + 1,).
+        order: indices into `points`, shape (n,).
+    """
+
+    root: int
+    depth: int
+    points: Array
+    cell: float
+    corner: Array
+    shape: Index
+    starts: Index
+    order: Index
+
+
+def build_tail(manipulator: Manipulator) -> Tail:
+    """Returns the table of as many of the last modules as have at most MOST_POINTS configurations, at least of one.
+
+    The modules before them that have together at most MOST_BRANCHES configurations are tried one and all.
+    """
+    depth = lowest(manipulator.states, len(manipulator.modules) - 1, MOST_POINTS)
+    points = np.zeros((1, 3))
+    for i in reversed(range(depth, len(manipulator.modules))):
+        k = manipulator.states[i]
+        turned = np.einsum("jab,nb->jna", manipulator.rotations[i, :k], points)
+        points = (turned + manipulator.translations[i, :k, None]).reshape(-1, 3)
+    points = np.ascontiguousarray(points)
+    low, size = points.min(axis=0), np.ptp(points, axis=0)
+    extents = size[size > 1e-9 * max(size.max(), 1e-300)]
+    cell = float(np.prod(extents) / len(points) * POINTS_A_CELL) ** (1 / len(extents)) if len(extents) else 1.0
+    shape = (size / cell).astype(np.int64) + 1
+    cells = ((points - low) / cell).astype(np.int64)
+    flat = (cells[:, 2] * shape[1] + cells[:, 1]) * shape[0] + cells[:, 0]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=int(shape.prod())))])
+    root = lowest(manipulator.states, depth, MOST_BRANCHES)
+    return Tail(root, depth, points, cell, low, shape, starts.astype(np.int64), np.argsort(flat, kind="stable"))
+
+
+def lowest(states: Index, top: int, most: int) -> int:
+    """Returns the least i <= top such that modules i+1 to top+1 (or the last) have at most `most` configurations."""
+    i, product = top, 1 if top < len(states) - 1 else int(states[-1])
+    while i > 0 and product * states[i - 1] <= most:
+        i -= 1
+        product *= int(states[i])
+    return i
+
+
+@njit(
+    "Tuple((i8, f8, f8))(f8, f8, f8, f8, f8, f8, f8[:,::1], f8, f8[::1], i8[::1], i8[::1], i8[::1], f8[:,::1],"
+    " i8[::1], i8)",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def nearest(
+    x: float,
+    y: float,
+    z: float,
+    tolerance: float,
+    best_penalty: float,
+    best_square: float,
+    points: Array,
+    cell: float,
+    corner: Array,
+    shape: Index,
+    starts: Index,
+    order: Index,
+    penalties: Array,
+    states: Index,
+    depth: int,
+) -> tuple[int, float, float]:
+    """Finds the row of `points` to take for the tip to come to (x, y, z), if it is better than the best so far.
+
+    Within `tolerance` the less penalty is better, and the nearer between equals; outside, where the penalty counts as
+    infinite, the nearer. Returns row (-1 if none is better), penalty and square of the distance of the best.
+    """
+    cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
+    cy = min(max(int(np.floor((y - corner[1]) / cell)), 0), shape[1] - 1)
+    cz = min(max(int(np.floor((z - corner[2]) / cell)), 0), shape[2] - 1)
+    best = -1
+    for ring in range(max(shape[0], shape[1], shape[2]) + 1):
+        # Cells of this ring are this far away at the least: go on until neither penalty nor distance can improve.
+        away = (ring - 1) * cell
+        if away > tolerance and (best_penalty < np.inf or away * away > best_square):
+            break
+        for iz in range(max(cz - ring, 0), min(cz + ring, shape[2] - 1) + 1):
+            for iy in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
+                inner = ring > 0 and abs(iz - cz) < ring and abs(iy - cy) < ring
+                for ix in range(cx - ring, cx + ring + 1, 2 * ring if inner else 1):
+                    if ix < 0 or ix >= shape[0]:
+                        continue
+                    c = (iz * shape[1] + iy) * shape[0] + ix
+                    for k in range(starts[c], starts[c + 1]):
+                        n = order[k]
+                        dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                        square = dx * dx + dy * dy + dz * dz
+                        penalty = np.inf
+                        if square <= tolerance * tolerance:
+                            penalty, rest = 0.0, n
+                            for i in range(len(states) - 1, depth - 1, -1):
+                                penalty += penalties[i, rest % states[i]]
+                                rest //= states[i]
+                        if penalty < best_penalty or (penalty == best_penalty and square < best_square):
+                            best, best_penalty, best_square = n, penalty, square
+    return best, best_penalty, best_square
+
+
+@njit(
+    "f8(f8, f8, f8, f8, i8, i8, f8[:,::1], f8, f8[::1], i8[::1], i8[::1], i8[::1], f8[:,::1], f8[:,:,:,::1],"
+    " f8[:,:,::1], i8[::1], i8[::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def finish(
+    x: float,
+    y: float,
+    z: float,
+    tolerance: float,
+    root: int,
+    depth: int,
+    points: Array,
+    cell: float,
+    corner: Array,
+    shape: Index,
+    starts: Index,
+    order: Index,
+    penalties: Array,
+    rotations: Array,
+    translations: Array,
+    states: Index,
+    configuration: Index,
+) -> float:
+    """Fixes modules root+1 to B; writes their states to `configuration`, returns the distance of the tip from the goal.
+
+    Of all their configurations whose tip is within `tolerance` of the goal, the one with the least sum of penalties is
+    taken, the nearer deciding between equals; if there is none, the nearest of all.
+
+    Args:
+        x: goal in frame F_root; `y` and `z` likewise.
+        y: see x.
+        z: see x.
+        tolerance: distance within which penalties decide.
+        root: and the next seven: see Tail.
+        depth: see Tail.
+        points: see Tail.
+        cell: see Tail.
+        corner: see Tail.
+        shape: see Tail.
+        starts: see Tail.
+        order: see Tail.
+        penalties: the secondary criterion, shape (B, Kmax).
+        rotations: configuration sets, shape (B, Kmax, 3, 3).
+        translations: configuration sets, shape (B, Kmax, 3).
+        states: K_i, shape (B,).
+        configuration: written, shape (B,).
+    """
+    branches = 1
+    for i in range(root, depth):
+        branches *= states[i]
+    best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, np.inf
+    for branch in range(branches):
+        qx, qy, qz, base, rest = x, y, z, 0.0, branch
+        for i in range(root, depth):
+            j = rest % states[i]
+            rest //= states[i]
+            r, b = rotations[i, j], translations[i, j]
+            dx, dy, dz = qx - b[0], qy - b[1], qz - b[2]
+            qx = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
+            qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
+            qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+            base += penalties[i, j]
+        row, penalty, square = nearest(
+            qx,
+            qy,
+            qz,
+            tolerance,
+            best_penalty - base,
+            best_square,
+            points,
+            cell,
+            corner,
+            shape,
+            starts,
+            order,
+            penalties,
+            states,
+            depth,
+        )
+        if row >= 0:
+            best_row, best_branch, best_penalty, best_square = row, branch, penalty + base, square
+    for i in range(root, depth):
+        configuration[i] = best_branch % states[i]
+        best_branch //= states[i]
+    for i in range(len(states) - 1, depth - 1, -1):
+        configuration[i] = best_row % states[i]
+        best_row //= states[i]
+    return float(np.sqrt(best_square))

@@ -1,0 +1,128 @@
+"""Strict reading of YAML and JSON values into msgspec structs, with every fault and the path of its field."""
+
+import math
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import yaml
+from msgspec import Struct
+
+S = TypeVar("S", bound=Struct)
+
+MOST_FAULTS = 100
+
+
+class InputFaults(ValueError):
+    """All that is wrong with one file."""
+
+    def __init__(self, path: Path, faults: list[str]) -> None:
+        """Keeps the faults; the message is one line for each."""
+        self.faults = tuple(faults)
+        super().__init__("\n".join(f"{path}: {fault}" for fault in faults))
+
+
+class Loader(yaml.SafeLoader):
+    """Safe YAML that refuses a key written twice, of which PyYAML would silently keep the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Returns the mapping of a node."""
+        keys = [key.value for key, _ in node.value]
+        for key, _ in node.value:
+            if keys.count(key.value) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} stands twice", key.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(path: Path) -> Any:
+    """Returns the plain value of a YAML file.
+
+    Raises:
+        InputFaults: it is missing, unreadable or not YAML.
+    """
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), Loader)
+    except FileNotFoundError:
+        raise InputFaults(path, ["no such file"]) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"]) from None
+
+
+def check(value: Any, kind: type[S], faults: list[str]) -> S | None:
+    """Returns `value` as a struct, or None with every fault appended, each as "path: what is wrong"."""
+    before = len(faults)
+    walk(value, kind, "", faults)
+    del faults[MOST_FAULTS:]
+    return msgspec.convert(value, kind) if len(faults) == before else None
+
+
+def walk(value: Any, kind: Any, path: str, faults: list[str]) -> None:
+    """Appends the faults of `value` against the type `kind`: structs and lists part by part, all else by msgspec."""
+    kind = chosen(value, kind)
+    if isinstance(kind, type) and issubclass(kind, Struct) and isinstance(value, dict):
+        hints = get_type_hints(kind, include_extras=True)
+        config = kind.__struct_config__
+        known = set(kind.__struct_encode_fields__) | ({config.tag_field} if config.tag_field else set())
+        options = ", ".join(sorted(known))
+        faults += [f"{join(path, name)}: unknown field; known are {options}" for name in value if name not in known]
+        required = [f for f in msgspec.structs.fields(kind) if f.required]
+        faults += [f"{join(path, f.name)}: required, but missing" for f in required if f.name not in value]
+        for name in kind.__struct_fields__:
+            if name in value:
+                walk(value[name], hints[name], join(path, name), faults)
+        return
+    elements = element_type(kind)
+    if isinstance(value, list) and elements is not None:
+        before = len(faults)
+        for k, element in enumerate(value):
+            walk(element, elements, f"{path}[{k}]", faults)
+        if len(faults) > before:
+            return
+    if isinstance(value, float) and not math.isfinite(value):
+        faults.append(f"{path}: {value} is not a finite number")
+        return
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        text, _, inner = str(error).partition(" - at `$")
+        inner = inner.rstrip("`") if inner else ""
+        faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)})")
+
+
+def chosen(value: Any, kind: Any) -> Any:
+    """Returns, of a union, the member that `value` seems to mean; else `kind` itself."""
+    if get_origin(kind) not in (Union, UnionType):
+        return kind
+    members = [m for m in get_args(kind) if m is not type(None)]
+    structs = [m for m in members if isinstance(m, type) and issubclass(m, Struct)]
+    if isinstance(value, dict) and structs:
+        tagged = [m for m in structs if m.__struct_config__.tag == value.get(m.__struct_config__.tag_field or "")]
+        untagged = [m for m in structs if m.__struct_config__.tag is None]
+        if tagged or untagged:
+            return (tagged or untagged)[0]
+    if isinstance(value, list):
+        lists = [m for m in members if element_type(m) is not None]
+        if lists:
+            return lists[0]
+    return kind
+
+
+def element_type(kind: Any) -> Any:
+    """Returns the type of a list type's elements, also behind Annotated; None for any other type."""
+    if hasattr(kind, "__metadata__"):
+        kind = kind.__origin__
+    return get_args(kind)[0] if get_origin(kind) is list else None
+
+
+def join(path: str, name: object) -> str:
+    """Returns the path of a field."""
+    return f"{path}.{name}" if path else str(name)
+
+
+def shown(value: Any) -> str:
+    """Returns a value as a message shows it, cut short."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,43 @@
+"""Point densities of all intermediate workspaces of a manipulator (section 2.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Densities:
+    """Intermediate workspaces W_0 (whole arm) to W_B (its tip alone), each an array of pixels with a box of its own.
+
+    Pixel (z, y, x) of level i is centred at `references[i] + pixels[i] * (x, y, z)` in frame i. Its value is the
+    natural logarithm of the number of points in it where that number is positive (so never negative), and minus the
+    distance to the nearest such pixel elsewhere: one number that says how well, or else how far off.
+
+    Attributes:
+        values: all levels' pixels one after the other, base level first, float32.
+        offsets: where each level starts in `values`, shape (B+2,).
+        shapes: pixels along z, y, x, shape (B+1, 3).
+        references: centre of each level's first pixel, x, y, z, shape (B+1, 3).
+        pixels: side of each level's pixels, shape (B+1,).
+    """
+
+    values: NDArray[np.float32]
+    offsets: NDArray[np.int64]
+    shapes: NDArray[np.int64]
+    references: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+
+    def level(self, i: int) -> NDArray[np.float32]:
+        """Returns the values of intermediate workspace i, shape (z, y, x)."""
+        return self.values[self.offsets[i] : self.offsets[i + 1]].reshape(self.shapes[i])
+
+    def box(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns the least and greatest corner (x, y, z) of level i, outer edges of its pixels."""
+        half = self.pixels[i] / 2
+        last = self.references[i] + self.pixels[i] * (self.shapes[i, ::-1] - 1)
+        return self.references[i] - half, last + half
+
+    def volume(self, i: int, *, planar: bool) -> float:
+        """Returns the area (planar) or volume of one pixel of level i."""
+        return float(self.pixels[i] ** (2 if planar else 3))
