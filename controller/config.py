@@ -16,12 +16,14 @@ from controller.manipulator.vgt import ACTUATORS, Diagonal, vgt
 from controller.search.method import Method
 from controller.strict import InputFaults, check, read_yaml
 
-Positive = Annotated[float, Meta(gt=0)]
+# Lengths beyond these bounds are slips of the unit, and would overflow when squared.
+Positive = Annotated[float, Meta(gt=0, le=1e6)]
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Pair = tuple[Positive, Positive]
 Count = Annotated[int, Meta(ge=1, le=10_000)]
 Bit = Annotated[int, Meta(ge=0, le=63)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-Vector = Annotated[list[float], Meta(min_length=2, max_length=3)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
+Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Quaternion = Annotated[list[float], Meta(min_length=4, max_length=4)]
 
 

@@ -24,14 +24,22 @@ class InputFaults(ValueError):
 
 
 class Loader(yaml.SafeLoader):
-    """Safe YAML that refuses a key written twice, of which PyYAML would silently keep the last."""
+    """Safe YAML without aliases, and without keys written twice, of which PyYAML would silently keep the last."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Returns the next node."""
+        if self.check_event(yaml.AliasEvent):  # a few lines of them can stand for more than any memory holds
+            event = self.peek_event()
+            raise yaml.composer.ComposerError(None, None, f"alias *{event.anchor} is refused", event.start_mark)
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Returns the mapping of a node."""
-        keys = [key.value for key, _ in node.value]
+        seen: set[str] = set()
         for key, _ in node.value:
-            if keys.count(key.value) > 1:
+            if str(key.value) in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} stands twice", key.start_mark)
+            seen.add(str(key.value))
         return super().construct_mapping(node, deep)
 
 
@@ -47,7 +55,8 @@ def read_yaml(path: Path) -> Any:
         raise InputFaults(path, ["no such file"]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputFaults(path, [f"cannot be read: {error}"]) from None
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
+        # The last three are what PyYAML's constructors raise for a value that its own tag does not allow.
         raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"]) from None
 
 
@@ -124,5 +133,8 @@ def join(path: str, name: object) -> str:
 
 def shown(value: Any) -> str:
     """Returns a value as a message shows it, cut short."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # an integer longer than Python writes out
+        return "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."

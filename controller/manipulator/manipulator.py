@@ -99,9 +99,11 @@ class Manipulator:
         """Returns the configuration (B,) of actuator states (A,).
 
         Raises:
-            ValueError: a module's actuator states belong to none of its configurations.
+            ValueError: there are too few or too many, or a module's belong to none of its configurations.
         """
         states = np.asarray(actuator_states)
+        if states.shape != (len(self.actuators),):
+            raise ValueError(f"the arm has {len(self.actuators)} actuator states, got an array of shape {states.shape}")
         result, start = np.empty(len(self.modules), dtype=np.int64), 0
         for i, module in enumerate(self.modules):
             own = states[start : start + len(module.actuators)]

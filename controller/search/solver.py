@@ -73,7 +73,7 @@ class Solver:
         began = time.perf_counter()
         world = np.zeros(3)
         world[: len(np.asarray(goal))] = goal
-        local = self._to_base[:3, :3] @ world + self._to_base[:3, 3]
+        local = self._towards(self._to_base[:3, :3] @ world + self._to_base[:3, 3])
         stays = np.linalg.norm(self.manipulator.tip(previous)[:3, 3] - world) <= tolerance
         if method == "ipop-previous" and stays:
             best = np.array(previous)
@@ -89,6 +89,18 @@ class Solver:
             within_tolerance=error <= tolerance,
             seconds=time.perf_counter() - began,
         )
+
+    def _towards(self, goal: Vector) -> Vector:
+        """Returns `goal`, or, where it is outside the box of W_0, the centre of the nearest pixel that has points.
+
+        Every density is as good as zero out there: distances to their boxes would lead the descent astray.
+        """
+        low, high = self.densities.box(0)
+        if np.all((low <= goal) & (goal <= high)):
+            return goal
+        z, y, x = np.nonzero(self.densities.level(0) >= 0)
+        centres = self.densities.references[0] + self.densities.pixels[0] * np.column_stack((x, y, z))
+        return np.asarray(centres[np.argmin(np.linalg.norm(centres - goal, axis=1))])
 
     def _search(self, goal: Vector, previous: Configuration, tolerance: float, method: Method) -> Configuration:
         """Returns the first configuration within the tolerance as the threshold rises, else the nearest seen."""

@@ -54,8 +54,9 @@ def build_tail(manipulator: Manipulator) -> Tail:
         points = (turned + manipulator.translations[i, :k, None]).reshape(-1, 3)
     points = np.ascontiguousarray(points)
     low, size = points.min(axis=0), np.ptp(points, axis=0)
-    extents = size[size > 1e-9 * max(size.max(), 1e-300)]
-    cell = float(np.prod(extents) / len(points) * POINTS_A_CELL) ** (1 / len(extents)) if len(extents) else 1.0
+    # The greatest of what a line, a plane and a space of points ask, so that flat and thin boxes have few cells too.
+    extents = np.sort(size)[::-1]
+    cell = max(float(np.prod(extents[:n]) / len(points) * POINTS_A_CELL) ** (1 / n) for n in (1, 2, 3)) or 1.0
     shape = (size / cell).astype(np.int64) + 1
     cells = ((points - low) / cell).astype(np.int64)
     flat = (cells[:, 2] * shape[1] + cells[:, 1]) * shape[0] + cells[:, 0]
@@ -105,11 +106,15 @@ def nearest(
     cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
     cy = min(max(int(np.floor((y - corner[1]) / cell)), 0), shape[1] - 1)
     cz = min(max(int(np.floor((z - corner[2]) / cell)), 0), shape[2] - 1)
+    ox = x - min(max(x, corner[0]), corner[0] + shape[0] * cell)
+    oy = y - min(max(y, corner[1]), corner[1] + shape[1] * cell)
+    oz = z - min(max(z, corner[2]), corner[2] + shape[2] * cell)
+    outside = ox * ox + oy * oy + oz * oz
     best = -1
     for ring in range(max(shape[0], shape[1], shape[2]) + 1):
         # Cells of this ring are this far away at the least: go on until neither penalty nor distance can improve.
-        away = (ring - 1) * cell
-        if away > tolerance and (best_penalty < np.inf or away * away > best_square):
+        square = outside + (max(ring - 1, 0) * cell) ** 2
+        if square > tolerance * tolerance and (best_penalty < np.inf or square > best_square):
             break
         for iz in range(max(cz - ring, 0), min(cz + ring, shape[2] - 1) + 1):
             for iy in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):

@@ -54,7 +54,7 @@ def map_densities(
         rotations = manipulator.rotations[i, : manipulator.states[i]]
         translations = manipulator.translations[i, : manipulator.states[i]]
         low, high = extent(counts, reference, pixel, rotations, translations)
-        pixel = coarsened(pixel, high - low, level_pixels, manipulator.dimension)
+        pixel = coarsened(pixel, low, high, level_pixels, manipulator.dimension)
         shape, reference = grid(low, high, pixel)
         source, source_centroids = counts, centroids
         counts, centroids = np.zeros(shape), np.zeros((*shape, 3))
@@ -72,10 +72,9 @@ def map_densities(
     )
 
 
-def coarsened(pixel: float, size: Vector, level_pixels: int, dimension: int) -> float:
-    """Returns `pixel`, or the finer bound above it at which a box of `size` (3,) has at most `level_pixels` pixels."""
-    while math.prod(grid(np.zeros(3), size, pixel)[0]) > level_pixels:
-        excess = math.prod(grid(np.zeros(3), size, pixel)[0]) / level_pixels
+def coarsened(pixel: float, low: Vector, high: Vector, level_pixels: int, dimension: int) -> float:
+    """Returns `pixel`, or the least side above it, nearly, at which the box `low` to `high` has `level_pixels` or less."""
+    while (excess := math.prod(grid(low, high, pixel)[0]) / level_pixels) > 1:
         pixel *= max(excess ** (1 / dimension), 1.01)
     return pixel
 
@@ -131,7 +130,7 @@ def extent(
                         p += rotations[j, a, 2] * (reference[2] + z * pixel)
                         low[a], high[a] = min(low[a], p), max(high[a], p)
     for a in range(3):  # the points lie around the pixels' centres; a planar arm's have no room in z
-        if depth > 1 or low[a] < high[a] or a < 2:
+        if a < 2 or depth > 1 or low[a] != 0 or high[a] != 0:
             low[a] -= pixel
             high[a] += pixel
     return low, high

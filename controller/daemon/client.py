@@ -1,0 +1,101 @@
+"""The other side of the interface: what `send`, `watch`, `plan` and the demo say to a daemon."""
+
+import json
+import queue
+import uuid
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+import zenoh
+
+Message = dict[str, Any]
+
+
+class Unanswered(RuntimeError):
+    """No daemon answered in time."""
+
+
+class Client:
+    """Talks to the daemon of one arm.
+
+    Args:
+        session: open session, a client of the daemon's.
+        arm: its name.
+    """
+
+    def __init__(self, session: zenoh.Session, arm: str) -> None:
+        self._session = session
+        self._arm = arm
+        self._prefix = f"hyperbit/{arm}"
+
+    def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 10.0) -> Message:
+        """Returns the daemon's answer on `key`: goal, cancel, stop, reset, plan or arm.
+
+        Raises:
+            Unanswered: none came within `timeout` seconds.
+        """
+        data = msgspec.json.encode(payload or {})
+        replies = self._session.get(
+            f"{self._prefix}/{key}", payload=data, encoding=zenoh.Encoding.APPLICATION_JSON, timeout=timeout
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return decoded(reply.ok)
+        raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key} within {timeout:g} s")
+
+    def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
+        """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""
+        return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
+
+    def alive(self, timeout: float = 1.0) -> bool:
+        """Returns whether the daemon's liveliness token is there."""
+        return any(reply.ok for reply in self._session.liveliness().get(f"{self._prefix}/alive", timeout=timeout))
+
+    def run(
+        self,
+        goal: Mapping[str, Any],
+        on_feedback: Callable[[Message], None] = lambda message: None,
+        silence: float = 10.0,
+    ) -> Message:
+        """Sends a goal and returns its result, or the daemon's answer if it was refused.
+
+        Args:
+            goal: its payload; an id is added where there is none.
+            on_feedback: called with each feedback of it, and with the daemon's answer first.
+            silence: longest time [s] without any word of the arm's state while waiting.
+
+        Raises:
+            Unanswered: the daemon did not answer, or fell silent.
+        """
+        goal = {"id": uuid.uuid4().hex[:12], **goal}
+        news: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
+        keys = ("feedback", "result", "state")
+
+        def hand_over(key: str) -> Callable[[Message], None]:
+            return lambda message: news.put((key, message))
+
+        subscribers = [self.subscribe(key, hand_over(key)) for key in keys]
+        try:
+            answer = self.request("goal", goal)
+            on_feedback(answer)
+            if not answer["accepted"]:
+                return answer
+            while True:
+                key, message = news.get(timeout=silence)
+                if message.get("id") != goal["id"]:
+                    continue
+                if key == "result":
+                    return message
+                on_feedback(message)
+        except queue.Empty:
+            raise Unanswered(f"arm {self._arm!r} has been silent for {silence:g} s; goal {goal['id']}") from None
+        finally:
+            for subscriber in subscribers:
+                subscriber.undeclare()
+
+
+def decoded(sample: zenoh.Sample) -> Message:
+    """Returns a sample's JSON object."""
+    message: Message = json.loads(sample.payload.to_bytes())
+    return message

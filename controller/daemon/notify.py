@@ -1,0 +1,28 @@
+"""Word to systemd: sd_notify(3), one datagram each."""
+
+import contextlib
+import os
+import socket
+
+
+class Notifier:
+    """Sends states to $NOTIFY_SOCKET, or nowhere when the service was not started by systemd.
+
+    Attributes:
+        watchdog: seconds between two beats that systemd waits for at most, None where it does not watch.
+    """
+
+    def __init__(self) -> None:
+        """Reads $NOTIFY_SOCKET and $WATCHDOG_USEC."""
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) if address else None
+        usec = os.environ.get("WATCHDOG_USEC", "")
+        self.watchdog = int(usec) / 1e6 if usec.isdigit() and address else None
+
+    def send(self, *states: str) -> None:
+        """Sends assignments such as "READY=1", if there is somebody to hear them."""
+        if self._socket is None:
+            return
+        with contextlib.suppress(OSError):  # the next beat tells as much
+            self._socket.sendto("\n".join(states).encode(), self._address)

@@ -1,0 +1,145 @@
+"""The whole daemon: boards, loop, planner, ledger and Zenoh put together, and taken apart in order."""
+
+import logging
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import zenoh
+
+from controller.config import Arm
+from controller.daemon.events import Quit
+from controller.daemon.ledger import Ledger
+from controller.daemon.loop import ControlLoop
+from controller.daemon.notify import Notifier
+from controller.daemon.outbox import Outbox
+from controller.daemon.planner import Planner
+from controller.daemon.server import Server
+from controller.daemon.telemetry import Publisher
+from controller.search.solver import Solver
+from controller.workspace.densities import Densities
+from drivers.boards import Boards
+from drivers.simulation import Simulation
+from drivers.wiring import BusSettings, Channel, Timing, Wiring
+
+log = logging.getLogger(__name__)
+
+
+def wiring_of(arm: Arm) -> Wiring:
+    """Returns the drivers' view of an arm's buses and actuators."""
+    return Wiring(
+        buses=tuple(BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in arm.settings.buses),
+        channels=tuple(
+            Channel(label, a.bus, a.node, a.output, a.input)
+            for label, a in zip(arm.manipulator.actuators, arm.wiring, strict=True)
+        ),
+        on_loss=arm.settings.boards.on_loss,
+        shared_rpdo=arm.settings.boards.shared_rpdo,
+    )
+
+
+def timing_of(arm: Arm) -> Timing:
+    """Returns the drivers' view of an arm's times."""
+    boards = arm.settings.boards
+    return Timing(
+        heartbeat=boards.heartbeat,
+        heartbeat_timeout=boards.heartbeat_timeout,
+        boot_timeout=boards.boot_timeout,
+        travel_time=arm.settings.travel_time,
+    )
+
+
+def embedded(wiring: Wiring) -> Wiring:
+    """Returns the wiring on virtual buses of this process, named so that no other arm of it is met."""
+    buses = (replace(bus, interface="virtual", channel=f"{bus.channel}-{id(wiring):x}") for bus in wiring.buses)
+    return replace(wiring, buses=tuple(buses))
+
+
+@contextmanager
+def simulated(wiring: Wiring, timing: Timing) -> Iterator[Simulation]:
+    """Runs simulated boards for a wiring while the context lasts."""
+    simulation = Simulation.from_wiring(wiring, timing)
+    simulation.start()
+    try:
+        yield simulation
+    finally:
+        simulation.stop()
+
+
+class Daemon:
+    """A running daemon.
+
+    Args:
+        arm: with wiring.
+        densities: of its manipulator.
+        wiring: the arm's, or an embedded one.
+        config: of the Zenoh session.
+        ledger: path of the ledger.
+
+    Raises:
+        BusError: a bus cannot be opened.
+        zenoh.ZError: the session cannot be opened.
+    """
+
+    def __init__(self, arm: Arm, densities: Densities, wiring: Wiring, config: zenoh.Config, ledger: Path) -> None:
+        self._boards = Boards(wiring, timing_of(arm))
+        self._boards.connect()
+        try:
+            self._session = zenoh.open(config)
+        except BaseException:
+            self._boards.close()
+            raise
+        prefix = f"hyperbit/{arm.settings.name}"
+        self._outbox = Outbox(self._session, prefix)
+        self._ledger = Ledger(ledger, arm.manipulator.actuators)
+        self._telemetry = Publisher(
+            self._session, prefix, arm.manipulator, self._outbox.waiting, lambda: self._planner.waiting()
+        )
+        self.loop = ControlLoop(
+            arm.manipulator,
+            self._boards,
+            arm.settings.travel_time,
+            self._outbox.publish,
+            self._telemetry,
+            self._ledger,
+            Notifier(),
+        )
+        self._planner = Planner(arm, Solver(arm.manipulator, densities), self.loop)
+        self._server = Server(self._session, arm, self.loop, self._planner, self._outbox)
+
+    def run(self) -> None:
+        """Runs the control loop in this thread until `quit`; then closes all, the boards last."""
+        try:
+            self.loop.run()
+        finally:
+            self._telemetry.close()
+            self._outbox.close()
+            self._ledger.close()
+            self._session.close()  # type: ignore[no-untyped-call]
+            self._boards.close()
+
+    def quit(self) -> None:
+        """Asks the loop to end; from any thread or signal handler."""
+        self.loop.inbox.put(Quit())
+
+
+@contextmanager
+def running(daemon: Daemon) -> Iterator[Daemon]:
+    """Runs a daemon in a thread of its own while the context lasts."""
+    thread = threading.Thread(target=daemon.run, name="control", daemon=True)
+    thread.start()
+    try:
+        yield daemon
+    finally:
+        daemon.quit()
+        thread.join(10.0)
+
+
+def run_until_signal(daemon: Daemon) -> None:
+    """Runs a daemon in the main thread until SIGTERM or SIGINT."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: daemon.quit())
+    daemon.run()

@@ -1,0 +1,56 @@
+"""A trajectory's plan: the configuration for each waypoint, each searched from the one before."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration
+from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, Refusal
+from controller.motion.goal import Trajectory
+from controller.search.method import Method
+from controller.search.solver import Solution, Solver
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What will be done.
+
+    Attributes:
+        trajectory: the goal.
+        solutions: one for each waypoint.
+        actuator_states: of each waypoint's configuration, shape (n, A).
+    """
+
+    trajectory: Trajectory
+    solutions: tuple[Solution, ...]
+    actuator_states: NDArray[np.uint8]
+
+    @property
+    def switches(self) -> int:
+        """Actuators that switch, all waypoints together."""
+        return sum(solution.switches for solution in self.solutions)
+
+
+def plan(solver: Solver, trajectory: Trajectory, previous: Configuration, method: Method) -> Plan:
+    """Returns the plan of a trajectory from configuration `previous` (B,).
+
+    Raises:
+        Refusal: a waypoint is out of reach; the message has the nearest point found.
+    """
+    solutions: list[Solution] = []
+    dimension = solver.manipulator.dimension
+    for k, goal in enumerate(trajectory.positions):
+        solution = solver.solve(goal, previous, trajectory.tolerance, method)
+        if not solution.within_tolerance:
+            nearest = ", ".join(f"{x:.4f}" for x in solution.tip[:dimension, 3])
+            wanted = ", ".join(f"{x:g}" for x in goal)
+            raise Refusal(
+                GOAL_TOLERANCE_VIOLATED,
+                f"waypoints[{k}].position: ({wanted}) is out of reach; the nearest point found is ({nearest}),"
+                f" {solution.error:.4f} away, tolerance {trajectory.tolerance:g}",
+            )
+        solutions.append(solution)
+        previous = solution.configuration
+    states = np.array([solver.manipulator.actuator_states(s.configuration) for s in solutions])
+    return Plan(trajectory, tuple(solutions), states)
