@@ -29,8 +29,9 @@ class Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Returns the next node."""
         if self.check_event(yaml.AliasEvent):  # a few lines of them can stand for more than any memory holds
-            event = self.peek_event()
-            raise yaml.composer.ComposerError(None, None, f"alias *{event.anchor} is refused", event.start_mark)
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            problem = f"alias *{event.anchor}: write its value out instead"
+            raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -55,9 +56,10 @@ def read_yaml(path: Path) -> Any:
         raise InputFaults(path, ["no such file"]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputFaults(path, [f"cannot be read: {error}"]) from None
-    except (yaml.YAMLError, RecursionError, ValueError, LookupError, AttributeError) as error:
-        # The last three are what PyYAML's constructors raise for a value that its own tag does not allow.
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"]) from None
+    except (LookupError, AttributeError):  # from PyYAML's constructors of tagged values, such as !!bool maybe
+        raise InputFaults(path, ["is not YAML: a value does not suit its !!tag"]) from None
 
 
 def check(value: Any, kind: type[S], faults: list[str]) -> S | None:

@@ -73,7 +73,7 @@ def map_densities(
 
 
 def coarsened(pixel: float, low: Vector, high: Vector, level_pixels: int, dimension: int) -> float:
-    """Returns `pixel`, or the least side above it, nearly, at which the box `low` to `high` has `level_pixels` or less."""
+    """Returns `pixel`, or nearly the least side above it that gives the box `low` to `high` at most `level_pixels`."""
     while (excess := math.prod(grid(low, high, pixel)[0]) / level_pixels) > 1:
         pixel *= max(excess ** (1 / dimension), 1.01)
     return pixel
