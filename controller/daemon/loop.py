@@ -14,7 +14,7 @@ from controller.daemon.events import Cancel, Event, Payload, Planned, Quit, Repl
 from controller.daemon.execution import Execution
 from controller.daemon.ledger import Ledger
 from controller.daemon.notify import Notifier
-from controller.daemon.state import Diagnostics, Mode, Snapshot, measured_tip, pose
+from controller.daemon.state import Diagnostics, Mode, Snapshot, measured_tip, pose, written
 from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
@@ -213,13 +213,15 @@ class ControlLoop:
         self._publish("feedback", payload)
 
     def _where(self, execution: Execution) -> Payload:
-        """Returns the measured pose, and its error from the waypoint last switched to."""
-        tip = measured_tip(self._manipulator, self._boards.measured())
+        """Returns the measured configuration and pose, and its error from the waypoint last switched to."""
+        measured = self._boards.measured()
+        tip = measured_tip(self._manipulator, measured)
         if tip is None:
-            return {"position": None, "orientation": None, "error": None}
+            return {"configuration": None, "position": None, "orientation": None, "error": None}
         wanted = execution.plan.trajectory.positions[max(execution.waypoint, 0)]
         error = float(np.linalg.norm(tip[: len(wanted), 3] - wanted))
-        return {**pose(self._manipulator, tip), "error": error}
+        configuration = written(self._manipulator, measured)
+        return {"configuration": configuration, **pose(self._manipulator, tip), "error": error}
 
     def _finish(self, execution: Execution) -> None:
         """Ends a goal whose last waypoint is settled, by what the boards measured there."""

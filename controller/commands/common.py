@@ -1,0 +1,106 @@
+"""What the commands share: arms and densities by their files, and words for what goes wrong."""
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from controller.config import Arm, load
+from controller.strict import InputFaults, read_yaml
+from controller.workspace.densities import Densities
+
+ArmFile = Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)]
+ArmName = Annotated[str, typer.Argument(metavar="ARM", help="The arm's file, or its name.", show_default=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
+ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, in place of the endpoint.")]
+
+ENDPOINT = "tcp/127.0.0.1:7447"
+
+console = Console(highlight=False, soft_wrap=True)
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class Failed(Exception):
+    """What was asked for failed; the command ends with 1."""
+
+
+def print_json(value: object) -> None:
+    """Prints one line of JSON."""
+    sys.stdout.write(json.dumps(value) + "\n")
+    sys.stdout.flush()
+
+
+def shipped(name: str) -> Path:
+    """Returns the path of a file in deploy/."""
+    return Path(__file__).parents[2] / "deploy" / name
+
+
+def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> Densities:
+    """Returns the densities of an arm from the cache, or maps them with a progress bar on stderr."""
+    from rich.progress import Progress
+
+    from controller.workspace.cache import default_directory, key, load_or_map
+
+    directory = default_directory()
+    if rebuild:
+        wanted = key(arm.manipulator, arm.pixel, arm.level_pixels)
+        (directory / f"{wanted[:24]}.npz").unlink(missing_ok=True)
+    with Progress(console=errors, transient=True, disable=silent or not errors.is_terminal) as progress:
+        task = progress.add_task("mapping the intermediate workspaces", total=len(arm.manipulator.modules) + 1)
+        return load_or_map(
+            arm.manipulator,
+            arm.pixel,
+            arm.level_pixels,
+            directory,
+            lambda done: progress.update(task, completed=done),
+        )
+
+
+def load_wired(path: Path) -> Arm:
+    """Returns the arm of a file that maps its actuators to boards.
+
+    Raises:
+        InputFaults: it is wrong, or maps none.
+    """
+    arm = load(path)
+    if not arm.wiring:
+        raise InputFaults(path, ["actuators: none is mapped to a board, so there is nothing to run"])
+    return arm
+
+
+def arm_name(arm: str) -> str:
+    """Returns the name of an arm given by its file or by its name."""
+    return load(Path(arm)).settings.name if Path(arm).exists() or arm.endswith((".yaml", ".yml")) else arm
+
+
+def parse_goal(text: str, dimension: int, where: str) -> list[float]:
+    """Returns the coordinates in "X,Y" or "X,Y,Z".
+
+    Raises:
+        InputFaults: they are not `dimension` finite numbers.
+    """
+    try:
+        goal = [float(part) for part in text.split(",")]
+    except ValueError:
+        goal = []
+    if len(goal) != dimension or not all(map(math.isfinite, goal)):
+        form = "X,Y" if dimension == 2 else "X,Y,Z"
+        raise InputFaults(Path(where), [f"{text!r} is no goal; {form} is needed, {dimension} numbers"])
+    return goal
+
+
+def read_goal_file(path: Path) -> dict[str, Any]:
+    """Returns the goal in a YAML or JSON file.
+
+    Raises:
+        InputFaults: it holds no mapping.
+    """
+    value = read_yaml(path)  # JSON is YAML, too
+    if not isinstance(value, dict):
+        raise InputFaults(path, ["no goal: a mapping with `waypoints` is needed"])
+    return value

@@ -1,0 +1,168 @@
+"""The demo: a real daemon with simulated boards in one process, its client in this one."""
+
+import contextlib
+import queue
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
+from controller.commands.talk import connected
+from controller.config import Arm
+from controller.daemon.client import Client, Message, Unanswered
+from controller.manipulator.manipulator import Configuration
+from controller.manipulator.notation import parse_configuration
+
+PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
+CURVE_WAYPOINTS = 48
+STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half where that is longer
+PATIENCE = 60.0  # [s] for the daemon to be ready; the first start compiles its kernels
+
+
+def demo(
+    file: Annotated[Path | None, typer.Argument(metavar="ARM.yaml", help="The paper's arm if absent.")] = None,
+    picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("demo.png"),
+) -> None:
+    """Run the whole chain on simulated boards: three targets, then a closed curve, a table and a picture."""
+    arm = load_wired(file or shipped("planar16.yaml"))
+    densities = densities_of(arm)
+    targets = PAPER_TARGETS if file is None else sample(arm, 3)
+    curve = closed_curve(arm)
+    rows: list[tuple[str, Message, float]] = []
+    reached: dict[str, Configuration] = {}
+    with tempfile.TemporaryDirectory() as folder, started(file or shipped("planar16.yaml"), Path(folder)) as endpoint:
+        with connected(arm.settings.name, endpoint, None) as client:
+            wait_until_ready(client)
+            for target in targets:
+                began = time.perf_counter()
+                result = run(client, [{"position": target}], f"target ({written(target)})")
+                rows.append((written(target), result, time.perf_counter() - began))
+                reached[f"({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
+            step = max(STEP, 1.5 * arm.settings.travel_time)
+            waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
+            began = time.perf_counter()
+            result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
+            rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
+    console.print(summary(arm, rows))
+    draw(picture, arm, densities, reached, targets, curve)
+    console.print(f"picture: {picture}")
+
+
+def sample(arm: Arm, count: int) -> list[list[float]]:
+    """Returns tips of configurations drawn at random, the same each time."""
+    states = np.random.default_rng(16).integers(0, arm.manipulator.states, (count, len(arm.manipulator.modules)))
+    tips = arm.manipulator.tips(states)[:, : arm.manipulator.dimension, 3]
+    return [list(map(float, tip)) for tip in tips]
+
+
+def closed_curve(arm: Arm) -> NDArray[np.float64]:
+    """Returns waypoints (n, dimension) on an ellipse where the arm reaches best, its mean tip at the centre."""
+    states = np.random.default_rng(0).integers(0, arm.manipulator.states, (500, len(arm.manipulator.modules)))
+    tips = arm.manipulator.tips(states)[:, : arm.manipulator.dimension, 3]
+    turns = np.linspace(0.0, 2 * np.pi, CURVE_WAYPOINTS)
+    curve = np.tile(tips.mean(axis=0), (CURVE_WAYPOINTS, 1))
+    curve[:, 0] += 0.1 * arm.manipulator.length * np.cos(turns)
+    curve[:, 1] += 0.05 * arm.manipulator.length * np.sin(turns)
+    return curve
+
+
+@contextlib.contextmanager
+def started(file: Path, folder: Path) -> Iterator[str]:
+    """Runs the daemon with simulated boards in a process of its own; gives its Zenoh endpoint."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
+    with (folder / "log").open("w+") as log:
+        daemon = subprocess.Popen([*command, "--ledger", str(folder / "ledger.sqlite")], stderr=log, stdout=log)
+        try:
+            until = time.monotonic() + PATIENCE
+            while not listening(endpoint):
+                if daemon.poll() is not None or time.monotonic() > until:
+                    log.seek(0)
+                    errors.print(log.read(), markup=False)
+                    raise Failed("the daemon did not start; its log is above")
+                time.sleep(0.05)
+            yield endpoint
+        finally:
+            daemon.terminate()
+            daemon.wait(10)
+
+
+def listening(endpoint: str) -> bool:
+    """Returns whether something accepts connections at a tcp endpoint."""
+    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port)), timeout=0.5):
+        return True
+    return False
+
+
+def wait_until_ready(client: Client) -> None:
+    """Waits for the mode ready.
+
+    Raises:
+        Failed: the daemon reports a fault, or nothing.
+    """
+    states: queue.SimpleQueue[Message] = queue.SimpleQueue()
+    subscriber = client.subscribe("state", states.put)
+    try:
+        while True:
+            state = states.get(timeout=PATIENCE)
+            if state["mode"] == "ready":
+                return
+            if state["mode"] == "fault":
+                raise Failed(f"the daemon reports a fault: {state['reason']}")
+    except queue.Empty:
+        raise Failed(f"the daemon said nothing for {PATIENCE:g} s") from None
+    finally:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
+    """Sends a goal with a progress bar; returns its result, the worst error of its waypoints in place of the last.
+
+    Raises:
+        Failed: it was refused, or not reached.
+    """
+    errors_seen = [0.0]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(what, total=len(waypoints))
+
+        def follow(message: Message) -> None:
+            if "waypoint" in message:
+                errors_seen.append(message["error"])
+                progress.update(task, completed=message["waypoint"] + 1)
+
+        try:
+            result = client.run({"waypoints": waypoints}, follow)
+        except Unanswered as error:
+            raise Failed(str(error)) from None
+    if result["code"] != 0:
+        raise Failed(f"{what}: {result['message']}")
+    return {**result, "worst": max(errors_seen)}
+
+
+def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:
+    """Returns the table of what was reached."""
+    table = Table("target", "reached", "error", "switches", "time [s]", title=f"{arm.settings.name}, tip positions")
+    for target, result, seconds in rows:
+        table.add_row(
+            target, written(result["position"], 4), f"{result['worst']:.4f}", str(result["switches"]), f"{seconds:.2f}"
+        )
+    return table
+
+
+def written(position: list[float], digits: int = 2) -> str:
+    """Returns a position as text."""
+    return ", ".join(f"{x:.{digits}f}" for x in position)

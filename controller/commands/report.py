@@ -1,0 +1,301 @@
+"""Commands that reckon and report: plan, fk, map, figure5, check, wear."""
+
+import csv
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import rich.box
+import typer
+from rich.table import Table
+
+from controller.commands.common import (
+    ArmFile,
+    AsJson,
+    Failed,
+    console,
+    densities_of,
+    parse_goal,
+    print_json,
+    shipped,
+)
+from controller.config import Arm, load
+from controller.manipulator import frames
+from controller.manipulator.manipulator import Configuration
+from controller.manipulator.notation import format_configuration, parse_configuration
+from controller.search.method import Method
+from controller.strict import InputFaults
+
+Goals = list[tuple[list[float], Configuration | None]]
+
+
+def configuration(arm: Arm, text: str, where: str) -> Configuration:
+    """Returns the configuration that `text` writes; what is wrong with it is told of `where`."""
+    try:
+        return parse_configuration(arm.manipulator, text)
+    except ValueError as error:
+        raise InputFaults(Path(where), [str(error)]) from None
+
+
+def pose(arm: Arm, tip: frames.Frame) -> dict[str, Any]:
+    """Returns position and orientation of a frame for JSON."""
+    planar = arm.manipulator.planar
+    orientation = frames.angle(tip) if planar else frames.quaternion(tip).tolist()
+    return {"position": tip[: arm.manipulator.dimension, 3].tolist(), "orientation": orientation}
+
+
+def shown(values: Any) -> str:
+    """Returns numbers for a table."""
+    return ", ".join(f"{v:.4f}" for v in np.atleast_1d(values))
+
+
+def results_table(*columns: str) -> Table:
+    """Returns an empty table that leaves configurations whole on a narrow terminal."""
+    table = Table(box=rich.box.SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
+    for column in columns:
+        table.add_column(column, no_wrap=True)
+    return table
+
+
+def fk(
+    file: ArmFile,
+    states: Annotated[str, typer.Argument(metavar="CONFIGURATION", help="Module states, base first.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say where a configuration brings the tip."""
+    arm = load(file)
+    found = pose(arm, arm.manipulator.tip(configuration(arm, states, "CONFIGURATION")))
+    if as_json:
+        print_json(found)
+    else:
+        console.print(f"position {shown(found['position'])}  orientation {shown(found['orientation'])}")
+
+
+def plan(
+    file: ArmFile,
+    goal: Annotated[str | None, typer.Option(metavar="X,Y", help="One goal.")] = None,
+    goals: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Columns x,y[,z] and maybe previous.")] = None,
+    previous: Annotated[str | None, typer.Option(help="Configuration to start from; contracted if absent.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Of the position; the arm's if absent.")] = None,
+    method: Annotated[Method | None, typer.Option(help="The arm's if absent.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search configurations for goals, without any hardware."""
+    from controller.search.solver import Solver
+
+    arm = load(file)
+    if (goal is None) == (goals is None):
+        raise InputFaults(Path("plan"), ["give either --goal or --goals"])
+    if tolerance is not None and not 0 < tolerance < np.inf:
+        raise InputFaults(Path("--tolerance"), [f"{tolerance:g} is no length greater than 0"])
+    start = previous or ",".join("0" * len(arm.manipulator.modules))
+    reached = configuration(arm, start, "--previous")
+    if goal is not None:
+        wanted: Goals = [(parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
+    else:
+        wanted = read_goals(arm, goals or Path())
+    solver = Solver(arm.manipulator, densities_of(arm, silent=as_json))
+    table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
+    missed = 0
+    for position, given in wanted:
+        found = solver.solve(
+            position,
+            reached if given is None else given,
+            tolerance or arm.tolerance,
+            method or arm.settings.method,
+        )
+        reached, missed = found.configuration, missed + (not found.within_tolerance)
+        line = {
+            "goal": position,
+            "configuration": format_configuration(arm.manipulator, reached),
+            **pose(arm, found.tip),
+            "error": found.error,
+            "switches": found.switches,
+            "within_tolerance": found.within_tolerance,
+            "seconds": found.seconds,
+        }
+        if as_json:
+            print_json(line)
+        table.add_row(
+            ", ".join(f"{x:g}" for x in position),
+            line["configuration"],
+            shown(line["position"]),
+            shown(line["orientation"]),
+            f"[{'green' if found.within_tolerance else 'red'}]{found.error:.5f}",
+            str(found.switches),
+            f"{found.seconds * 1e3:.2f}",
+        )
+    if not as_json:
+        console.print(table)
+    if goal is not None and missed:
+        raise Failed(
+            f"goal {goal} is out of reach: nearest point found {shown(line['position'])}, {found.error:.4f} away"
+        )
+
+
+def read_goals(arm: Arm, path: Path) -> Goals:
+    """Returns position and previous configuration, where given, of each row of a CSV file.
+
+    Raises:
+        InputFaults: the file is missing, or what is wrong in which lines.
+    """
+    columns = ["x", "y", "z"][: arm.manipulator.dimension]
+    rows: Goals = []
+    faults: list[str] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            names = reader.fieldnames or []
+            if not set(columns) <= set(names) <= {*columns, "previous"}:
+                raise InputFaults(path, [f"columns {','.join(columns)} and maybe previous are needed, got {names}"])
+            for row in reader:
+                where = f"line {reader.line_num}"
+                try:
+                    text = ",".join(row[name] or "" for name in columns)
+                    position = parse_goal(text, len(columns), where)
+                    given = configuration(arm, row["previous"], where) if row.get("previous") else None
+                    rows.append((position, given))
+                except InputFaults as error:
+                    faults += [f"{where}: {fault}" for fault in error.faults]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+    if faults or not rows:
+        raise InputFaults(path, faults or ["no goals"])
+    return rows
+
+
+def map_(
+    file: ArmFile,
+    rebuild: Annotated[bool, typer.Option("--rebuild", help="Map anew, whatever is in the cache.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Map the point densities of all intermediate workspaces into the cache."""
+    from controller.workspace.cache import default_directory
+
+    arm = load(file)
+    began = time.perf_counter()
+    densities = densities_of(arm, rebuild=rebuild, silent=as_json)
+    seconds = time.perf_counter() - began
+    largest = int(densities.shapes.prod(axis=1).max())
+    finest, coarsest = float(densities.pixels.min()), float(densities.pixels.max())
+    megabytes, cache = densities.values.nbytes / 1e6, str(default_directory())
+    if as_json:
+        print_json(
+            {
+                "levels": len(densities.pixels),
+                "pixel": [finest, coarsest],
+                "largest_level": largest,
+                "megabytes": megabytes,
+                "seconds": seconds,
+                "cache": cache,
+            }
+        )
+    else:
+        console.print(
+            f"{len(densities.pixels)} intermediate workspaces, pixel {finest:.4g} to {coarsest:.4g}, at most {largest}"
+            f" pixels each, {megabytes:.1f} MB in {cache}, {seconds:.2f} s"
+        )
+
+
+def check(
+    file: ArmFile,
+    bus: Annotated[bool, typer.Option("--bus", help="Ask each board, too; changes nothing on it.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say all that is wrong in an arm's file, by field."""
+    try:
+        arm = load(file)
+    except InputFaults as error:
+        if as_json:
+            print_json({"ok": False, "faults": list(error.faults)})
+            raise typer.Exit(2) from None
+        raise
+    boards = ask_boards(arm) if bus else []
+    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
+    if as_json:
+        print_json({"ok": not missing, "faults": missing, "boards": boards})
+    else:
+        count = len({(a.bus, a.node) for a in arm.wiring})
+        console.print(
+            f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
+            f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
+        )
+        for board in boards:
+            console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
+    if missing:
+        if as_json:
+            raise typer.Exit(1)
+        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer as they should")
+
+
+def ask_boards(arm: Arm) -> list[dict[str, Any]]:
+    """Returns what each board of an arm answers."""
+    from controller.daemon.service import wiring_of
+    from drivers.faults import BusError
+    from drivers.probe import probe
+
+    try:
+        answers = probe(wiring_of(arm))
+    except BusError as error:
+        raise Failed(str(error)) from None
+    return [{"board": answer.board, "ok": answer.ok, "answer": answer.text} for answer in answers]
+
+
+def wear(
+    file: ArmFile,
+    ledger: Annotated[Path | None, typer.Option(help="The ledger; the daemon's default if absent.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say how often each actuator has switched, and how goals ended."""
+    import sqlite3
+
+    from controller.daemon.ledger import default_path, read
+
+    arm = load(file)
+    path = ledger or default_path(arm.settings.name)
+    try:
+        switches, goals = read(path)
+    except sqlite3.Error as error:
+        raise Failed(f"{path}: no ledger there: {error}") from None
+    counts = {label: switches.get(label, 0) for label in arm.manipulator.actuators}
+    if as_json:
+        print_json({"switches": counts, "goals": goals})
+        return
+    most = max(max(counts.values()), 1)
+    table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
+    for label, count in sorted(counts.items(), key=lambda item: -item[1]):
+        table.add_row(label, str(count), "█" * round(30 * count / most))
+    console.print(table)
+    ended = [str(goal["status"] or "unfinished") for goal in goals]
+    console.print(", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet")
+
+
+def figure5(
+    picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("figure5.png"),
+    as_json: AsJson = False,
+) -> None:
+    """Repeat the paper's experiment of section 4: three targets, three algorithms."""
+    from controller.figure5 import experiment, save
+
+    arm = load(shipped("planar16.yaml"))
+    densities = densities_of(arm, silent=as_json)
+    rows = experiment(arm, densities)
+    save(picture, arm, densities, rows)
+    table = results_table("method", "target", "configuration", "x", "y", "θ [rad]", "error", "switches")
+    for row in rows:
+        if as_json:
+            print_json({**row.__dict__, "picture": str(picture)})
+        table.add_row(
+            row.method,
+            shown(row.target),
+            row.configuration,
+            f"{row.x:.3f}",
+            f"{row.y:.3f}",
+            f"{row.theta:.3f}",
+            f"{row.error:.4f}",
+            str(row.switches),
+        )
+    if not as_json:
+        console.print(table)
+        console.print(f"picture: {picture}")

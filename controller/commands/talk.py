@@ -1,0 +1,128 @@
+"""Commands that talk to a running daemon: send and watch."""
+
+import contextlib
+import queue
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from controller.commands.common import (
+    ENDPOINT,
+    ArmName,
+    AsJson,
+    Connect,
+    Failed,
+    ZenohFile,
+    arm_name,
+    console,
+    parse_goal,
+    print_json,
+    read_goal_file,
+)
+from controller.daemon.client import Client, Unanswered
+from controller.strict import InputFaults
+
+
+@contextlib.contextmanager
+def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Client]:
+    """Opens a session with an arm's daemon.
+
+    Raises:
+        Failed: there is none.
+    """
+    import zenoh
+
+    from controller.daemon import session
+
+    zenoh.init_log_from_env_or("error")
+    try:
+        config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
+    except ValueError as error:
+        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+    try:
+        opened = zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = str(error).split(" at /")[0].strip()  # the rest is where in Zenoh's source
+        raise Failed(f"no daemon at {zenoh_file or connect}: {reason}") from None
+    with opened as live:
+        yield Client(live, arm_name(arm))
+
+
+def send(
+    arm: ArmName,
+    file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
+    to: Annotated[str | None, typer.Option(metavar="X,Y", help="One position to go to now.")] = None,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Send a goal and follow it to its result."""
+    if (file is None) == (to is None):
+        raise InputFaults(Path("send"), ["give either a goal's file or --to"])
+    if to is not None:
+        goal: dict[str, Any] = {"waypoints": [{"position": parse_goal(to, 2 + (to.count(",") > 1), "--to")}]}
+    else:
+        goal = read_goal_file(file or Path())
+
+    def tell(message: dict[str, Any]) -> None:
+        if as_json:
+            print_json(message)
+        elif "waypoint" in message:
+            error = "unknown" if message["error"] is None else f"{message['error']:.4f}"
+            console.print(
+                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
+                f" {message['switches']} switches so far"
+            )
+        elif message["accepted"]:
+            console.print(message["message"])
+
+    with connected(arm, connect, zenoh_file) as client:
+        try:
+            result = client.run(goal, tell)
+        except Unanswered as error:
+            raise Failed(str(error)) from None
+    if as_json and "status" in result:
+        print_json(result)
+    if result["code"] != 0:
+        raise Failed(f"{result.get('status', 'refused')} (code {result['code']}): {result['message']}")
+    if not as_json:
+        position = ", ".join(f"{x:.4f}" for x in result["position"])
+        console.print(f"reached ({position}), error {result['error']:.4f}, {result['switches']} switches")
+
+
+def watch(
+    arm: ArmName,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show a running arm until interrupted; with --json, a line for each state."""
+    from rich.live import Live
+
+    from controller.commands.view import View
+
+    news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
+    with connected(arm, connect, zenoh_file) as client, contextlib.suppress(KeyboardInterrupt):
+        _subscribers = [
+            client.subscribe("state", lambda message: news.put(("state", message))),
+            client.subscribe("diagnostics", lambda message: news.put(("diagnostics", message))),
+        ]
+        view = View(arm_name(arm))
+        with contextlib.ExitStack() as stack:
+            live = None if as_json else stack.enter_context(Live(view, console=console, auto_refresh=False))
+            while True:
+                try:
+                    key, message = news.get(timeout=2.0)
+                except queue.Empty:
+                    if not client.alive():
+                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not there, or is gone") from None
+                    continue
+                if live is None:
+                    if key == "state":
+                        print_json(message)
+                    continue
+                view.take(key, message)
+                if news.empty():
+                    live.update(view, refresh=True)

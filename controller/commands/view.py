@@ -1,0 +1,80 @@
+"""The picture of a running arm in a terminal."""
+
+import time
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
+
+
+class View:
+    """Renders the last state and diagnostics of an arm."""
+
+    def __init__(self, arm: str) -> None:
+        """Takes the arm's name."""
+        self._arm = arm
+        self._latest: dict[str, dict[str, Any]] = {}
+
+    def take(self, key: str, message: dict[str, Any]) -> None:
+        """Takes a message on "state" or "diagnostics"."""
+        self._latest[key] = message
+
+    def __rich__(self) -> RenderableType:
+        """Returns what is to be shown."""
+        state = self._latest.get("state")
+        if state is None:
+            return Text(f"waiting for word from {self._arm} ...")
+        parts = [self._summary(state), self._actuators(state)]
+        parts += [Text(f"{fault['code']}: {fault['message']}", style="red") for fault in state["faults"]]
+        if (diagnostics := self._latest.get("diagnostics")) is not None:
+            parts.append(self._hardware(diagnostics))
+        return Panel(Group(*parts), title=f"{self._arm}  {time.strftime('%H:%M:%S', time.localtime(state['stamp']))}")
+
+    def _summary(self, state: dict[str, Any]) -> RenderableType:
+        table = Table.grid(padding=(0, 2))
+        table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS[state['mode']]}"), state["reason"])
+        tip = state["tip"]
+        where = "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
+        table.add_row("tip", where, f"configuration {state['configuration'] or 'unknown'}")
+        table.add_row(
+            "goal", state["goal"] or "none", f"waypoint {(state['waypoint'] or 0) + 1}" if state["goal"] else ""
+        )
+        return table
+
+    def _actuators(self, state: dict[str, Any]) -> RenderableType:
+        commanded = state["commanded"] or [None] * len(state["measured"])
+        text = Text("actuators (base first, ")
+        text.append("▮ extended, ▯ contracted, ").append("? unknown, ", style="yellow")
+        text.append("red: not as commanded", style="red").append(")\n")
+        for wanted, is_ in zip(commanded, state["measured"], strict=True):
+            style = "red" if wanted is not None and is_ is not None and wanted != is_ else "none"
+            text.append("?" if is_ is None else "▮" if is_ else "▯", style="yellow" if is_ is None else style)
+        return text
+
+    def _hardware(self, diagnostics: dict[str, Any]) -> RenderableType:
+        buses = Table("bus", "state", "load", "sent", "received", "dropped", "errors tx/rx")
+        for bus in diagnostics["buses"]:
+            buses.add_row(
+                bus["name"],
+                bus["state"],
+                f"{bus['load']:.0%}",
+                str(bus["tx_frames"]),
+                str(bus["rx_frames"]),
+                str(bus["dropped"]),
+                f"{bus['tx_errors']}/{bus['rx_errors']}",
+            )
+        unwell = [b for b in diagnostics["boards"] if b["state"] != "operational" or b["emergency"]]
+        boards = Text(f"{len(diagnostics['boards']) - len(unwell)} of {len(diagnostics['boards'])} boards operational")
+        for board in unwell:
+            boards.append(f"\n{board['bus']}/{board['node']}: {board['state']} {board['emergency'] or ''}", style="red")
+        loop = diagnostics["loop"]
+        figures = Text(
+            f"control loop: longest period {loop['longest_period'] * 1e3:.1f} ms, work {loop['mean_work'] * 1e3:.2f} ms"
+            f" (longest {loop['longest_work'] * 1e3:.2f}), {loop['overruns']} overruns;"
+            f" {diagnostics['switches']} switches since start; ledger {diagnostics['ledger']}"
+        )
+        return Group(buses, boards, figures)
