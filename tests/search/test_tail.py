@@ -1,0 +1,191 @@
+"""The exact table of the last modules against trying every configuration."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from controller.manipulator import frames
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.module import transforms
+from controller.search import tail as tail_module
+from controller.search.tail import build_tail, finish, lowest, nearest
+from tests.arms import (
+    coordinates,
+    every_configuration,
+    listed,
+    paper_arm,
+    planar_modules,
+    short_arms,
+    spatial_arm,
+    spatial_frames,
+)
+
+arms = short_arms(planar_modules) | short_arms(listed(spatial_frames, planar=False))
+tolerances = st.sampled_from([0.0, 0.05, 0.3, 10.0])
+
+
+@st.composite
+def searches(draw):
+    """An arm, a goal for it (at times far away), penalties and a tolerance."""
+    manipulator = draw(arms)
+    goal = np.array([draw(coordinates) for _ in range(manipulator.dimension)] + [0.0])[:3]
+    goal *= draw(st.sampled_from([1.0, 1.0, 3.0, 100.0]))
+    seed = draw(st.integers(0, 1000))
+    penalties = np.random.default_rng(seed).integers(0, 4, manipulator.bits.shape[:2]).astype(float)
+    return manipulator, goal, penalties, draw(tolerances)
+
+
+def run_finish(manipulator, goal, penalties, tolerance):
+    """Returns error and configuration that `finish` gives."""
+    t = build_tail(manipulator)
+    configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
+    error = finish(
+        *goal,
+        tolerance,
+        t.root,
+        t.depth,
+        t.points,
+        t.cell,
+        t.corner,
+        t.shape,
+        t.starts,
+        t.order,
+        penalties,
+        manipulator.rotations,
+        manipulator.translations,
+        manipulator.states,
+        configuration,
+    )
+    return error, configuration
+
+
+def cost(penalties, configurations):
+    """Sum of penalties of configurations (n, B)."""
+    return penalties[np.arange(len(penalties)), configurations].sum(axis=1)
+
+
+def check_finish(manipulator, goal, penalties, tolerance):
+    """Holds `finish` to the best of all configurations."""
+    error, configuration = run_finish(manipulator, goal, penalties, tolerance)
+    every = every_configuration(manipulator)
+    errors = np.linalg.norm(manipulator.tips(every)[:, :3, 3] - goal, axis=1)
+    assert error == pytest.approx(np.linalg.norm(manipulator.tip(configuration)[:3, 3] - goal), abs=1e-9)
+    good = errors <= tolerance
+    if good.any():
+        costs = cost(penalties, every)
+        assert cost(penalties, configuration[None])[0] == costs[good].min()
+        assert error == pytest.approx(errors[good & (costs == costs[good].min())].min(), abs=1e-9)
+    else:
+        assert error == pytest.approx(errors.min(), abs=1e-9)
+
+
+@settings(max_examples=200)
+@given(searches())
+def test_finish_takes_the_least_penalty_within_tolerance_or_else_the_nearest(search):
+    check_finish(*search)
+
+
+@settings(max_examples=100)
+@given(searches(), st.sampled_from([2, 8, 30]), st.sampled_from([1, 6, 40]))
+def test_finish_does_so_however_the_arm_is_cut(search, most_points, most_branches):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tail_module, "MOST_POINTS", most_points)
+        patch.setattr(tail_module, "MOST_BRANCHES", most_branches)
+        manipulator, goal, penalties, tolerance = search
+        t = build_tail(manipulator)
+        assert t.depth - t.root == 0 or math.prod(manipulator.states[t.root : t.depth].tolist()) <= most_branches
+        assert len(t.points) <= max(most_points, manipulator.states[-1])
+        # The modules before the root are the densities' to decide: leave them out.
+        check_finish(Manipulator(manipulator.modules[t.root :]), goal, penalties[t.root :], tolerance)
+
+
+@settings(max_examples=200)
+@given(searches())
+def test_nearest_without_tolerance_is_the_nearest_of_all(search):
+    manipulator, goal, penalties, _ = search
+    t = build_tail(manipulator)
+    row, _, square = nearest(
+        *goal,
+        0.0,
+        np.inf,
+        np.inf,
+        t.points,
+        t.cell,
+        t.corner,
+        t.shape,
+        t.starts,
+        t.order,
+        penalties,
+        manipulator.states,
+        t.depth,
+    )
+    squares = ((t.points - goal) ** 2).sum(axis=1)
+    assert square == pytest.approx(squares.min(), abs=1e-12)
+    assert squares[row] == square
+
+
+@given(searches())
+def test_nearest_finds_nothing_better_than_the_best(search):
+    manipulator, goal, penalties, _ = search
+    t = build_tail(manipulator)
+    best = ((t.points - goal) ** 2).sum(axis=1).min()
+    assume(best > 0)  # an exact hit is within any tolerance
+    cells = (t.points, t.cell, t.corner, t.shape, t.starts, t.order, penalties, manipulator.states, t.depth)
+    assert nearest(*goal, 0.0, np.inf, best * 0.999, *cells)[0] == -1
+    assert nearest(*goal, 0.0, -1.0, np.inf, *cells)[0] == -1
+
+
+@given(arms)
+def test_the_table_holds_the_tips_in_the_order_of_their_number(manipulator):
+    t = build_tail(manipulator)
+    upper = Manipulator(manipulator.modules[t.depth :])
+    assert_allclose(t.points, upper.tips(every_configuration(upper))[:, :3, 3], atol=1e-12)
+    assert sorted(t.order.tolist()) == list(range(len(t.points)))
+    assert t.starts[0] == 0
+    assert t.starts[-1] == len(t.points)
+
+
+@given(st.tuples(*[st.floats(-12, 0)] * 3), st.integers(0, 100))
+def test_thin_and_flat_tables_have_few_cells(exponents, seed):
+    sizes = 10.0 ** np.array(exponents)
+    positions = np.random.default_rng(seed).uniform(0, 1, (500, 3)) * sizes
+    t = build_tail(Manipulator([transforms([frames.spatial(p) for p in positions], planar=False)]))
+    assert t.shape.prod() <= 8 * len(t.points)
+
+
+def test_a_table_of_one_point_over_and_over():
+    same = transforms([frames.planar(0.1, 0.2)] * 3, planar=True)
+    error, _ = run_finish(Manipulator([same, same]), np.array([0.2, 0.4, 0.0]), np.zeros((2, 3)), 1e-9)
+    assert error == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("states", "top", "most", "expected"),
+    [
+        ([8] * 16, 15, 1 << 16, 11),  # 8^5 <= 2^16 < 8^6
+        ([8] * 16, 11, 64, 9),  # 8^2 <= 64
+        ([8] * 16, 11, 7, 11),
+        ([8], 0, 1 << 16, 0),
+        ([100_000], 0, 1 << 16, 0),
+        ([2, 100_000], 1, 1 << 16, 1),
+        ([2, 3, 4, 5], 3, 20, 2),
+        ([2, 3, 4, 5], 3, 60, 1),
+        ([2, 3, 4, 5], 3, 1000, 0),
+        ([2, 3, 4, 5], 2, 6, 0),
+        ([2, 3, 4, 5], 2, 5, 1),
+    ],
+)
+def test_lowest(states, top, most, expected):
+    assert lowest(np.array(states), top, most) == expected
+
+
+@pytest.mark.parametrize("manipulator", [paper_arm(16), spatial_arm(9)], ids=["planar", "spatial"])
+def test_real_tables_are_as_long_as_allowed(manipulator):
+    t = build_tail(manipulator)
+    longer = math.prod(manipulator.states[t.depth - 1 :].tolist())
+    assert len(t.points) <= tail_module.MOST_POINTS < longer
+    assert t.shape.prod() <= 2 * len(t.points)
