@@ -1,0 +1,235 @@
+"""The boundary to the hardware: actuator states in, actuator states and faults out."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import can
+import canopen
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import cia301
+from drivers.bus import CanBus
+from drivers.cia301 import State
+from drivers.faults import BusBusy, BusError, Fault, FaultLog
+from drivers.layout import lay_out
+from drivers.node import Node
+from drivers.outputs import Outputs
+from drivers.sdo import Sdo
+from drivers.startup import Startup
+from drivers.status import Status
+from drivers.watch import Watch
+from drivers.wiring import MASTER, Timing, Wiring
+
+
+class Boards:
+    """All boards of an arm of A actuators.
+
+    One thread, the control loop, calls everything but `start`, which blocks and is called from another while the
+    control loop goes on with `tick`. `now` is always `time.monotonic()` [s], or any clock a test likes.
+
+    Args:
+        wiring: what is wired where.
+        timing: times of boards and actuators.
+    """
+
+    def __init__(self, wiring: Wiring, timing: Timing) -> None:
+        self._timing = timing
+        self._layout = layout = lay_out(wiring)
+        self._news = threading.Condition()
+        self._faults = FaultLog()
+        self._outputs = Outputs(layout)
+        self._inputs = np.zeros(layout.input_size, dtype=np.uint8)
+        self._nodes = [Node(board, self._inputs[board.input_image]) for board in layout.boards]
+        self._watch = Watch(wiring, timing)
+        self._startup = Startup(wiring, timing, self._outputs, self._news)
+        self._buses: dict[str, CanBus] = {}
+        self._networks = {bus.name: canopen.Network() for bus in wiring.buses}
+        for settings in wiring.buses:
+            self._buses[settings.name] = CanBus(settings, self._receiver(settings.name), self._lose_bus)
+        self._sdos = [Sdo(n.board, self._buses[n.board.bus], self._networks[n.board.bus]) for n in self._nodes]
+        self._last_tick: float | None = None
+        self._next_heartbeat: dict[str, float] = {}
+
+    def connect(self) -> None:
+        """Opens the buses and starts reading.
+
+        Raises:
+            BusError: a bus cannot be opened; those opened before are closed again.
+        """
+        try:
+            for bus in self._buses.values():
+                bus.open()
+        except BusError:
+            self.close()
+            raise
+
+    def subscribe(self, callback: Callable[[Fault], None]) -> None:
+        """Calls `callback` with each new fault, from a reader thread or from `tick`; it must only hand it over."""
+        self._faults.subscribe(callback)
+
+    def start(self) -> list[Fault]:
+        """Brings every board up; blocks until all are operational or given up.
+
+        It switches nothing, whatever state the boards are in, and may be called again after a fault: boards that are
+        operational and configured as they should be are left alone. What is measured counts as commanded from then on.
+
+        Returns:
+            One fault for each board, or bus, that is not up; none if all are operational.
+        """
+        self._faults.clear()
+        for node in self._nodes:
+            node.forget()
+        self._watch.reset(self.measured())  # all unknown: nothing is compared until all is up
+        lost = {name: fault for name, bus in self._buses.items() if (fault := bus.rearm())}
+        boards = [
+            (node, self._buses[node.board.bus], sdo)
+            for node, sdo in zip(self._nodes, self._sdos, strict=True)
+            if node.board.bus not in lost
+        ]
+        faults = [*lost.values(), *self._startup.run(boards)]
+        self._watch.reset(self.measured())
+        return faults
+
+    @property
+    def sensed(self) -> NDArray[np.bool_]:
+        """(A,) whether an actuator has an end-stop."""
+        return self._layout.sensed.copy()
+
+    def measured(self) -> NDArray[np.int8]:
+        """(A,) states from the end-stops, of actuators without one the output as last switched; -1 unknown."""
+        ready = np.array([node.ready for node in self._nodes], dtype=np.bool_)[self._layout.board]
+        states = self._outputs.states().astype(np.int8)
+        if self._inputs.size:
+            ends = self._inputs[self._layout.input_byte] >> self._layout.input_bit & 1
+            states = np.where(self._layout.sensed, ends, states).astype(np.int8)
+        return np.where(ready, states, -1).astype(np.int8)
+
+    def hold(self) -> None:
+        """Takes the measured states as the commanded ones; sends nothing."""
+        self._watch.accept(self.measured())
+
+    def commit(self, states: NDArray[np.int8] | NDArray[np.uint8], now: float) -> None:
+        """Switches all actuators to their states at one instant a bus: RPDOs to all buses, then one SYNC each.
+
+        Nothing is sent when nothing is to change.
+
+        Args:
+            states: (A,) 0 contracted, 1 extended.
+            now: [s].
+
+        Raises:
+            BusBusy: a frame could not be queued, or a bus or board is lost and `start` was not called since. Nothing
+                switched (with several buses: nothing on the bus it names), nothing is kept; the next commit sends the
+                states it is given.
+            ValueError: not A states of 0 or 1.
+        """
+        given = np.asarray(states)
+        if given.shape != self._layout.byte.shape or not np.isin(given, (0, 1)).all():
+            raise ValueError(f"states must be {self._layout.byte.size} of 0 or 1, not {given.tolist()}")
+        wanted_states = given.astype(np.uint8)
+        wanted = self._outputs.wanted(wanted_states)
+        due = self._outputs.due(wanted)
+        if not due:
+            return
+        self._refuse_unless_up()
+        for name, frames in due.items():
+            for frame in frames:
+                self._outputs.latch(self._buses[name], frame, wanted)
+        for name in due:
+            measured = self.measured()
+            switched = self._outputs.sync(self._buses[name], wanted)
+            self._watch.switched(switched, wanted_states, measured, now)
+
+    def tick(self, now: float) -> None:
+        """Sends the master's heartbeat when due, and looks for lost boards and for actuators that went astray.
+
+        To be called every control period, about 10 ms; no heartbeat is sent but from here, so that a control loop
+        that hangs makes the boards safe.
+
+        Args:
+            now: [s].
+        """
+        elapsed = 0.0 if self._last_tick is None else now - self._last_tick
+        self._last_tick = now
+        for bus in self._buses.values():
+            bus.tick(now)
+            self._beat(bus, now)
+        for node in self._nodes:
+            if (fault := node.tick(elapsed, self._timing.heartbeat_timeout)) is not None:
+                self._faults.report(fault)
+        for fault in self._watch.check(self.measured(), now):
+            self._faults.report(fault)
+
+    def moving(self, now: float) -> bool:
+        """Whether a switched actuator has not arrived, by its end-stop or without one by the travel time.
+
+        An actuator that was reported stuck no longer counts.
+        """
+        return self._watch.moving(self.measured(), now)
+
+    def status(self) -> Status:
+        """For diagnostics."""
+        return Status(
+            buses=tuple(bus.status() for bus in self._buses.values()),
+            boards=tuple(node.status() for node in self._nodes),
+        )
+
+    def close(self) -> None:
+        """Stops reading and shuts the buses; sends nothing, so the boards do what they do on loss of the master."""
+        for bus in self._buses.values():
+            bus.close()
+
+    def _refuse_unless_up(self) -> None:
+        for bus in self._buses.values():
+            if not bus.armed:
+                raise BusBusy(f"{bus.name} is {bus.state} or was lost: nothing is sent until start is called")
+        for node in self._nodes:
+            if not node.ready:
+                raise BusBusy(f"board {node.board.name} is not up: nothing is sent until start brings it up")
+
+    def _beat(self, bus: CanBus, now: float) -> None:
+        if not bus.usable or now < self._next_heartbeat.get(bus.name, now):
+            return
+        try:
+            bus.send(cia301.heartbeat(MASTER, State.OPERATIONAL))
+        except BusBusy:
+            return  # counted by the bus, and tried again with the next tick
+        self._next_heartbeat[bus.name] = now + self._timing.heartbeat
+
+    def _lose_bus(self, fault: Fault) -> None:
+        for node in self._nodes:
+            if node.board.bus == fault.source:
+                node.ready = False  # the bus is at fault, not each of its boards
+        self._faults.report(fault)
+
+    def _receiver(self, bus: str) -> Callable[[can.Message], bool]:
+        """What the reader of a bus does with a frame."""
+        nodes = {node.board.node: node for node in self._nodes if node.board.bus == bus}
+        network = self._networks[bus]
+        masters = {cia301.NMT, cia301.SYNC, cia301.HEARTBEAT + MASTER}
+        masters |= {frame.cob_id for frame in self._layout.frames if frame.bus == bus}
+
+        def receive(message: can.Message) -> bool:
+            cob_id, data = message.arbitration_id, bytes(message.data)
+            if cob_id in masters:
+                text = f"another master sends on {bus} (frame {cob_id:03X}h): stop it, only one may switch the boards"
+                self._faults.report(Fault("foreign-master", bus, text))
+                return True
+            function, number = cia301.split(cob_id)
+            if (node := nodes.get(number)) is None:
+                return False
+            if function == cia301.SDO_ANSWER:
+                if len(data) != 8:  # what the SDO client expects
+                    return False
+                network.notify(cob_id, message.data, message.timestamp)
+            with self._news:
+                understood, fault = node.receive(function, data)
+                self._news.notify_all()
+            if fault is not None:
+                self._faults.report(fault)
+            return understood
+
+        return receive

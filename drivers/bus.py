@@ -1,0 +1,212 @@
+"""One CAN bus: its own reader thread, its state from error frames, and a send that never queues."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable
+
+import can
+
+from drivers import cia301
+from drivers.faults import BusBusy, BusError, Fault
+from drivers.status import BusStatus
+from drivers.wiring import BusSettings
+
+_logger = logging.getLogger(__name__)
+
+_POLL = 0.05  # [s] how long the reader waits for a frame before it looks whether it shall end
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # [s] between attempts to open the bus again
+
+# Classes of error frames and details in data[1], from linux/can/error.h.
+_CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100
+_WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
+
+
+class CanBus:
+    """One CAN bus.
+
+    It is armed by `rearm` and disarmed by bus-off or a failing read; what moves actuators is to be sent only while it
+    is armed, because frames the kernel still holds go out when the bus comes back.
+
+    Args:
+        settings: which bus.
+        on_frame: called from the reader thread with each standard data frame; returns False when it means nothing.
+        on_fault: called from the reader thread when the bus is lost.
+    """
+
+    def __init__(
+        self,
+        settings: BusSettings,
+        on_frame: Callable[[can.Message], bool],
+        on_fault: Callable[[Fault], None],
+    ) -> None:
+        self.settings = settings
+        self.state = "closed"
+        self.armed = False
+        self._on_frame = on_frame
+        self._on_fault = on_fault
+        self._bus: can.BusABC | None = None
+        self._closing = threading.Event()
+        self._sending = threading.Lock()
+        self._reader: threading.Thread | None = None
+        self._tx_frames = self._rx_frames = self._tx_bits = self._rx_bits = 0
+        self._tx_errors = self._rx_errors = self._dropped = self._ignored = 0
+        self._load = 0.0
+        self._load_since: tuple[float, int] | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the bus."""
+        return self.settings.name
+
+    @property
+    def usable(self) -> bool:
+        """Whether frames can reach the wire, as far as is known."""
+        return self.state not in ("closed", "down", "bus-off")
+
+    def open(self) -> None:
+        """Opens the bus and starts reading.
+
+        Raises:
+            BusError: the interface cannot be opened.
+        """
+        try:
+            self._bus = self._open()
+        except Exception as error:  # python-can passes on whatever the interface raises
+            s = self.settings
+            raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
+        self.state = "active"
+        self._closing.clear()
+        self._reader = threading.Thread(target=self._read, name=f"read {self.name}", daemon=True)
+        self._reader.start()
+
+    def rearm(self) -> Fault | None:
+        """Allows what moves actuators to be sent again, or tells why it cannot be."""
+        self.armed = self.usable
+        if self.armed:
+            return None
+        code = "bus-off" if self.state == "bus-off" else "bus-down"
+        return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface, then reset")
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        """Sends a frame now or not at all.
+
+        Args:
+            message: the frame.
+            timeout: not used; python-can's signature, so that an SDO client can be given this bus.
+
+        Raises:
+            BusBusy: it could not be queued; it is counted and not kept.
+        """
+        with self._sending:
+            try:
+                if self._bus is None:
+                    raise can.CanOperationError("the bus is not open")
+                self._bus.send(message)
+            except (can.CanError, OSError, ValueError) as error:
+                self._dropped += 1
+                raise BusBusy(f"{self.name}: frame {message.arbitration_id:03X}h not sent: {error}") from error
+            self._tx_frames += 1
+            self._tx_bits += cia301.frame_bits(message)
+
+    def tick(self, now: float) -> None:
+        """Renews the load figure once a second; `now` in [s]."""
+        bits = self._tx_bits + self._rx_bits
+        if self._load_since is None:
+            self._load_since = now, bits
+        elif now - self._load_since[0] >= 1.0:
+            since, before = self._load_since
+            self._load = min(1.0, (bits - before) / (self.settings.bitrate * (now - since)))
+            self._load_since = now, bits
+
+    def status(self) -> BusStatus:
+        """State and counters."""
+        return BusStatus(
+            name=self.name,
+            state=self.state,
+            tx_frames=self._tx_frames,
+            rx_frames=self._rx_frames,
+            tx_errors=self._tx_errors,
+            rx_errors=self._rx_errors,
+            dropped=self._dropped,
+            ignored=self._ignored,
+            load=self._load,
+        )
+
+    def close(self) -> None:
+        """Stops reading and shuts the bus; sends nothing."""
+        self.armed = False
+        self._closing.set()
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None
+        self._shut()
+        self.state = "closed"
+
+    def _open(self) -> can.BusABC:
+        s = self.settings
+        return can.Bus(interface=s.interface, channel=s.channel, bitrate=s.bitrate, ignore_config=True)
+
+    def _shut(self) -> None:
+        with self._sending:
+            bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(Exception):  # an interface that is gone may fail to shut, too
+                bus.shutdown()
+
+    def _read(self) -> None:
+        pause = _FIRST_PAUSE
+        while not self._closing.is_set():
+            try:
+                if self._bus is None:
+                    self._bus = self._open()
+                message = self._bus.recv(_POLL)
+            except Exception as error:  # whatever the interface raises, reading goes on when it is back
+                self._shut()
+                self._lose("down", f"reading failed ({error}); it is opened again until it works")
+                self._closing.wait(pause)
+                pause = min(2 * pause, _LONGEST_PAUSE)
+                continue
+            pause = _FIRST_PAUSE
+            if self.state == "down":
+                self.state = "active"
+            if message is not None:
+                self._receive(message)
+
+    def _receive(self, message: can.Message) -> None:
+        if message.is_error_frame:
+            self._receive_error(message)
+            return
+        self._rx_frames += 1
+        self._rx_bits += cia301.frame_bits(message)
+        try:
+            standard = not (message.is_remote_frame or message.is_extended_id or message.is_fd)
+            understood = standard and self._on_frame(message)
+        except Exception:  # a frame nobody thought of must not end the reading
+            _logger.exception("%s: cannot handle %s", self.name, message)
+            understood = False
+        self._ignored += not understood
+
+    def _receive_error(self, message: can.Message) -> None:
+        kind = message.arbitration_id
+        data = bytes(message.data).ljust(8, b"\0")
+        if kind & _CONTROLLER:
+            self._tx_errors, self._rx_errors = data[6], data[7]
+            if data[1] & _PASSIVE:
+                self.state = "passive"
+            elif data[1] & _WARNING:
+                self.state = "warning"
+            elif data[1] & _ACTIVE:
+                self.state = "active"
+        if kind & _RESTARTED:
+            self.state = "active"
+        if kind & _BUS_OFF:
+            self._lose("bus-off", "the controller is bus-off after too many errors; check cable, termination, bit rate")
+
+    def _lose(self, state: str, why: str) -> None:
+        self.armed = False
+        self.state = state
+        if not self._closing.is_set():
+            self._on_fault(Fault("bus-off" if state == "bus-off" else "bus-down", self.name, f"{self.name}: {why}"))
