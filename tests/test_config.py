@@ -1,0 +1,340 @@
+"""The arm's file: what it gives, and every fault in it by the path of its field."""
+
+import copy
+import math
+
+import msgspec
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from controller.config import Arm, load, to_builtins
+from controller.manipulator import frames
+from controller.strict import InputFaults
+
+LABELS = ("left", "diagonal", "right")
+
+
+def document(count: int = 2) -> dict:
+    """A valid document of a short truss arm, every section of it written out."""
+    return {
+        "name": "short",
+        "modules": [{"type": "vgt", "count": count, "width": 0.2, "lengths": [0.2, 0.25], "first_diagonal": "BC"}],
+        "tolerance": {"position": 0.002},
+        "travel_time": 0.05,
+        "base": {"position": [0.5, 0.25], "orientation": 0.1},
+        "workspace": {"pixel": 0.01, "level_memory": 2},
+        "method": "ipop-previous",
+        "buses": [
+            {"name": "can0", "interface": "socketcan", "channel": "can0", "bitrate": 500000},
+            {"name": "spare", "channel": "can1"},
+        ],
+        "boards": {"heartbeat": 0.1, "heartbeat_timeout": 0.35, "boot_timeout": 3, "on_loss": "hold"},
+        "actuators": [
+            {"module": m + 1, "actuator": name, "bus": "can0", "node": m + 1, "output": k, "input": k}
+            for m in range(count)
+            for k, name in enumerate(LABELS)
+        ],
+    }
+
+
+def listed(*states: dict, count: int = 1) -> list[dict]:
+    """The `modules` section of modules with listed frames."""
+    return [{"type": "transforms", "states": list(states), "count": count}]
+
+
+@pytest.fixture(scope="session")
+def read(tmp_path_factory):
+    """Loads a document by way of a file."""
+    path = tmp_path_factory.mktemp("config") / "arm.yaml"
+
+    class Plain(yaml.SafeDumper):
+        def ignore_aliases(self, data):
+            return True
+
+    def read(value) -> Arm:
+        path.write_text(yaml.dump(value, Dumper=Plain))
+        return load(path)
+
+    return read
+
+
+def changed(where: str, value) -> dict:
+    """The valid document with the field at a path such as "actuators.0.node" set."""
+    result = document()
+    *path, last = [int(part) if part.isdigit() else part for part in where.split(".")]
+    part = result
+    for key in path:
+        part = part[key]
+    part[last] = value
+    return result
+
+
+def faults(read, value) -> list[str]:
+    with pytest.raises(InputFaults) as caught:
+        read(value)
+    return list(caught.value.faults)
+
+
+def test_the_papers_arm(arm):
+    assert arm.manipulator.states.tolist() == [8] * 16
+    assert len(arm.wiring) == len(arm.manipulator.actuators) == 48
+    assert (arm.pixel, arm.level_pixels, arm.tolerance) == (0.01, 524_288, 0.002)
+    assert arm.wiring[47].node == 16
+
+
+def test_the_valid_document_is_valid(read):
+    arm = read(document())
+    assert arm.settings.buses[0].bitrate == 500_000
+    assert_allclose(arm.manipulator.base, frames.planar(0.5, 0.25, 0.1))
+
+
+def test_wiring_follows_the_manipulators_actuators_not_the_file(read):
+    value = document()
+    value["actuators"].reverse()
+    wiring = read(value).wiring
+    assert [f"{w.module}.{w.actuator}" for w in wiring] == list(read(value).manipulator.actuators)
+
+
+def test_much_can_be_left_out(read):
+    arm = read(
+        {"name": "a", "modules": [{"type": "vgt", "width": 1, "lengths": [1, 1.2]}], "tolerance": {"position": 1}}
+    )
+    assert arm.wiring == ()
+    assert arm.pixel == arm.manipulator.length / 400
+    assert (arm.settings.method, arm.settings.boards.heartbeat) == ("ipop-previous", 0.1)
+
+
+def test_diagonals_alternate_and_legs_may_differ(read):
+    legs = {"left": [0.2, 0.25], "diagonal": [0.21, 0.26], "right": [0.19, 0.24]}
+    truss = {"type": "vgt", "count": 3, "width": 0.2, "lengths": legs, "first_diagonal": "AD"}
+    value = {"name": "a", "modules": [truss], "tolerance": {"position": 1}}
+    first, second, third = read(value).manipulator.modules
+    assert_allclose(first.frames, third.frames)
+    truss["first_diagonal"] = "BC"
+    assert_allclose(second.frames, read(value).manipulator.modules[0].frames)
+
+
+def test_listed_frames_planar_and_spatial(read):
+    flat = listed({"position": [0, 1]}, {"position": [0, 1], "orientation": 0.5}, {"position": [0, 2]}, count=2)
+    value = {"name": "a", "modules": flat, "tolerance": {"position": 1}}
+    assert read(value).manipulator.dimension == 2
+    assert read(value).manipulator.actuators == ("1.1", "1.2", "2.1", "2.2")
+    value["modules"] = listed({"position": [0, 0, 1]}, {"position": [0, 1], "orientation": [0, 0, 0.6, 0.8]})
+    manipulator = read(value).manipulator
+    assert manipulator.dimension == 3
+    assert_allclose(manipulator.frames[0, 1], frames.spatial((0, 1, 0), (0, 0, 0.6, 0.8)))
+
+
+def test_settings_go_back_to_the_same_arm(read, arm):
+    sent = msgspec.json.decode(msgspec.json.encode(to_builtins(arm.settings)))
+    assert read(sent).settings == arm.settings
+
+
+TRUSS = {"type": "vgt", "width": 0.2, "lengths": [0.2, 0.25]}
+
+# Field set, value given, the one fault it must bring, by its beginning.
+FAULTS = [
+    ("nam", "x", "nam: unknown field; known are actuators, base, boards"),
+    ("boards.hartbeat", 1, "boards.hartbeat: unknown field; known are boot_timeout, heartbeat"),
+    ("actuators.1.nod", 1, "actuators[1].nod: unknown field"),
+    ("name", 7, "name: Expected `str`, got `int` (given: 7)"),
+    ("name", "a b", "name: Expected `str` matching regex"),
+    ("name", "a\n", "name: Expected `str` matching regex"),
+    ("name", "", "name: Expected `str` matching regex"),
+    ("name", "a/b", "name: Expected `str` matching regex"),
+    ("modules", [], "modules: Expected `array` of length >= 1 (given: [])"),
+    ("modules.0.type", "vgd", "modules[0].type: Invalid value 'vgd'"),
+    ("modules.0.count", 0, "modules[0].count: Expected `int` >= 1 (given: 0)"),
+    ("modules.0.count", 10_001, "modules[0].count: Expected `int` <= 10000 (given: 10001)"),
+    ("modules.0.count", 2.5, "modules[0].count: Expected `int`, got `float` (given: 2.5)"),
+    ("modules.0.width", -0.2, "modules[0].width: Expected `float` > 0.0 (given: -0.2)"),
+    ("modules.0.width", math.nan, "modules[0].width: nan is not a finite number"),
+    ("modules.0.width", 10**400, "modules[0].width: Number out of range (given: 1000"),
+    ("modules.0.lengths", [0.2], "modules[0].lengths: Expected `array` of length 2, got 1"),
+    ("modules.0.lengths", [0.2, math.inf], "modules[0].lengths[1]: Expected `float` <= 1000000.0"),
+    ("modules.0.lengths", [1e200, 1.1e200], "modules[0].lengths[0]: Expected `float` <= 1000000.0"),
+    ("modules.0.lengths", {"left": [1, 2], "right": [1, 2]}, "modules[0].lengths.diagonal: required, but missing"),
+    ("modules.0.first_diagonal", "CB", "modules[0].first_diagonal: Invalid enum value 'CB'"),
+    ("modules.0.width", 0.9, "modules[0].lengths: legs 0.2 and 0.2, diagonal 0.2, width 0.9: sides 0.2 and 0.2"),
+    ("tolerance", {}, "tolerance.position: required, but missing"),
+    ("tolerance.position", 0, "tolerance.position: Expected `float` > 0.0 (given: 0)"),
+    ("travel_time", 61, "travel_time: Expected `float` <= 60.0 (given: 61)"),
+    ("base.position", [1], "base.position: Expected `array` of length >= 2 (given: [1])"),
+    ("base.position", [1, math.nan], "base.position[1]: nan is not a finite number"),
+    ("base.position", [1e300, 0], "base.position[0]: Expected `float` <= 1000000.0"),
+    ("base.orientation", [0, 0, 1], "base.orientation: Expected `array` of length >= 4 (given: [0, 0, 1])"),
+    ("base.orientation", [0, 0, 1, 1], "base.orientation: a quaternion x, y, z, w of length 1 is needed, got"),
+    ("base.position", [0, 0, 1], "base.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle 0.1"),
+    ("workspace.pixel", 0, "workspace.pixel: Expected `float` > 0.0 (given: 0)"),
+    ("workspace.level_memory", 5000, "workspace.level_memory: Expected `float` <= 4096.0 (given: 5000)"),
+    ("method", "ipop", "method: Invalid enum value 'ipop' (given: 'ipop')"),
+    ("boards.heartbeat", 0.001, "boards.heartbeat: Expected `float` >= 0.01 (given: 0.001)"),
+    (
+        "boards.heartbeat_timeout",
+        0.15,
+        "boards.heartbeat_timeout: 0.15 s is too short for heartbeats every 0.1 s; more",
+    ),
+    ("boards.on_loss", "extend", "boards.on_loss: Invalid enum value 'extend'"),
+    ("buses.0.bitrate", 2_000_000, "buses[0].bitrate: Expected `int` <= 1000000 (given: 2000000)"),
+    ("buses.0.interface", "serial", "buses[0].interface: Invalid enum value 'serial'"),
+    ("buses.1.name", "can0", "buses[1].name: 'can0' is already taken"),
+    ("actuators.0.node", 127, "actuators[0].node: Expected `int` <= 126 (given: 127)"),
+    ("actuators.0.node", 0, "actuators[0].node: Expected `int` >= 1 (given: 0)"),
+    ("actuators.0.output", 64, "actuators[0].output: Expected `int` <= 63 (given: 64)"),
+    ("actuators.0.input", -1, "actuators[0].input: Expected `int` >= 0 (given: -1)"),
+    ("actuators.0.bus", "can7", "actuators[0].bus: 'can7' is none of the buses can0, spare"),
+    ("actuators.1.output", 0, "actuators[1].output: output 0 of can0/1 is 1.left's already"),
+    ("actuators.1.input", 0, "actuators[1].input: input 0 of can0/1 is 1.left's already"),
+    ("actuators.0.module", 0, "actuators[0].module: Expected `int` >= 1 (given: 0)"),
+]
+
+
+@pytest.mark.parametrize(("where", "value", "beginning"), FAULTS, ids=lambda value: str(value)[:30])
+def test_each_fault_is_named_by_its_field(read, where, value, beginning):
+    (fault,) = faults(read, changed(where, value))
+    assert fault.startswith(beginning)
+
+
+@pytest.mark.parametrize("field", ["name", "modules", "tolerance"])
+def test_what_cannot_be_left_out(read, field):
+    value = document()
+    del value[field]
+    assert faults(read, value) == [f"{field}: required, but missing"]
+
+
+@pytest.mark.parametrize("lengths", [[0.25, 0.2], [0.2, 0.2]])
+def test_contracted_is_shorter_than_extended(read, lengths):
+    expected = f"is {lengths[0]:g} contracted, so not {lengths[1]:g} extended"
+    assert faults(read, changed("modules.0.lengths", lengths)) == [
+        f"modules[0].lengths: {name} {expected}" for name in LABELS
+    ]
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "expected"),
+    [
+        ("actuators.0.module", 3, "actuators[0].module: 3, but the arm has modules 1 to 2"),
+        ("actuators.0.actuator", "top", "actuators[0].actuator: 'top', but module 1 has left, diagonal, right"),
+        ("actuators.0.actuator", "right", "actuators[2]: actuator 1.right is mapped already"),
+    ],
+)
+def test_an_actuator_mapped_wrongly_is_missing_where_it_belongs(read, where, value, expected):
+    assert faults(read, changed(where, value)) == [expected, "actuators: 1.left is not mapped"]
+
+
+def test_an_actuator_left_out(read):
+    value = document()
+    del value["actuators"][4]
+    assert faults(read, value) == ["actuators: 2.diagonal is not mapped"]
+
+
+def test_buses_without_actuators_leave_all_unmapped(read):
+    assert faults(read, changed("actuators", [])) == [
+        f"actuators: {m}.{name} is not mapped" for m in (1, 2) for name in LABELS
+    ]
+
+
+def test_actuators_without_buses(read):
+    expected = [f"actuators[{k}].bus: 'can0' is none of the buses (none)" for k in range(6)]
+    assert faults(read, changed("buses", [])) == expected
+
+
+def test_one_actuator_may_have_no_input_and_share_a_bit_number_on_another_board(read):
+    value = changed("actuators.0.input", None)
+    del value["actuators"][1]["input"]
+    assert [entry.input for entry in read(value).wiring] == [None, None, 2, 0, 1, 2]
+
+
+def test_faults_of_every_section_come_together(read):
+    value = document()
+    value["boards"]["heartbeat_timeout"] = 0.1
+    value["modules"] += [{**TRUSS, "width": 2}, {**TRUSS, "lengths": [0.25, 0.2]}, *listed({"position": [0, 1]})]
+    value["modules"][3]["states"].append({"position": [0, 1, 1], "orientation": 1.0})
+    value["base"] = {"position": [0, 0], "orientation": [1, 1, 0, 0]}
+    paths = [fault.split(":")[0] for fault in faults(read, value)]
+    assert paths == [
+        "boards.heartbeat_timeout",
+        "modules[1].lengths",
+        *["modules[2].lengths"] * 3,
+        "modules[3].states[1].orientation",
+        "base.orientation",
+    ]
+
+
+def test_faults_of_the_wiring_come_together(read):
+    value = document()
+    value["buses"][1]["name"] = "can0"
+    value["actuators"][1]["output"] = 0
+    value["actuators"][2]["bus"] = "can7"
+    value["actuators"][5]["actuator"] = "up"
+    paths = [fault.split(":")[0] for fault in faults(read, value)]
+    assert paths == ["buses[1].name", "actuators[1].output", "actuators[2].bus", "actuators[5].actuator", "actuators"]
+
+
+def test_a_file_that_is_missing_or_says_nothing(tmp_path):
+    with pytest.raises(InputFaults, match="no such file"):
+        load(tmp_path / "arm.yaml")
+    (tmp_path / "arm.yaml").touch()
+    with pytest.raises(InputFaults, match="file: Expected `object`, got `null`"):
+        load(tmp_path / "arm.yaml")
+
+
+scalars = (
+    st.none()
+    | st.booleans()
+    | st.integers(-3, 300)
+    | st.integers(-(10**30), 10**30)
+    | st.floats()
+    | st.sampled_from(["", "x", "vgt", "transforms", "can0", "left", "AD", "hold", "a\n", "🦾", "1", "2020-01-01"])
+)
+values = st.recursive(
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=5) | st.dictionaries(st.sampled_from(["type", "x", "states"]), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+def places(value, path=()):
+    """Every path into a document."""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in inner:
+        yield (*path, key)
+        yield from places(part, (*path, key))
+
+
+SPATIAL = {
+    "name": "spatial",
+    "modules": [*listed({"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}, {"position": [0, 1, 1]}, count=2), TRUSS],
+    "tolerance": {"position": 0.01},
+}
+SEEDS = [document(), SPATIAL]
+
+
+@settings(max_examples=300)
+@given(data=st.data(), seed=st.sampled_from(SEEDS), mutations=st.integers(1, 3))
+def test_however_a_document_is_changed_it_loads_or_says_why_not(read, data, seed, mutations):
+    value = copy.deepcopy(seed)
+    for _ in range(mutations):
+        *path, last = data.draw(st.sampled_from(list(places(value))))
+        part = value
+        for key in path:
+            part = part[key]
+        if data.draw(st.booleans()):
+            part[last] = data.draw(values)
+        else:
+            del part[last]
+        if not value:
+            break
+    try:
+        arm = read(value)
+    except InputFaults as error:
+        said = error.faults
+    else:
+        said = arm.manipulator.actuators
+    assert said
+    assert all(said)
