@@ -24,7 +24,7 @@ Count = Annotated[int, Meta(ge=1, le=10_000)]
 Bit = Annotated[int, Meta(ge=0, le=63)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
-Quaternion = Annotated[list[float], Meta(min_length=4, max_length=4)]
+Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 
 
 class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
