@@ -2,12 +2,14 @@
 
 import json
 import queue
+import time
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import msgspec
 import zenoh
+
+from controller.daemon.messages import encode
 
 Message = dict[str, Any]
 
@@ -35,7 +37,7 @@ class Client:
         Raises:
             Unanswered: none came within `timeout` seconds.
         """
-        data = msgspec.json.encode(payload or {})
+        data = encode(payload or {})
         replies = self._session.get(
             f"{self._prefix}/{key}", payload=data, encoding=zenoh.Encoding.APPLICATION_JSON, timeout=timeout
         )
@@ -63,7 +65,7 @@ class Client:
         Args:
             goal: its payload; an id is added where there is none.
             on_feedback: called with each feedback of it, and with the daemon's answer first.
-            silence: longest time [s] without any word of the arm's state while waiting.
+            silence: longest time [s] without any word of the goal while waiting.
 
         Raises:
             Unanswered: the daemon did not answer, or fell silent.
@@ -81,18 +83,21 @@ class Client:
             on_feedback(answer)
             if not answer["accepted"]:
                 return answer
+            until = time.monotonic() + silence
             while True:
-                key, message = news.get(timeout=silence)
-                if message.get("id") != goal["id"]:
-                    continue
+                key, message = news.get(timeout=max(until - time.monotonic(), 0.0))
+                if goal["id"] not in (message.get("id"), message.get("goal")):
+                    continue  # of another goal; a daemon that was started anew knows nothing of this one
+                until = time.monotonic() + silence
                 if key == "result":
                     return message
-                on_feedback(message)
+                if key == "feedback":
+                    on_feedback(message)
         except queue.Empty:
-            raise Unanswered(f"arm {self._arm!r} has been silent for {silence:g} s; goal {goal['id']}") from None
+            raise Unanswered(f"no word of goal {goal['id']} from arm {self._arm!r} for {silence:g} s") from None
         finally:
             for subscriber in subscribers:
-                subscriber.undeclare()
+                subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def decoded(sample: zenoh.Sample) -> Message:

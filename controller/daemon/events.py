@@ -1,4 +1,4 @@
-"""What is handed to the control loop: all it acts on besides time."""
+"""What is handed to the control loop: all it acts on besides time and the boards' faults."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,37 +12,36 @@ Reply = Callable[[Payload], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
-    """A goal that has a plan and asks to be run; `arrival` is its place among all requests."""
+class Request:
+    """What a peer asks for, and is answered exactly once.
+
+    Attributes:
+        arrival: its place among all requests.
+        reply: takes the answer; must not wait.
+    """
+
+    arrival: int
+    reply: Reply
+
+
+@dataclass(frozen=True, eq=False)
+class Planned(Request):
+    """A goal that has a plan and asks to be run."""
 
     id: str
     plan: Plan
-    arrival: int
-    reply: Reply
 
 
-@dataclass(frozen=True, eq=False)
-class Cancel:
+class Cancel(Request):
     """Hold now, and take no goal that arrived before."""
 
-    arrival: int
-    reply: Reply
 
-
-@dataclass(frozen=True, eq=False)
-class Stop:
+class Stop(Request):
     """Emergency stop."""
 
-    arrival: int
-    reply: Reply
 
-
-@dataclass(frozen=True, eq=False)
-class Reset:
+class Reset(Request):
     """Leave a fault or a stop."""
-
-    arrival: int
-    reply: Reply
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,4 +56,4 @@ class Quit:
     """The service is asked to end."""
 
 
-Event = Planned | Cancel | Stop | Reset | Started | Quit | Fault
+Event = Request | Started | Quit

@@ -6,7 +6,10 @@ import queue
 import sqlite3
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 log = logging.getLogger(__name__)
 
 WRITE_EVERY = 0.5  # [s]; a killed daemon loses no more than this
+KEPT = 100_000  # goals
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS switches (actuator TEXT PRIMARY KEY, count INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS goals (
@@ -31,6 +35,14 @@ def default_path(arm: str) -> Path:
         return Path(os.environ["STATE_DIRECTORY"]) / f"{arm}.sqlite"
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
     return Path(base) / "hyperbit" / f"{arm}.sqlite"
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """What is not yet written: switches of each actuator, shape (A,), and the latest entries on goals."""
+
+    counts: NDArray[np.int64]
+    goals: deque[tuple[Any, ...]] = field(default_factory=lambda: deque(maxlen=KEPT))
 
 
 class Ledger:
@@ -69,23 +81,23 @@ class Ledger:
         self._thread.join(timeout)
 
     def _run(self) -> None:
-        pending: list[tuple[Any, ...]] = []
+        pending = Pending(np.zeros(len(self._actuators), dtype=np.int64))
         rows: dict[int, int] = {}
-        closing = False
-        while not closing:
-            closing = self._collect(pending)
-            if not pending:
+        last = False
+        while not last:
+            last = self._collect(pending)
+            if not pending.goals and not pending.counts.any():
                 continue
             try:
-                self._write(pending, rows)
-                pending.clear()
+                rows = self._write(pending, rows)
+                pending = Pending(np.zeros_like(pending.counts))
                 self.fault = None
-            except (sqlite3.Error, OSError) as error:
+            except Exception as error:
                 if self.fault is None:
                     log.error("ledger %s cannot be written, counting goes on in memory: %s", self.path, error)
                 self.fault = f"ledger {self.path} cannot be written: {error}"
 
-    def _collect(self, pending: list[tuple[Any, ...]]) -> bool:
+    def _collect(self, pending: Pending) -> bool:
         """Moves entries from the queue to `pending` for one interval; returns whether the last has come."""
         until = time.monotonic() + WRITE_EVERY
         while (left := until - time.monotonic()) > 0:
@@ -95,36 +107,36 @@ class Ledger:
                 return False
             if entry is None:
                 return True
-            pending.append(entry)
+            kind, *values = entry
+            if kind == "switched":
+                pending.counts[values[0]] += 1
+            else:
+                pending.goals.append((kind, *values))
         return False
 
-    def _write(self, pending: list[tuple[Any, ...]], rows: dict[int, int]) -> None:
-        """Adds all pending entries in one transaction; `rows` maps this run's goals to their rows, once it is done."""
-        counts = np.zeros(len(self._actuators), dtype=np.int64)
-        added = dict(rows)
+    def _write(self, pending: Pending, rows: dict[int, int]) -> dict[int, int]:
+        """Adds all that is pending in one transaction; `rows` are those of this run's goals that have not ended.
+
+        Returns:
+            The rows after it.
+        """
+        rows = dict(rows)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        connection = sqlite3.connect(self.path, timeout=2.0)
-        try:
+        with closing(sqlite3.connect(self.path, timeout=2.0)) as connection:
             connection.executescript(f"PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; {SCHEMA}")
             with connection:
-                for kind, *entry in pending:
-                    if kind == "switched":
-                        counts[entry[0]] += 1
-                    elif kind == "accepted":
-                        number, *values = entry
+                for kind, number, *values in pending.goals:
+                    if kind == "accepted":
                         sql = "INSERT INTO goals (id, accepted, waypoints) VALUES (?, ?, ?)"
-                        added[number] = int(connection.execute(sql, values).lastrowid or 0)
-                    else:
-                        number, *values = entry
+                        rows[number] = int(connection.execute(sql, values).lastrowid or 0)
+                    elif (row := rows.pop(number, None)) is not None:
                         sql = "UPDATE goals SET ended=?, status=?, code=?, message=?, switches=? WHERE number=?"
-                        connection.execute(sql, (*values, added[number]))
-                new = [(self._actuators[k], int(counts[k])) for k in np.flatnonzero(counts)]
+                        connection.execute(sql, (*values, row))
+                connection.execute("DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) - ?", (KEPT,))
+                new = [(self._actuators[k], int(pending.counts[k])) for k in np.flatnonzero(pending.counts)]
                 sql = "INSERT INTO switches VALUES (?, ?) ON CONFLICT DO UPDATE SET count = count + excluded.count"
                 connection.executemany(sql, new)
-        finally:
-            connection.close()
-        rows.clear()
-        rows.update(added)
+        return rows
 
 
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:

@@ -18,11 +18,12 @@ class Notifier:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) if address else None
         usec = os.environ.get("WATCHDOG_USEC", "")
-        self.watchdog = int(usec) / 1e6 if usec.isdigit() and address else None
+        self.watchdog = int(usec) / 1e6 if usec.isdecimal() and address else None
 
     def send(self, *states: str) -> None:
         """Sends assignments such as "READY=1", if there is somebody to hear them."""
         if self._socket is None:
             return
         with contextlib.suppress(OSError):  # the next beat tells as much
-            self._socket.sendto("\n".join(states).encode(), self._address)
+            lines = (" ".join(state.splitlines()) for state in states)  # a line break would begin another assignment
+            self._socket.sendto("\n".join(lines).encode(errors="replace"), self._address)

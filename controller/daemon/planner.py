@@ -7,13 +7,14 @@ import uuid
 from dataclasses import dataclass
 
 from controller.config import Arm
-from controller.daemon.events import Payload, Planned, Reply
+from controller.daemon.events import Payload, Planned, Request
 from controller.daemon.loop import PERIOD, ControlLoop
+from controller.daemon.messages import done, refused
 from controller.daemon.state import pose
 from controller.manipulator.notation import format_configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import Trajectory, decode
+from controller.motion.goal import GoalMessage, Trajectory, check_size, parse, schedule
 from controller.motion.plan import Plan, plan
 from controller.search.solver import Solver
 
@@ -23,14 +24,12 @@ MOST_WAITING = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
-    """A payload to plan: a goal to run, or a question only."""
+class Question(Request):
+    """A payload to plan: a goal to run, or a question only; `received` in UNIX seconds."""
 
     payload: bytes
-    arrival: int
     received: float
     run: bool
-    reply: Reply
 
 
 class Planner:
@@ -39,56 +38,78 @@ class Planner:
     def __init__(self, arm: Arm, solver: Solver, loop: ControlLoop) -> None:
         """Starts the thread."""
         self._arm, self._solver, self._loop = arm, solver, loop
-        self._queue: queue.Queue[Request | None] = queue.Queue(MOST_WAITING)
+        self._queue: queue.Queue[Question | None] = queue.Queue()
+        self._closing = False
         self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
         self._thread.start()
 
-    def submit(self, request: Request) -> None:
-        """Takes a request, or refuses it at once when too many wait."""
+    def submit(self, question: Question) -> None:
+        """Takes a question, or refuses it at once when it is too large or too many wait."""
         try:
-            self._queue.put_nowait(request)
-        except queue.Full:
-            request.reply(refused(codes.INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting to be planned already"))
+            check_size(len(question.payload))
+            self._proceed(question)
+            if self._queue.qsize() >= MOST_WAITING:
+                raise Refusal(codes.INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting to be planned already")
+        except Refusal as refusal:
+            question.reply(refused(refusal.code, str(refusal)))
+        else:
+            self._queue.put(question)
 
     def waiting(self) -> int:
-        """Returns how many requests wait."""
+        """Returns how many wait."""
         return self._queue.qsize()
 
+    def close(self, timeout: float = 2.0) -> None:
+        """Refuses what waits or is being planned, and ends the thread."""
+        self._closing = True
+        self._queue.put(None)
+        self._thread.join(timeout)
+
     def _run(self) -> None:
-        while (request := self._queue.get()) is not None:
+        while (question := self._queue.get()) is not None:
+            goal = None
             try:
-                self._serve(request)
+                self._proceed(question)
+                message = parse(question.payload)
+                goal = message.id or uuid.uuid4().hex[:12]
+                self._serve(question, message, goal)
             except Refusal as refusal:
-                log.info("goal refused: %s", refusal)
-                request.reply(refused(refusal.code, str(refusal)))
+                log.info("goal %s refused: %s", goal, refusal)
+                question.reply(refused(refusal.code, str(refusal), goal))
             except Exception:
                 log.exception("planning failed")
-                request.reply(refused(codes.INVALID_GOAL, "internal error while planning, see the journal"))
+                question.reply(refused(codes.INVALID_GOAL, "internal error while planning, see the journal", goal))
 
-    def _serve(self, request: Request) -> None:
-        trajectory = decode(
-            request.payload,
-            self._arm.manipulator.dimension,
-            self._arm.tolerance,
-            shortest=self._arm.settings.travel_time + PERIOD,
-            now=request.received,
-        )
-        previous = self._loop.commanded
-        if previous is None:
-            raise Refusal(codes.INVALID_GOAL, f"the arm is {self._loop.mode}: {self._loop.reason}")
-        found = plan(self._solver, trajectory, previous, self._arm.settings.method)
-        if request.run:
-            goal = trajectory.id or uuid.uuid4().hex[:12]
-            self._loop.inbox.put(Planned(goal, found, request.arrival, request.reply))
+    def _serve(self, question: Question, message: GoalMessage, goal: str) -> None:
+        manipulator, settings = self._arm.manipulator, self._arm.settings
+        shortest = settings.travel_time + PERIOD
+        trajectory = schedule(message, manipulator.dimension, self._arm.tolerance, shortest, question.received)
+        previous, mode, reason = self._loop.commanded, self._loop.mode, self._loop.reason
+        if previous is None or (question.run and mode not in ("ready", "executing")):
+            raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
+        found = plan(self._solver, trajectory, previous, settings.method, lambda: self._proceed(question))
+        if question.run:
+            self._loop.inbox.hand_over(Planned(question.arrival, question.reply, goal, found))
         else:
-            request.reply(self._described(trajectory, found))
+            question.reply(self._described(trajectory, found))
+
+    def _proceed(self, question: Question) -> None:
+        """Checks that the answer is still wanted.
+
+        Raises:
+            Refusal: it is not.
+        """
+        if self._closing:
+            raise Refusal(codes.INVALID_GOAL, "the daemon is shutting down; the arm holds")
+        if question.run and question.arrival <= self._loop.accept_after:
+            raise Refusal(codes.INVALID_GOAL, "canceled, stopped or reset before it began")
 
     def _described(self, trajectory: Trajectory, found: Plan) -> Payload:
         manipulator = self._arm.manipulator
         waypoints = [
             {
-                "t": float(t - trajectory.times[0]),
-                "goal": goal.tolist(),
+                "t": t,
+                "goal": goal,
                 "configuration": format_configuration(manipulator, solution.configuration),
                 **pose(manipulator, solution.tip),
                 "error": solution.error,
@@ -97,15 +118,5 @@ class Planner:
             }
             for t, goal, solution in zip(trajectory.times, trajectory.positions, found.solutions, strict=True)
         ]
-        return {
-            "accepted": True,
-            "code": codes.SUCCESSFUL,
-            "message": f"{len(waypoints)} waypoints, {found.switches} switches",
-            "waypoints": waypoints,
-            "switches": found.switches,
-        }
-
-
-def refused(code: int, message: str) -> Payload:
-    """Returns the reply to a goal that is not accepted."""
-    return {"accepted": False, "code": code, "message": message}
+        message = f"{len(waypoints)} waypoints, {found.switches} switches"
+        return {**done(message), "waypoints": waypoints, "switches": found.switches}

@@ -10,63 +10,84 @@ import zenoh
 from controller.config import Arm
 from controller.daemon.events import Cancel, Payload, Reply, Reset, Stop
 from controller.daemon.loop import ControlLoop
+from controller.daemon.messages import refused
 from controller.daemon.outbox import Outbox
-from controller.daemon.planner import Planner, Request
+from controller.daemon.planner import Planner, Question
 from controller.manipulator.notation import format_configuration
+from controller.motion import codes
+
+Take = Callable[[bytes, Reply], None]
+Declared = zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken
 
 
 class Server:
-    """Declares the keys under "hyperbit/<arm>"; undeclared with the session.
+    """Declares the keys under "hyperbit/<arm>".
 
-    A request that comes as a plain put has nobody to answer: a refused goal is then told on `result`.
+    A request that comes as a plain put has nobody to answer: a refused one is then told on `result`. Wildcards find the
+    keys that only tell something; those that act must be named, so that a look around (`hyperbit/**`) resets no arm.
     """
 
     def __init__(self, session: zenoh.Session, arm: Arm, loop: ControlLoop, planner: Planner, outbox: Outbox) -> None:
         """Declares queryables, subscribers and the liveliness token."""
-        self._outbox, self._planner, self._inbox = outbox, planner, loop.inbox
+        self._session, self._planner, self._outbox = session, planner, outbox
+        self._prefix = f"hyperbit/{arm.settings.name}"
         self._arrivals = itertools.count(1)
-        self._declared: list[object] = []
-        prefix = f"hyperbit/{arm.settings.name}"
-        self._declare(session, f"{prefix}/goal", lambda payload, reply: self._goal(payload, reply, run=True))
-        self._declare(session, f"{prefix}/cancel", lambda _, reply: self._inbox.put(Cancel(self._arrival(), reply)))
-        self._declare(session, f"{prefix}/stop", lambda _, reply: self._inbox.put(Stop(self._arrival(), reply)))
-        self._declare(session, f"{prefix}/reset", lambda _, reply: self._inbox.put(Reset(self._arrival(), reply)))
         described = description(arm)
-        answering = [
-            (f"{prefix}/plan", lambda payload, reply: self._goal(payload, reply, run=False)),
-            (f"{prefix}/arm", lambda _, reply: reply(described)),
-        ]
-        self._declared += [session.declare_queryable(key, self._answering(take)) for key, take in answering]
-        self._token = session.liveliness().declare_token(f"{prefix}/alive")
+        self._declared: list[Declared] = []
+        self._act("goal", lambda payload, reply: self._question(payload, reply, run=True))
+        self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(self._arrival(), reply)))
+        self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(self._arrival(), reply)))
+        self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(self._arrival(), reply)))
+        self._answer("plan", lambda payload, reply: self._question(payload, reply, run=False))
+        self._answer("arm", lambda _, reply: reply(described))
+        self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
 
-    def _declare(self, session: zenoh.Session, key: str, take: Callable[[bytes, Reply], None]) -> None:
+    def close(self) -> None:
+        """Takes no more requests; the liveliness token goes."""
+        for declared in reversed(self._declared):
+            declared.undeclare()  # type: ignore[no-untyped-call]
+
+    def _act(self, key: str, take: Take) -> None:
         """Takes requests on `key`, by query and by put."""
 
-        def on_put(sample: zenoh.Sample) -> None:
-            take(sample.payload.to_bytes(), self._tell)
-
-        self._declared += [
-            session.declare_queryable(key, self._answering(take)),
-            session.declare_subscriber(key, on_put),
-        ]
-
-    def _answering(self, take: Callable[[bytes, Reply], None]) -> Callable[[zenoh.Query], None]:
         def on_query(query: zenoh.Query) -> None:
-            payload = query.payload
-            take(payload.to_bytes() if payload is not None else b"", self._outbox.answer(query))
+            only_named(query.key_expr, content(query.payload), self._outbox.answer(query, key))
 
-        return on_query
+        def on_put(sample: zenoh.Sample) -> None:
+            only_named(sample.key_expr, content(sample.payload), self._tell)
+
+        def only_named(expression: zenoh.KeyExpr, payload: bytes, reply: Reply) -> None:
+            if str(expression).rpartition("/")[2] == key:
+                take(payload, reply)
+            else:
+                reply(refused(codes.INVALID_GOAL, f"{key} must be named; {expression} does not name it"))
+
+        self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
+        self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", on_put))
+
+    def _answer(self, key: str, take: Take) -> None:
+        """Answers queries on `key`."""
+
+        def on_query(query: zenoh.Query) -> None:
+            take(content(query.payload), self._outbox.answer(query, key))
+
+        self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
 
     def _tell(self, answer: Payload) -> None:
         """Tells a refusal on `result`, where there is nobody to answer."""
         if not answer["accepted"]:
             self._outbox.publish("result", {"id": None, "status": "refused", **answer})
 
-    def _goal(self, payload: bytes, reply: Reply, *, run: bool) -> None:
-        self._planner.submit(Request(payload, self._arrival(), time.time(), run, reply))
+    def _question(self, payload: bytes, reply: Reply, *, run: bool) -> None:
+        self._planner.submit(Question(self._arrival(), reply, payload, time.time(), run))
 
     def _arrival(self) -> int:
         return next(self._arrivals)
+
+
+def content(payload: zenoh.ZBytes | None) -> bytes:
+    """Returns the bytes of a payload."""
+    return b"" if payload is None else payload.to_bytes()
 
 
 def description(arm: Arm) -> Payload:

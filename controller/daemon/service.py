@@ -1,10 +1,11 @@
 """The whole daemon: boards, loop, planner, ledger and Zenoh put together, and taken apart in order."""
 
+import itertools
 import logging
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,8 @@ from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Channel, Timing, Wiring
 
 log = logging.getLogger(__name__)
+
+EMBEDDED = itertools.count()
 
 
 def wiring_of(arm: Arm) -> Wiring:
@@ -54,7 +57,8 @@ def timing_of(arm: Arm) -> Timing:
 
 def embedded(wiring: Wiring) -> Wiring:
     """Returns the wiring on virtual buses of this process, named so that no other arm of it is met."""
-    buses = (replace(bus, interface="virtual", channel=f"{bus.channel}-{id(wiring):x}") for bus in wiring.buses)
+    number = next(EMBEDDED)
+    buses = (replace(bus, interface="virtual", channel=f"{bus.channel}-{number}") for bus in wiring.buses)
     return replace(wiring, buses=tuple(buses))
 
 
@@ -85,41 +89,32 @@ class Daemon:
     """
 
     def __init__(self, arm: Arm, densities: Densities, wiring: Wiring, config: zenoh.Config, ledger: Path) -> None:
-        self._boards = Boards(wiring, timing_of(arm))
-        self._boards.connect()
-        try:
-            self._session = zenoh.open(config)
-        except BaseException:
-            self._boards.close()
-            raise
-        prefix = f"hyperbit/{arm.settings.name}"
-        self._outbox = Outbox(self._session, prefix)
-        self._ledger = Ledger(ledger, arm.manipulator.actuators)
-        self._telemetry = Publisher(
-            self._session, prefix, arm.manipulator, self._outbox.waiting, lambda: self._planner.waiting()
-        )
-        self.loop = ControlLoop(
-            arm.manipulator,
-            self._boards,
-            arm.settings.travel_time,
-            self._outbox.publish,
-            self._telemetry,
-            self._ledger,
-            Notifier(),
-        )
-        self._planner = Planner(arm, Solver(arm.manipulator, densities), self.loop)
-        self._server = Server(self._session, arm, self.loop, self._planner, self._outbox)
+        solver = Solver(arm.manipulator, densities)
+        boards = Boards(wiring, timing_of(arm))
+        with ExitStack() as closing:  # from the last to the first: no more requests, all told, then the boards
+            boards.connect()
+            closing.callback(boards.close)
+            session = closing.enter_context(zenoh.open(config))
+            prefix = f"hyperbit/{arm.settings.name}"
+            book = Ledger(ledger, arm.manipulator.actuators)
+            closing.callback(book.close)
+            outbox = Outbox(session, prefix)
+            closing.callback(outbox.close)
+            telemetry = Publisher(session, prefix, arm.manipulator, outbox.waiting, lambda: planner.waiting())
+            closing.callback(telemetry.close)
+            travel = arm.settings.travel_time
+            self.loop = ControlLoop(arm.manipulator, boards, travel, outbox.publish, telemetry, book, Notifier())
+            closing.callback(self.loop.inbox.close)
+            planner = Planner(arm, solver, self.loop)
+            closing.callback(planner.close)
+            server = Server(session, arm, self.loop, planner, outbox)
+            closing.callback(server.close)
+            self._closing = closing.pop_all()
 
     def run(self) -> None:
         """Runs the control loop in this thread until `quit`; then closes all, the boards last."""
-        try:
+        with self._closing:
             self.loop.run()
-        finally:
-            self._telemetry.close()
-            self._outbox.close()
-            self._ledger.close()
-            self._session.close()  # type: ignore[no-untyped-call]
-            self._boards.close()
 
     def quit(self) -> None:
         """Asks the loop to end; from any thread or signal handler."""

@@ -21,7 +21,12 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "listen": {"endpoints": [listen] if listen else []},
         "connect": {"endpoints": [connect] if connect else []},
-        "transport": {"link": {"tx": {"lease": 1000}}},  # a peer that is frozen is given up after a second
+        # A peer that is frozen is given up after a second, also where a message waits for room.
+        "transport": {
+            "link": {
+                "tx": {"lease": 1000, "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}}}
+            }
+        },
     }
     return zenoh.Config.from_json5(json.dumps(settings))
 

@@ -1,7 +1,7 @@
 """What the control loop shows of itself: immutable snapshots, and the payloads made of them."""
 
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,16 @@ class Diagnostics:
     inbox: int
     switches: int
     ledger: str | None
+
+
+class Telemetry(Protocol):
+    """Where snapshots go; must not wait."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Takes the latest state."""
+
+    def diagnose(self, diagnostics: Diagnostics) -> None:
+        """Takes the latest diagnostics."""
 
 
 def pose(manipulator: Manipulator, tip: Frame) -> Payload:

@@ -4,9 +4,9 @@ import logging
 import threading
 from collections.abc import Callable
 
-import msgspec
 import zenoh
 
+from controller.daemon.messages import encode
 from controller.daemon.state import Diagnostics, Snapshot, diagnostics_payload, state_payload
 from controller.manipulator.manipulator import Manipulator
 
@@ -72,9 +72,9 @@ class Publisher:
                 return
             try:
                 if state is not None:
-                    self._state.put(msgspec.json.encode(state_payload(self._manipulator, state)))
+                    self._state.put(encode(state_payload(self._manipulator, state)))
                 if diagnostics is not None:
                     payload = diagnostics_payload(diagnostics, self._outbox(), self._planning())
-                    self._diagnostics.put(msgspec.json.encode(payload))
+                    self._diagnostics.put(encode(payload))
             except Exception:
                 log.exception("telemetry was not sent")

@@ -1,9 +1,11 @@
-"""Goals as they come over the network: strict decoding into a trajectory."""
+"""Goals as they come over the network: strict decoding into a message, and that into a trajectory."""
 
 import json
+import sys
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
@@ -13,138 +15,173 @@ from controller.strict import check
 
 MOST_BYTES = 1_000_000
 MOST_WAYPOINTS = 10_000
+LONGEST_SENTENCE = 1_000
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
-Positive = Annotated[float, Meta(gt=0)]
+# Upper bounds also keep out infinity and NaN; beyond these, lengths are slips of the unit and overflow when squared.
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
+Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
+Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it goes into logs, a database and word to systemd
 
 
 class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
     """Where the tip is to be settled, `t` seconds after the stamp."""
 
-    position: Annotated[list[float], Meta(min_length=2, max_length=3)]
-    t: Annotated[float, Meta(ge=0)] = 0.0
+    position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
+    t: Time = 0.0
     orientation: float | list[float] | None = None
 
 
 class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
     """How near is good enough."""
 
-    position: Positive | None = None
-    orientation: Positive | None = None
+    position: Tolerable | None = None
+    orientation: Tolerable | None = None
 
 
 class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of a goal; `stamp` is UNIX seconds of t = 0, 0 meaning on arrival."""
+    """The payload of a goal; `stamp` is UNIX seconds of t = 0, 0 meaning now."""
 
     waypoints: list[Waypoint]
-    id: Annotated[str, Meta(min_length=1, max_length=128)] | None = None
-    stamp: Annotated[float, Meta(ge=0)] = 0.0
+    id: Id | None = None
+    stamp: Time = 0.0
     tolerance: Tolerance = Tolerance()
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A goal that has passed decoding.
+    """A goal that has passed all checks.
 
     Attributes:
-        id: the sender's, or None.
-        times: UNIX seconds at which the tip is to be settled, shape (n,), increasing.
+        stamp: UNIX seconds of t = 0, None: when it is taken.
+        times: t at which the tip is to be settled, shape (n,), increasing [s].
         positions: of the tip in the world, shape (n, dimension).
         tolerance: greatest distance of the tip from a waypoint.
     """
 
-    id: str | None
+    stamp: float | None
     times: NDArray[np.float64]
     positions: NDArray[np.float64]
     tolerance: float
-
-
-def decode(payload: bytes, dimension: int, tolerance: float, shortest: float, now: float) -> Trajectory:
-    """Returns the trajectory that a payload asks for.
-
-    Args:
-        payload: JSON as design says, UTF-8.
-        dimension: number of coordinates of a position, 2 or 3.
-        tolerance: of the position, where the goal has none.
-        shortest: least time between two waypoints that the actuators can keep [s].
-        now: time of arrival, UNIX seconds.
-
-    Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
-    """
-    message = parse(payload)
-    if not message.waypoints:
-        raise Refusal(INVALID_GOAL, "waypoints: empty; at least one is needed")
-    for k, waypoint in enumerate(message.waypoints):
-        if len(waypoint.position) != dimension:
-            raise Refusal(
-                INVALID_GOAL,
-                f"waypoints[{k}].position: {len(waypoint.position)} coordinates, this arm's goals have {dimension}",
-            )
-        if waypoint.orientation is not None:
-            raise Refusal(INVALID_GOAL, f"waypoints[{k}].orientation: this arm takes positions only, leave it out")
-    relative = np.array([waypoint.t for waypoint in message.waypoints])
-    check_times(relative, message.stamp, shortest, now)
-    return Trajectory(
-        id=message.id,
-        times=(message.stamp or now) + relative,
-        positions=np.array([waypoint.position for waypoint in message.waypoints], dtype=float),
-        tolerance=message.tolerance.position or tolerance,
-    )
 
 
 def parse(payload: bytes) -> GoalMessage:
     """Returns the message in a payload.
 
     Raises:
-        Refusal: too large, not UTF-8, not JSON, or not a goal.
+        Refusal: too large, not UTF-8, not JSON, or not a goal; nothing else, whatever the bytes.
     """
-    if len(payload) > MOST_BYTES:
-        raise Refusal(INVALID_GOAL, f"goal of {len(payload)} bytes, at most {MOST_BYTES} are taken")
+    check_size(len(payload))
     try:
-        value: Any = json.loads(payload.decode("utf-8"))
+        value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:
-        raise Refusal(INVALID_GOAL, f"goal is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
+        raise refusal(f"goal is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
     except (ValueError, RecursionError) as error:
-        raise Refusal(INVALID_GOAL, f"goal is not JSON: {error}") from None
-    if isinstance(value, dict) and isinstance(value.get("waypoints"), list):
-        count = len(value["waypoints"])
-        if count > MOST_WAYPOINTS:
-            raise Refusal(INVALID_GOAL, f"waypoints: {count}, at most {MOST_WAYPOINTS} are taken")
+        raise refusal(f"goal is not JSON: {error}") from None
+    if not isinstance(value, dict):
+        raise refusal("goal: an object with `waypoints` is needed")
+    if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_WAYPOINTS:
+        raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_WAYPOINTS} are taken")
+    try:
+        return msgspec.convert(value, GoalMessage)
+    except (msgspec.ValidationError, RecursionError):  # all that is wrong, by field, is told by the slower check
+        raise refusal(faults_of(value)) from None
+
+
+def check_size(size: int) -> None:
+    """Checks a payload's size in bytes.
+
+    Raises:
+        Refusal: it is too large.
+    """
+    if size > MOST_BYTES:
+        raise refusal(f"goal of {size} bytes, at most {MOST_BYTES} are taken")
+
+
+def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Returns the object of its fields, of which JSON would silently keep the last of each name.
+
+    Raises:
+        ValueError: a name stands twice.
+    """
+    fields = dict(pairs)
+    if len(fields) < len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        raise ValueError(f"{twice!r} stands twice in one object")
+    return fields
+
+
+def faults_of(value: Any) -> str:
+    """Returns the first faults of a value that is no goal, by field."""
     faults: list[str] = []
-    message = check(value, GoalMessage, faults)
-    if message is None:
-        more = f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""
-        raise Refusal(INVALID_GOAL, "; ".join(faults[:3]) + more)
-    return message
+    try:
+        check(value, GoalMessage, faults)
+    except RecursionError:
+        return "goal is nested too deeply"
+    more = f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""
+    return "; ".join(faults[:3]) + more
 
 
-def check_times(relative: NDArray[np.float64], stamp: float, shortest: float, now: float) -> None:
+def refusal(message: str) -> Refusal:
+    """Returns the refusal of an invalid goal; what it quotes is cut and made printable."""
+    if len(message) > LONGEST_SENTENCE:
+        message = message[:LONGEST_SENTENCE] + "..."
+    return Refusal(INVALID_GOAL, message.encode("utf-8", "backslashreplace").decode())
+
+
+def schedule(message: GoalMessage, dimension: int, tolerance: float, shortest: float, now: float) -> Trajectory:
+    """Returns the trajectory that a message asks for.
+
+    Args:
+        message: a goal.
+        dimension: number of coordinates of a position, 2 or 3.
+        tolerance: of the position, where the goal has none.
+        shortest: least time between two waypoints that the actuators can keep [s].
+        now: time of arrival, UNIX seconds.
+
+    Raises:
+        Refusal: what is wrong, by field.
+    """
+    if not message.waypoints:
+        raise refusal("waypoints: empty; at least one is needed")
+    for k, waypoint in enumerate(message.waypoints):
+        if len(waypoint.position) != dimension:
+            given = len(waypoint.position)
+            raise refusal(f"waypoints[{k}].position: {given} coordinates, this arm's goals have {dimension}")
+        if waypoint.orientation is not None:
+            raise refusal(f"waypoints[{k}].orientation: this arm takes positions only, leave it out")
+    times = np.array([waypoint.t for waypoint in message.waypoints])
+    check_times(times, message.stamp, shortest, now)
+    return Trajectory(
+        stamp=message.stamp or None,
+        times=times,
+        positions=np.array([waypoint.position for waypoint in message.waypoints]),
+        tolerance=message.tolerance.position or tolerance,
+    )
+
+
+def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: float) -> None:
     """Checks the waypoints' times.
 
     Raises:
         Refusal: they do not increase, follow faster than the actuators, lie in the past, or too far ahead.
     """
-    steps = np.diff(relative)
+    steps = np.diff(times)
     if (steps <= 0).any():
         k = int(np.argmax(steps <= 0))
-        raise Refusal(
-            INVALID_GOAL,
-            f"waypoints[{k + 1}].t: {relative[k + 1]:g} does not come after waypoints[{k}].t = {relative[k]:g}",
-        )
+        raise refusal(f"waypoints[{k + 1}].t: {times[k + 1]:g} does not come after waypoints[{k}].t = {times[k]:g}")
     if (steps < shortest - 1e-9).any():
         k = int(np.argmax(steps < shortest - 1e-9))
-        raise Refusal(
-            INVALID_GOAL,
-            f"waypoints[{k}] to waypoints[{k + 1}]: {steps[k]:.3g} s apart, the actuators need {shortest:.3g} s",
-        )
-    if stamp and stamp + relative[-1] < now:
-        late = now - stamp - relative[-1]
+        apart = f"{steps[k]:.3g} s apart, the actuators need {shortest:.3g} s"
+        raise refusal(f"waypoints[{k}] to waypoints[{k + 1}]: {apart}")
+    if stamp and stamp + times[-1] < now:
+        late = now - stamp - times[-1]
         raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it arrived")
-    ahead = max(stamp - now if stamp else 0.0, 0.0) + float(relative[-1])
+    ahead = max(stamp - now if stamp else 0.0, 0.0) + float(times[-1])
     if ahead > FARTHEST_AHEAD:
-        raise Refusal(
-            INVALID_GOAL,
+        raise refusal(
             f"stamp: the trajectory would end {ahead:.3g} s from now, at most {FARTHEST_AHEAD:g} s are taken;"
-            " stamps are UNIX seconds",
+            " stamps are UNIX seconds"
         )

@@ -1,5 +1,6 @@
 """A trajectory's plan: the configuration for each waypoint, each searched from the one before."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +33,21 @@ class Plan:
         return sum(solution.switches for solution in self.solutions)
 
 
-def plan(solver: Solver, trajectory: Trajectory, previous: Configuration, method: Method) -> Plan:
-    """Returns the plan of a trajectory from configuration `previous` (B,).
+def plan(
+    solver: Solver,
+    trajectory: Trajectory,
+    previous: Configuration,
+    method: Method,
+    proceed: Callable[[], None] = lambda: None,
+) -> Plan:
+    """Returns the plan of a trajectory.
+
+    Args:
+        solver: of the arm.
+        trajectory: what is asked for.
+        previous: configuration that the arm is in, shape (B,).
+        method: the algorithm.
+        proceed: called before each waypoint; a Refusal it raises ends the planning.
 
     Raises:
         Refusal: a waypoint is out of reach; the message has the nearest point found.
@@ -41,6 +55,7 @@ def plan(solver: Solver, trajectory: Trajectory, previous: Configuration, method
     solutions: list[Solution] = []
     dimension = solver.manipulator.dimension
     for k, goal in enumerate(trajectory.positions):
+        proceed()
         solution = solver.solve(goal, previous, trajectory.tolerance, method)
         if not solution.within_tolerance:
             nearest = ", ".join(f"{x:.4f}" for x in solution.tip[:dimension, 3])

@@ -1,0 +1,164 @@
+"""Goals on the boards: one at a time, each told its result exactly once."""
+
+import logging
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.daemon.events import Payload, Planned
+from controller.daemon.execution import Execution, start
+from controller.daemon.ledger import Ledger
+from controller.daemon.state import measured_tip, pose, written
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion import codes
+from drivers.boards import Boards
+from drivers.faults import BusBusy
+
+log = logging.getLogger(__name__)
+
+BUSY_FOR = 0.25  # [s]; a bus that takes no frame for longer is a fault
+
+
+class Runner:
+    """Switches the boards to the waypoints of the running goal. The control loop's, called by no other thread.
+
+    Attributes:
+        commanded: configuration last switched to or adopted, None before the first.
+        states: its actuator states, shape (A,).
+        switches: actuators switched since the daemon began.
+        execution: of the running goal.
+
+    Args:
+        manipulator: the arm.
+        boards: connected.
+        travel: longest time of an actuator from end-stop to end-stop [s].
+        lead: time that is needed from the tick before a switch to its end [s].
+        publish: sends a payload on "feedback" or "result"; must not wait.
+        ledger: counts switches and goals.
+    """
+
+    def __init__(
+        self,
+        manipulator: Manipulator,
+        boards: Boards,
+        travel: float,
+        lead: float,
+        publish: Callable[[str, Payload], None],
+        ledger: Ledger,
+    ) -> None:
+        self.commanded: Configuration | None = None
+        self.states: NDArray[np.uint8] | None = None
+        self.switches = 0
+        self.execution: Execution | None = None
+        self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, lead
+        self._publish, self._ledger = publish, ledger
+        self._accepted = 0
+        self._busy_since: float | None = None
+
+    def forget(self) -> None:
+        """Takes the arm's configuration as unknown."""
+        self.commanded = self.states = None
+
+    def adopt(self, measured: NDArray[np.int8]) -> None:
+        """Takes measured actuator states (A,) as the commanded ones; moves nothing.
+
+        Raises:
+            ValueError: they are no configuration of the arm.
+        """
+        self.commanded = self._manipulator.configuration(measured)
+        self.states = measured.astype(np.uint8)
+
+    def begin(self, goal: Planned, now: float) -> None:
+        """Makes a goal the running one."""
+        began = start(goal.plan.trajectory, self._lead, now, time.time())
+        self.execution = Execution(goal, began, self._lead)
+        self._accepted += 1
+        self._ledger.accepted(self._accepted, goal.id, len(goal.plan.solutions))
+
+    def advance(self, now: float) -> str | None:
+        """Does what is due at `now`; returns a sentence on the end of the goal when that has come.
+
+        Raises:
+            BusBusy: the bus has taken no frame for too long.
+        """
+        execution = self.execution
+        if execution is None:
+            return None
+        if execution.reported < execution.waypoint and now >= execution.settled_at and not self._boards.moving(now):
+            self._report(execution)
+            if execution.last:
+                return self._finish(execution)
+        waypoint = execution.due(now)
+        if waypoint is not None and self._commit(execution.plan.actuator_states[waypoint], now):
+            before, self.commanded = self.commanded, execution.plan.solutions[waypoint].configuration
+            switches = 0 if before is None else self._manipulator.switches(before, self.commanded)
+            execution.switched(waypoint, switches, now, self._travel)
+        return None
+
+    def end(self, status: str, code: int, message: str) -> bool:
+        """Tells the running goal its result; returns whether there was one."""
+        execution, self.execution = self.execution, None
+        self._busy_since = None
+        if execution is None:
+            return False
+        result = {"id": execution.goal.id, "status": status, "code": code, "message": message}
+        self._publish("result", {**result, "switches": execution.switches, **self._where(execution)})
+        self._ledger.ended(self._accepted, status, code, message, execution.switches)
+        return True
+
+    def _commit(self, states: NDArray[np.uint8], now: float) -> bool:
+        """Switches the actuators; returns False if the bus took no frame, to be tried again with the next tick."""
+        try:
+            self._boards.commit(states, now)
+        except BusBusy as error:
+            if self._busy_since is None:
+                self._busy_since = now
+            if now - self._busy_since > BUSY_FOR:
+                raise BusBusy(f"no command could be sent for {BUSY_FOR:g} s: {error}") from error
+            return False
+        self._busy_since = None
+        switched = np.flatnonzero(states != self.states)
+        self.switches += len(switched)
+        self._ledger.switched(switched)
+        self.states = states.copy()
+        return True
+
+    def _report(self, execution: Execution) -> None:
+        """Tells that the waypoint last switched to is settled."""
+        execution.reported = execution.waypoint
+        payload = {
+            "id": execution.goal.id,
+            "waypoint": execution.waypoint,
+            "waypoints": len(execution.plan.solutions),
+            "switches": execution.switches,
+            **self._where(execution),
+        }
+        self._publish("feedback", payload)
+
+    def _finish(self, execution: Execution) -> str:
+        """Ends a goal whose last waypoint is settled, by what the boards measured there."""
+        error, tolerance = self._where(execution)["error"], execution.plan.trajectory.tolerance
+        if error is not None and error <= tolerance:
+            self.end("succeeded", codes.SUCCESSFUL, "reached")
+            return f"holding; goal {execution.goal.id} was reached"
+        where = "unknown" if error is None else f"{error:.4f} from the last waypoint"
+        message = f"the measured tip is {where}, tolerance {tolerance:g}"
+        self.end("aborted", codes.GOAL_TOLERANCE_VIOLATED, message)
+        return f"holding; goal {execution.goal.id} was missed: {message}"
+
+    def _where(self, execution: Execution) -> Payload:
+        """Returns the measured configuration and pose, and its error from the waypoint last switched to."""
+        try:
+            measured = self._boards.measured()
+            tip = measured_tip(self._manipulator, measured)
+        except Exception:  # a defect there must not keep a goal from its result
+            log.exception("the boards' states cannot be had")
+            tip = None
+        if tip is None:
+            return {"configuration": None, "position": None, "orientation": None, "error": None}
+        wanted = execution.plan.trajectory.positions[max(execution.waypoint, 0)]
+        error = float(np.linalg.norm(tip[: len(wanted), 3] - wanted))
+        configuration = written(self._manipulator, measured)
+        return {"configuration": configuration, **pose(self._manipulator, tip), "error": error}
