@@ -29,7 +29,7 @@ class Objects:
         on_write: called with index and sub-index after an SDO write.
 
     Attributes:
-        refused: abort codes with which single objects refuse every access; a board's faults and gaps.
+        refused: abort codes with which single objects refuse every SDO; a board's faults and gaps.
     """
 
     def __init__(self, node: int, on_write: Callable[[int, int], None]) -> None:
@@ -56,6 +56,7 @@ class Objects:
         Raises:
             SdoAbortedError: there is nothing to read.
         """
+        self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
         return self._value(index, sub)
@@ -66,6 +67,7 @@ class Objects:
         Raises:
             SdoAbortedError: the object may not be written, or not so, or not now.
         """
+        self._refuse(index, sub)
         variable = self._find(index, sub)
         if check_writable and not variable.writable:
             raise SdoAbortedError(_READ_ONLY)
@@ -83,6 +85,10 @@ class Objects:
         """The objects a PDO carries, as index, sub-index and bits; `pdo` is 1400h or 1800h."""
         entries = [self.number(pdo + 0x200, 1 + i) for i in range(self.number(pdo + 0x200, 0))]
         return [(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF) for entry in entries]
+
+    def _refuse(self, index: int, sub: int) -> None:
+        if (index, sub) in self.refused:
+            raise SdoAbortedError(self.refused[index, sub])
 
     def _check_parameter(self, index: int, sub: int, value: int) -> None:
         if sub == 1:
@@ -117,8 +123,6 @@ class Objects:
         return str(variable.default or "").encode("ascii")
 
     def _find(self, index: int, sub: int) -> ODVariable:
-        if (index, sub) in self.refused:
-            raise SdoAbortedError(self.refused[index, sub])
         if index not in self.object_dictionary:
             raise SdoAbortedError(_NO_OBJECT)
         found = self.object_dictionary[index]
@@ -126,6 +130,6 @@ class Objects:
             if sub != 0:
                 raise SdoAbortedError(_NO_SUB_INDEX)
             return found
-        if sub not in found:
+        if sub not in found.subindices:  # an array of canopen makes up any other
             raise SdoAbortedError(_NO_SUB_INDEX)
         return found[sub]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import canopen
 from canopen.sdo.client import SdoClient
@@ -14,6 +16,8 @@ from drivers import cia301
 from drivers.bus import CanBus
 from drivers.faults import BusBusy, Fault
 from drivers.layout import Board
+
+_T = TypeVar("_T")
 
 _TIMEOUT = 0.5  # [s] for one answer
 _TRIES = 2
@@ -64,7 +68,6 @@ class Sdo:
         request, answer = cia301.SDO_REQUEST + board.node, cia301.SDO_ANSWER + board.node
         self._client = SdoClient(request, answer, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
         self._client.RESPONSE_TIMEOUT = _TIMEOUT
-        self._client.MAX_RETRIES = _TRIES
         self._client.network = network
         network.bus = bus  # type: ignore[assignment]  # of a bus, canopen uses nothing but send()
         network.subscribe(answer, self._client.on_response)
@@ -76,11 +79,9 @@ class Sdo:
             BoardError: the board refuses, does not answer, or the bus is busy.
         """
         try:
-            return int.from_bytes(self._client.upload(index, sub), "little")
+            return self._upload(index, sub)
         except SdoAbortedError as error:
             raise self._refused(f"to tell {index:04X}h sub {sub}", error) from error
-        except (SdoCommunicationError, BusBusy, struct.error) as error:
-            raise self._unanswered(index, sub, error) from error
 
     def write(self, entry: Entry) -> None:
         """Writes a value; an optional object that is absent is passed over.
@@ -88,15 +89,13 @@ class Sdo:
         Raises:
             BoardError: the board refuses, does not answer, or the bus is busy.
         """
+        data = entry.value.to_bytes(entry.size, "little")
         try:
-            self._client.download(entry.index, entry.sub, entry.value.to_bytes(entry.size, "little"))
+            self._insist(entry.index, entry.sub, lambda: self._client.download(entry.index, entry.sub, data))
         except SdoAbortedError as error:
-            if entry.optional and error.code in (_NO_OBJECT, _NO_SUB_INDEX):
-                return
-            value = f"{entry.value:0{2 * entry.size}X}h"
-            raise self._refused(f"{value} in {entry.index:04X}h sub {entry.sub}", error) from error
-        except (SdoCommunicationError, BusBusy, struct.error) as error:
-            raise self._unanswered(entry.index, entry.sub, error) from error
+            if not _absent(entry, error):
+                value = f"{entry.value:0{2 * entry.size}X}h"
+                raise self._refused(f"{value} in {entry.index:04X}h sub {entry.sub}", error) from error
 
     def holds(self, entry: Entry) -> bool:
         """Whether the board has this value already; an optional object that is absent counts as right.
@@ -105,18 +104,28 @@ class Sdo:
             BoardError: the board does not answer, or the bus is busy.
         """
         try:
-            value = int.from_bytes(self._client.upload(entry.index, entry.sub), "little")
+            return self._upload(entry.index, entry.sub) == entry.value
         except SdoAbortedError as error:
-            return entry.optional and error.code in (_NO_OBJECT, _NO_SUB_INDEX)
-        except (SdoCommunicationError, BusBusy, struct.error) as error:
-            raise self._unanswered(entry.index, entry.sub, error) from error
-        return value == entry.value
+            return _absent(entry, error)
+
+    def _upload(self, index: int, sub: int) -> int:
+        return int.from_bytes(self._insist(index, sub, lambda: self._client.upload(index, sub)), "little")
+
+    def _insist(self, index: int, sub: int, transfer: Callable[[], _T]) -> _T:
+        """Tries again when there is no answer, or a late one to an earlier question."""
+        for _ in range(_TRIES):
+            try:
+                return transfer()
+            except (SdoCommunicationError, BusBusy, struct.error) as error:
+                why = error
+        message = f"board {self._board.name} does not answer to {index:04X}h sub {sub}: {why}"
+        raise BoardError(Fault("board-missing", self._board.name, message)) from why
 
     def _refused(self, what: str, error: SdoAbortedError) -> BoardError:
         text = SdoAbortedError.CODES.get(error.code, "reason unknown").lower()
         message = f"board {self._board.name} refuses {what}: {text} (abort {error.code:08X}h)"
         return BoardError(Fault("sdo-refused", self._board.name, message))
 
-    def _unanswered(self, index: int, sub: int, error: Exception) -> BoardError:
-        message = f"board {self._board.name} does not answer to {index:04X}h sub {sub}: {error}"
-        return BoardError(Fault("board-missing", self._board.name, message))
+
+def _absent(entry: Entry, error: SdoAbortedError) -> bool:
+    return entry.optional and error.code in (_NO_OBJECT, _NO_SUB_INDEX)

@@ -11,6 +11,7 @@ import numpy as np
 from drivers import cia301, configuration
 from drivers.bus import CanBus
 from drivers.cia301 import Command, State
+from drivers.device_type import check_type
 from drivers.faults import BusBusy, Fault
 from drivers.node import Node
 from drivers.outputs import Outputs
@@ -18,8 +19,6 @@ from drivers.sdo import BoardError, Sdo
 from drivers.wiring import Timing, Wiring
 
 _PROBE_TIME = 0.5  # [s] for the answers to a probe of all silent boards
-_IO_PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
-
 _Board = tuple[Node, CanBus, Sdo]
 
 
@@ -57,7 +56,7 @@ class Startup:
         present = each(self._configure, [b for b in boards if b[0] in heard])
         faults += [self._missing(node) for node, _, _ in boards if node not in heard]
         self._wait(lambda: all(n.state is State.OPERATIONAL for n, _, _ in present), self._timing.boot_timeout)
-        each(self._read, present)
+        each(self._finish, present)
         return faults
 
     def _find(self, boards: Sequence[_Board]) -> set[Node]:
@@ -77,7 +76,7 @@ class Startup:
         board, action = node.board, self._wiring.on_loss
         if node.state is State.STOPPED:
             self._order(Command.PRE_OPERATIONAL, node, bus)
-        self._check_type(node, sdo)
+        check_type(node.board, sdo)
         self._learn_state(node, sdo)
         no_remote = sdo.read(0x1800, 1) & cia301.NO_REMOTE if board.inputs else 0
         entries = configuration.communication(board, self._timing, action, no_remote)
@@ -93,32 +92,21 @@ class Startup:
             sdo.write(entry)
         node.state = None  # so that an older heartbeat is not taken for the answer
         self._order(Command.START, node, bus)
-        if action != "hold":
-            for entry in loss:
-                sdo.write(entry)
-
-    def _check_type(self, node: Node, sdo: Sdo) -> None:
-        board, kind = node.board, sdo.read(0x1000, 0)
-        needs = _HAS_OUTPUTS | (_HAS_INPUTS if board.inputs else 0)
-        if kind & 0xFFFF != _IO_PROFILE or kind & needs != needs:
-            what = "outputs and inputs" if board.inputs else "outputs"
-            text = (
-                f"board {board.name} is of device type {kind:08X}h, not a CiA 401 board with digital {what}"
-                f" ({needs | _IO_PROFILE:08X}h): is the node id right?"
-            )
-            raise BoardError(Fault("wrong-device", board.name, text))
 
     def _learn_state(self, node: Node, sdo: Sdo) -> None:
         """Waits for a heartbeat of a board that has only answered so far, if it sends any."""
         period = 0.0 if node.state is not None else sdo.read(0x1017, 0) / 1000
         self._wait(lambda: node.state is not None, min(2 * period, self._timing.boot_timeout))
 
-    def _read(self, node: Node, bus: CanBus, sdo: Sdo) -> None:
+    def _finish(self, node: Node, bus: CanBus, sdo: Sdo) -> None:
         board = node.board
         if node.state is not State.OPERATIONAL:
             seen = "no heartbeat came" if node.state is None else f"it is {node.state.words}"
             text = f"board {board.name} did not become operational within {self._timing.boot_timeout:g} s; {seen}"
             raise BoardError(Fault("board-stopped", board.name, text))
+        if self._wiring.on_loss != "hold":  # only now: until here the outputs were to hold
+            for entry in configuration.on_loss(board, self._wiring.on_loss):
+                sdo.write(entry)
         outputs = bytes(sdo.read(0x6200, sub) for sub in board.outputs)
         before = node.input_frames
         inputs = bytes(sdo.read(0x6000, sub) for sub in board.inputs)
