@@ -85,7 +85,11 @@ def parse(payload: bytes) -> GoalMessage:
         raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_WAYPOINTS} are taken")
     try:
         return msgspec.convert(value, GoalMessage)
-    except (msgspec.ValidationError, RecursionError):  # all that is wrong, by field, is told by the slower check
+    except (
+        msgspec.ValidationError,
+        RecursionError,
+        UnicodeError,
+    ):  # all that is wrong, by field, is told by the slower check
         raise refusal(faults_of(value)) from None
 
 

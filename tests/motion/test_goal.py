@@ -1,0 +1,171 @@
+"""Goals from the network: what is taken, and the code and the sentence of every refusal."""
+
+import json
+import re
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.goal import LONGEST_SENTENCE, MOST_WAYPOINTS, Trajectory, parse, schedule
+
+NOW = 1_800_000_000.0
+
+
+def decode(payload: bytes) -> Trajectory:
+    return schedule(parse(payload), dimension=2, tolerance=0.002, shortest=0.06, now=NOW)
+
+
+def goal(**fields: Any) -> bytes:
+    return json.dumps({"waypoints": [{"position": [0.5, 2.9]}], **fields}).encode()
+
+
+def timed(*times: float, **fields: Any) -> bytes:
+    return goal(waypoints=[{"t": t, "position": [0.5, 2.9]} for t in times], **fields)
+
+
+def one(**fields: Any) -> bytes:
+    return goal(waypoints=[{"position": [0.5, 2.9], **fields}])
+
+
+def raw(position: bytes) -> bytes:
+    return b'{"waypoints": [{"position": [1, %s]}]}' % position
+
+
+REFUSED = {
+    "empty payload": (b"", "goal is not JSON: .*char 0"),
+    "no JSON": (b"{waypoints", "goal is not JSON: .*char 1"),
+    "two values": (goal() + goal(), "goal is not JSON: Extra data"),
+    "no UTF-8": (b'{"id": "\xff"}', "goal is not UTF-8: byte 8 is 0xff"),
+    "byte order mark": (b"\xef\xbb\xbf" + goal(), "goal is not JSON: .*BOM"),
+    "no object": (b"[1]", "goal: an object with `waypoints` is needed"),
+    "null": (b"null", "goal: an object with `waypoints` is needed"),
+    "no waypoints": (b"{}", "waypoints: required, but missing"),
+    "empty waypoints": (goal(waypoints=[]), "waypoints: empty; at least one is needed"),
+    "waypoints no list": (goal(waypoints={}), "waypoints: Expected `array`"),
+    "waypoint no object": (goal(waypoints=[1]), r"waypoints\[0\]: Expected `object`"),
+    "no position": (goal(waypoints=[{"t": 1}]), r"waypoints\[0\]\.position: required, but missing"),
+    "unknown field": (goal(velocity=1), "velocity: unknown field; known are id, stamp, tolerance, waypoints"),
+    "unknown in a waypoint": (one(velocity=1), r"waypoints\[0\]\.velocity: unknown field; known are orientation"),
+    "unknown in the tolerance": (goal(tolerance={"angle": 1}), r"tolerance\.angle: unknown field; known are"),
+    "three unknown": (goal(a=1, b=1, c=1, d=1, e=1), r"a: unknown.*; b: unknown.*; c: unknown.*\(and 2 more faults\)"),
+    "field with no UTF-8": (b'{"\\ud800": 1}', r"\\ud800: unknown field"),
+    "long field": (goal(**{"x" * 100_000: 1}), r"^x{1000}\.\.\.$"),
+    "field twice": (b'{"id": "a", "waypoints": [], "id": "b"}', "goal is not JSON: 'id' stands twice in one object"),
+    "text for a number": (one(t="1"), r"waypoints\[0\]\.t: Expected `float`, got `str` \(given: '1'\)"),
+    "truth for a number": (one(t=True), r"waypoints\[0\]\.t: Expected `float`, got `bool`"),
+    "null for a number": (one(t=None), r"waypoints\[0\]\.t: Expected `float`, got `null`"),
+    "number for an id": (goal(id=1), "id: Expected `str \\| null`, got `int`"),
+    "empty id": (goal(id=""), "id: "),
+    "line break in the id": (goal(id="a\nMAINPID=1"), "id: "),
+    "half a surrogate pair in the id": (b'{"waypoints": [{"position": [1, 2]}], "id": "\\udc80"}', "id: "),
+    "long id": (goal(id="x" * 129), "id: "),
+    "negative time": (one(t=-1), r"waypoints\[0\]\.t: Expected `float` >= 0"),
+    "negative stamp": (goal(stamp=-1), "stamp: Expected `float` >= 0"),
+    "no tolerance": (goal(tolerance={"position": 0}), r"tolerance\.position: Expected"),
+    "tolerance beyond all": (goal(tolerance={"position": 1e200}), r"tolerance\.position: Expected"),
+    "NaN": (raw(b"NaN"), r"waypoints\[0\]\.position\[1\]: nan is not a finite number"),
+    "Infinity": (raw(b"-Infinity"), r"waypoints\[0\]\.position\[1\]: -inf is not a finite number"),
+    "1e999": (raw(b"1e999"), r"waypoints\[0\]\.position\[1\]: inf is not a finite number"),
+    "NaN as time": (b'{"waypoints": [{"position": [1, 2], "t": NaN}]}', r"waypoints\[0\]\.t: nan is not a finite"),
+    "infinite stamp": (b'{"waypoints": [{"position": [1, 2]}], "stamp": 1e999}', "stamp: inf is not a finite number"),
+    "NaN as tolerance": (b'{"waypoints": [], "tolerance": {"position": NaN}}', r"tolerance\.position: nan is not"),
+    "far away": (raw(b"1e300"), r"waypoints\[0\]\.position\[1\]: Expected `float` <= 1000000"),
+    "huge integer": (raw(b"1" + b"0" * 400), r"waypoints\[0\]\.position\[1\]: Number out of range"),
+    "enormous integer": (raw(b"1" + b"0" * 5000), "goal is not JSON: Exceeds the limit"),
+    "one coordinate": (one(position=[1]), r"waypoints\[0\]\.position: Expected `array` of length >= 2"),
+    "four coordinates": (one(position=[1, 2, 3, 4]), r"waypoints\[0\]\.position: Expected `array` of length <= 3"),
+    "spatial": (one(position=[1, 2, 3]), r"waypoints\[0\]\.position: 3 coordinates, this arm's goals have 2"),
+    "orientation": (one(orientation=0.1), r"waypoints\[0\]\.orientation: this arm takes positions only"),
+    "same time": (timed(1, 1), r"waypoints\[1\]\.t: 1 does not come after waypoints\[0\]\.t = 1"),
+    "back in time": (timed(0, 1, 0.5), r"waypoints\[2\]\.t: 0\.5 does not come after waypoints\[1\]\.t = 1"),
+    "too fast": (timed(0, 1, 1.05), r"waypoints\[1\] to waypoints\[2\]: 0\.05 s apart, the actuators need 0\.06 s"),
+    "stamp in milliseconds": (goal(stamp=NOW * 1000), r"stamp: the trajectory would end 1\.8e\+12 s from now, at most"),
+    "end in two days": (timed(0, 172_800), "stamp: the trajectory would end 1.73e\\+05 s from now, at most 86400 s"),
+    "many waypoints": (b'{"waypoints": [%s1]}' % (b"1," * 99_999), f"waypoints: 100000, at most {MOST_WAYPOINTS} are"),
+    "ten megabytes": (goal(id="x" * 10_000_000), r"goal of 100000\d\d bytes, at most 1000000 are taken"),
+    "deeply nested": (b"[" * 100_000 + b"]" * 100_000, "goal is not JSON: maximum recursion depth"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("payload", "sentence"), REFUSED.values(), ids=REFUSED.keys())
+def test_refused_as_invalid_with_a_sentence(payload: bytes, sentence: str) -> None:
+    with pytest.raises(Refusal) as caught:
+        decode(payload)
+    assert caught.value.code == INVALID_GOAL
+    assert re.search(sentence, str(caught.value)), str(caught.value)
+
+
+def test_an_end_in_the_past_is_refused_with_how_long_ago() -> None:
+    with pytest.raises(Refusal, match=r"stamp: the trajectory ended 2\.500 s before it arrived") as caught:
+        decode(timed(0, 1, stamp=NOW - 3.5))
+    assert caught.value.code == OLD_HEADER_TIMESTAMP
+
+
+@pytest.mark.parametrize("depth", range(850, 1010, 3))
+@pytest.mark.parametrize("field", [b'{"waypoints": %s}', b'{"id": %s}', b'{"waypoints": [{"position": %s}]}'])
+def test_nesting_of_any_depth_is_refused_by_a_sentence(field: bytes, depth: int) -> None:
+    with pytest.raises(Refusal, match="."):
+        decode(field % (b"[" * depth + b"]" * depth))
+
+
+@pytest.mark.parametrize("stamp", [{}, {"stamp": 0}, {"stamp": 0.0}])
+def test_without_a_stamp_it_begins_when_it_is_taken(stamp: dict[str, float]) -> None:
+    trajectory = decode(timed(0, 0.06, 2, **stamp))
+    assert trajectory.stamp is None
+    assert trajectory.times.tolist() == [0, 0.06, 2]
+    assert trajectory.positions.tolist() == [[0.5, 2.9]] * 3
+    assert trajectory.tolerance == 0.002
+
+
+def test_stamp_id_and_tolerance_are_taken_over() -> None:
+    payload = timed(0, 5, stamp=NOW - 3, id="a b/c-1", tolerance={"position": 0.01})
+    assert parse(payload).id == "a b/c-1"
+    trajectory = decode(payload)
+    assert (trajectory.stamp, trajectory.tolerance) == (NOW - 3, 0.01)
+    assert decode(goal(tolerance={})).tolerance == 0.002
+
+
+def test_the_most_waypoints_are_taken() -> None:
+    assert len(decode(timed(*[0.1 * k for k in range(MOST_WAYPOINTS)])).times) == MOST_WAYPOINTS
+
+
+texts = st.text(st.characters(exclude_categories=[]), max_size=8)  # with half surrogate pairs, which JSON can write
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | texts,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
+    max_leaves=12,
+)
+numbers = st.floats() | st.integers() | json_values
+waypoints = st.lists(
+    st.fixed_dictionaries(
+        {"position": st.lists(numbers, max_size=4) | json_values}, optional={"t": numbers, "orientation": numbers}
+    ),
+    max_size=4,
+)
+goals = st.fixed_dictionaries(
+    {"waypoints": waypoints | json_values},
+    optional={"id": json_values, "stamp": numbers, "tolerance": st.dictionaries(st.just("position"), numbers)},
+)
+
+
+def taken_or_refused(payload: bytes) -> None:
+    try:
+        trajectory = decode(payload)
+    except Refusal as refusal:
+        assert 0 < len(str(refusal)) <= 2 * LONGEST_SENTENCE
+        str(refusal).encode()
+    else:
+        assert isinstance(trajectory, Trajectory)
+
+
+@given(st.binary())
+def test_any_bytes_are_taken_or_refused(payload: bytes) -> None:
+    taken_or_refused(payload)
+
+
+@given(json_values | goals)
+def test_any_json_is_taken_or_refused(value: Any) -> None:
+    taken_or_refused(json.dumps(value).encode())

@@ -1,0 +1,70 @@
+"""Plans of trajectories."""
+
+import re
+
+import numpy as np
+import pytest
+
+from controller.manipulator.manipulator import Manipulator
+from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
+from controller.motion.goal import Trajectory
+from controller.motion.plan import plan
+from controller.search.solver import Solver
+
+POINTS = [(0.55, 2.9), (0.4, 2.9), (3.0, 0.7)]
+
+
+def trajectory(*positions: tuple[float, float], tolerance: float = 0.002) -> Trajectory:
+    return Trajectory(None, np.arange(len(positions), dtype=float), np.array(positions), tolerance)
+
+
+def contracted(manipulator: Manipulator) -> np.ndarray:
+    return np.zeros(len(manipulator.modules), dtype=np.int64)
+
+
+def test_each_waypoint_is_searched_from_the_one_before(solver: Solver, manipulator: Manipulator) -> None:
+    found = plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous")
+    previous = contracted(manipulator)
+    for k, point in enumerate(POINTS):
+        expected = solver.solve(point, previous, 0.002, "ipop-previous")
+        assert found.solutions[k].configuration.tolist() == expected.configuration.tolist()
+        assert found.solutions[k].switches == manipulator.switches(previous, expected.configuration)
+        previous = expected.configuration
+
+
+def test_switches_are_those_of_all_waypoints(solver: Solver, manipulator: Manipulator) -> None:
+    found = plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous")
+    states = np.vstack([manipulator.actuator_states(contracted(manipulator)), found.actuator_states])
+    assert found.switches == np.count_nonzero(np.diff(states.astype(int), axis=0)) > 0
+
+
+def test_staying_switches_nothing(solver: Solver, manipulator: Manipulator) -> None:
+    found = plan(solver, trajectory(POINTS[0], POINTS[0]), contracted(manipulator), "ipop-previous")
+    assert found.solutions[1].switches == 0
+
+
+def test_out_of_reach_names_waypoint_nearest_point_and_distance(solver: Solver, manipulator: Manipulator) -> None:
+    with pytest.raises(Refusal) as caught:
+        plan(solver, trajectory(POINTS[0], (9, 9.5)), contracted(manipulator), "ipop-previous")
+    assert caught.value.code == GOAL_TOLERANCE_VIOLATED
+    form = (
+        r"waypoints\[1\]\.position: \(9, 9\.5\) is out of reach; the nearest point found is \((\S+), (\S+)\),"
+        r" (\S+) away, tolerance 0\.002"
+    )
+    match = re.fullmatch(form, str(caught.value))
+    assert match
+    x, y, away = map(float, match.groups())
+    assert away == pytest.approx(np.hypot(9 - x, 9.5 - y), abs=2e-4)
+
+
+def test_planning_can_be_ended_between_waypoints(solver: Solver, manipulator: Manipulator) -> None:
+    asked = []
+
+    def proceed() -> None:
+        asked.append(1)
+        if len(asked) == 2:
+            raise Refusal(INVALID_GOAL, "canceled")
+
+    with pytest.raises(Refusal, match="canceled"):
+        plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous", proceed)
+    assert len(asked) == 2
