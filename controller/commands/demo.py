@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
+from controller import plots
 from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
 from controller.commands.talk import connected
 from controller.config import Arm
@@ -41,21 +42,25 @@ def demo(
     curve = closed_curve(arm)
     rows: list[tuple[str, Message, float]] = []
     reached: dict[str, Configuration] = {}
-    with tempfile.TemporaryDirectory() as folder, started(file or shipped("planar16.yaml"), Path(folder)) as endpoint:
-        with connected(arm.settings.name, endpoint, None) as client:
-            wait_until_ready(client)
-            for target in targets:
-                began = time.perf_counter()
-                result = run(client, [{"position": target}], f"target ({written(target)})")
-                rows.append((written(target), result, time.perf_counter() - began))
-                reached[f"({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
-            step = max(STEP, 1.5 * arm.settings.travel_time)
-            waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        started(file or shipped("planar16.yaml"), Path(folder)) as endpoint,
+        connected(arm.settings.name, endpoint, None) as client,
+    ):
+        wait_until_ready(client)
+        for target in targets:
             began = time.perf_counter()
-            result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
-            rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
+            result = run(client, [{"position": target}], f"target ({written(target)})")
+            rows.append((written(target), result, time.perf_counter() - began))
+            reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
+        step = max(STEP, 1.5 * arm.settings.travel_time)
+        waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
+        began = time.perf_counter()
+        result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
+        rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
     console.print(summary(arm, rows))
-    draw(picture, arm, densities, reached, targets, curve)
+    title = f"{arm.settings.name}: {len(arm.manipulator.actuators)} two-state actuators"
+    plots.save(picture, arm.manipulator, densities, [plots.Panel(title, reached, targets, curve)])
     console.print(f"picture: {picture}")
 
 
@@ -150,7 +155,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
             raise Failed(str(error)) from None
     if result["code"] != 0:
         raise Failed(f"{what}: {result['message']}")
-    return {**result, "worst": max(errors_seen)}
+    return {**result, "worst": max(*errors_seen, result["error"])}
 
 
 def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:

@@ -47,10 +47,11 @@ def run(
     wiring, timing = service.wiring_of(arm), service.timing_of(arm)
     with contextlib.ExitStack() as stack:
         if simulate:
-            wiring = service.embedded(wiring)
+            wiring, timing = service.embedded(wiring), service.patient(timing)
             stack.enter_context(service.simulated(wiring, timing))
         try:
-            daemon = service.Daemon(arm, densities, wiring, config, ledger or default_path(arm.settings.name))
+            book = ledger or default_path(arm.settings.name)
+            daemon = service.Daemon(arm, densities, wiring, config, book, timing)
         except BusError as error:
             raise Failed(str(error)) from None
         except zenoh.ZError as error:

@@ -72,12 +72,14 @@ class Client:
         """
         goal = {"id": uuid.uuid4().hex[:12], **goal}
         news: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
-        keys = ("feedback", "result", "state")
 
-        def hand_over(key: str) -> Callable[[Message], None]:
-            return lambda message: news.put((key, message))
+        def hand_over(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr).rpartition("/")[2]
+            if key in ("feedback", "result", "state"):
+                news.put((key, decoded(sample)))
 
-        subscribers = [self.subscribe(key, hand_over(key)) for key in keys]
+        # One subscriber for all: only within one do messages keep their order, the last feedback before the result.
+        subscriber = self._session.declare_subscriber(f"{self._prefix}/*", hand_over)
         try:
             answer = self.request("goal", goal)
             on_feedback(answer)
@@ -96,8 +98,7 @@ class Client:
         except queue.Empty:
             raise Unanswered(f"no word of goal {goal['id']} from arm {self._arm!r} for {silence:g} s") from None
         finally:
-            for subscriber in subscribers:
-                subscriber.undeclare()  # type: ignore[no-untyped-call]
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def decoded(sample: zenoh.Sample) -> Message:

@@ -47,6 +47,7 @@ class ControlLoop:
         telemetry: takes snapshots.
         ledger: counts switches and goals.
         notifier: word to systemd.
+        clock: monotonic time [s].
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class ControlLoop:
         telemetry: Telemetry,
         ledger: Ledger,
         notifier: Notifier,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
@@ -71,7 +73,7 @@ class ControlLoop:
         self._changed = True
         self._ended = False
         self._next_state = self._next_diagnostics = self._next_beat = 0.0
-        self._time = Timekeeper(PERIOD)
+        self._clock, self._time = clock, Timekeeper(PERIOD)
         boards.subscribe(self._reported.put)
 
     @property
@@ -83,21 +85,29 @@ class ControlLoop:
 
     def run(self) -> None:
         """Runs until Quit is handed over; ends with the arm holding and every goal told its result."""
-        self._bring_up.begin()
-        self._notifier.send("READY=1", f"STATUS={self.mode}: {self.reason}")
-        self._time.start(time.monotonic())
+        self.begin()
         while not self._ended:
-            event = self.inbox.get(self._time.left(time.monotonic()))
-            if event is not None:
-                self._guarded(self._handle, event)
-            if self._time.left(time.monotonic()) <= 0:
-                began = time.monotonic()
-                self._guarded(self._tick, began)
-                self._guarded(self._tell, began)
-                self._time.ticked(began, time.monotonic())
+            self.step()
         self._notifier.send("STOPPING=1")
         self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, "the daemon is shutting down; the arm holds")
-        self._guarded(self._show, time.monotonic())
+        self._guarded(self._show, self._clock())
+
+    def begin(self) -> None:
+        """Begins to bring the boards up, and makes the first tick due."""
+        self._bring_up.begin()
+        self._notifier.send("READY=1", f"STATUS={self.mode}: {self.reason}")
+        self._time.start(self._clock())
+
+    def step(self) -> None:
+        """Acts on the next event, if one comes before the next tick, and ticks if that is due."""
+        event = self.inbox.get(self._time.left(self._clock()))
+        if event is not None:
+            self._guarded(self._handle, event)
+        began = self._clock()
+        if self._time.left(began) <= 0:
+            self._guarded(self._tick, began)
+            self._guarded(self._tell, began)
+            self._time.ticked(began, self._clock())
 
     def _guarded(self, work: Callable[[T], None], argument: T) -> None:
         """Does a part of the loop's work: a defect in it must not let go of the arm, which holds and says so."""
@@ -175,7 +185,7 @@ class ControlLoop:
                 self._ended = True
 
     def _take(self, goal: Planned) -> None:
-        now, execution = time.monotonic(), self._runner.execution
+        execution = self._runner.execution
         trajectory = goal.plan.trajectory
         late = 0.0 if trajectory.stamp is None else time.time() - trajectory.stamp - float(trajectory.times[-1])
         code, refusal = codes.INVALID_GOAL, None
@@ -192,7 +202,7 @@ class ControlLoop:
             goal.reply(refused(code, refusal, goal.id))
             return
         self._runner.end("replaced", codes.INVALID_GOAL, f"replaced by goal {goal.id}")
-        self._runner.begin(goal, now)
+        self._runner.begin(goal, self._clock())
         self._enter("executing", f"goal {goal.id}")
         message = f"accepted, {len(goal.plan.solutions)} waypoints, {goal.plan.switches} switches planned"
         goal.reply({**done(message), "id": goal.id})

@@ -55,6 +55,11 @@ def timing_of(arm: Arm) -> Timing:
     )
 
 
+def patient(timing: Timing) -> Timing:
+    """Returns times for boards that share this computer's processors with the daemon, and may be kept waiting there."""
+    return replace(timing, heartbeat_timeout=timing.heartbeat_timeout + 1.0, settle_margin=0.5)
+
+
 def embedded(wiring: Wiring) -> Wiring:
     """Returns the wiring on virtual buses of this process, named so that no other arm of it is met."""
     number = next(EMBEDDED)
@@ -82,15 +87,24 @@ class Daemon:
         wiring: the arm's, or an embedded one.
         config: of the Zenoh session.
         ledger: path of the ledger.
+        timing: the arm's if absent.
 
     Raises:
         BusError: a bus cannot be opened.
         zenoh.ZError: the session cannot be opened.
     """
 
-    def __init__(self, arm: Arm, densities: Densities, wiring: Wiring, config: zenoh.Config, ledger: Path) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        densities: Densities,
+        wiring: Wiring,
+        config: zenoh.Config,
+        ledger: Path,
+        timing: Timing | None = None,
+    ) -> None:
         solver = Solver(arm.manipulator, densities)
-        boards = Boards(wiring, timing_of(arm))
+        boards = Boards(wiring, timing or timing_of(arm))
         with ExitStack() as closing:  # from the last to the first: no more requests, all told, then the boards
             boards.connect()
             closing.callback(boards.close)
