@@ -179,6 +179,8 @@ class CanBus:
         if message.is_error_frame:
             self._receive_error(message)
             return
+        if self.state == "bus-off":  # who hears is back on the bus, even if the word of it was lost
+            self.state = "active"
         self._rx_frames += 1
         self._rx_bits += cia301.frame_bits(message)
         try:

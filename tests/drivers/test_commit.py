@@ -79,6 +79,23 @@ def test_a_busy_bus_gets_no_sync_and_later_the_latest_states_only(make_rig, two_
     assert rig.boards.status().buses[0].dropped == 1
 
 
+def test_a_sync_that_fails_on_the_second_bus_is_sent_with_the_next_commit(make_rig):
+    rig = make_rig([Channel("a", "can0", 5, 0, 0), Channel("b", "can1", 5, 0, 0)]).up()
+    release = rig.choke("can1", 1)
+    with pytest.raises(BusBusy, match="can1"):
+        rig.commit(1, 1)
+    rig.arrive(1, 0)
+    release()
+    rig.pass_time(0.2)
+    assert rig.faults == []
+    for bus in ("can0", "can1"):
+        rig.frames(bus)
+    rig.commit(1, 1)
+    rig.arrive(1, 1)
+    assert rig.frames("can0") == []
+    assert rig.frames("can1") == [(0x080, ""), (0x185, "01")]
+
+
 def test_a_commit_back_to_the_old_states_after_a_busy_bus_clears_what_waits_in_the_boards(make_rig, two_boards):
     rig = make_rig(two_boards).up()
     rig.commit(1, 1)

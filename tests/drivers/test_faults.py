@@ -157,8 +157,10 @@ def test_error_frames_tell_the_state_of_the_bus(make_rig, wait):
     assert rig.faults == []
 
 
-def test_after_bus_off_nothing_is_sent_until_start(make_rig, wait):
+@pytest.mark.parametrize("restarted", [True, False])
+def test_after_bus_off_nothing_is_sent_until_start(make_rig, wait, restarted):
     rig = make_rig().up()
+    rig.simulation.silence("can0/5")
     error(rig, 0x40)
     wait(lambda: rig.codes() == ["bus-off"])
     rig.frames()
@@ -167,7 +169,9 @@ def test_after_bus_off_nothing_is_sent_until_start(make_rig, wait):
         rig.commit(1, 0)
     assert [fault.code for fault in rig.boards.start()] == ["bus-off"]
     assert rig.frames() == []
-    error(rig, 0x100)  # restarted
+    if restarted:
+        error(rig, 0x100)
+    rig.simulation.unsilence("can0/5")
     wait(lambda: rig.boards.status().buses[0].state == "active")
     with pytest.raises(BusBusy, match="start"):
         rig.commit(1, 0)

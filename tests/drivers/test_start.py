@@ -160,9 +160,10 @@ def test_start_keeps_boards_that_are_fine_operational(make_rig, two_boards, wait
     assert rig.simulation.switches().tolist() == [1, 2]  # the power cut switched the second back
 
 
-def test_a_bus_that_cannot_be_opened_is_named():
-    wiring = Wiring((BusSettings("can7", "nonsense", "ch0"),), (Channel("a", "can7", 1, 0, 0),))
-    with pytest.raises(BusError, match=r"can7.*ch0.*nonsense"):
+@pytest.mark.parametrize("interface", ["nonsense", "socketcan"])
+def test_a_bus_that_cannot_be_opened_is_named(interface):
+    wiring = Wiring((BusSettings("can7", interface, "nowhere0"),), (Channel("a", "can7", 1, 0, 0),))
+    with pytest.raises(BusError, match=rf"can7.*nowhere0.*{interface}"):
         Boards(wiring, Timing()).connect()
 
 

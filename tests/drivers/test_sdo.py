@@ -1,0 +1,59 @@
+"""The SDO client against answers a test makes up."""
+
+from __future__ import annotations
+
+import canopen
+import pytest
+
+import drivers.sdo
+from drivers.faults import BusBusy
+from drivers.layout import Board
+from drivers.sdo import BoardError, Entry, Sdo
+
+BOARD = Board("can0", 5, (1,), (), 0x205, (), slice(0, 1), slice(0, 0))
+TYPE = b"\x43\x00\x10\x00\x91\x01\x02\x00"
+OTHER = b"\x4f\x00\x62\x01\x01\x00\x00\x00"
+
+
+class Line:
+    """A bus whose answers to each request are given beforehand; None: it takes no frame."""
+
+    def __init__(self, *answers: list[bytes] | None) -> None:
+        self.network = canopen.Network()
+        self.answers = list(answers)
+        self.sdo = Sdo(BOARD, self, self.network)
+
+    def send(self, message, timeout=None) -> None:
+        if message.data[0] == 0x80:
+            return  # an abort wants no answer
+        answers = self.answers.pop(0)
+        if answers is None:
+            raise BusBusy("can0: full")
+        for answer in answers:
+            self.network.notify(0x585, bytearray(answer), 0.0)
+
+
+@pytest.fixture(autouse=True)
+def _hurry(monkeypatch):
+    monkeypatch.setattr(drivers.sdo, "_TIMEOUT", 0.01)
+
+
+@pytest.mark.parametrize("first", [[OTHER, TYPE], [], None])
+def test_asks_again_when_the_answer_is_late_missing_or_the_bus_busy(first):
+    assert Line(first, [TYPE]).sdo.read(0x1000, 0) == 0x00020191
+
+
+@pytest.mark.parametrize(
+    ("answers", "words"), [([], "No SDO response"), ([OTHER], "another SDO client"), (None, "full")]
+)
+def test_gives_up_in_the_end(answers, words):
+    with pytest.raises(BoardError, match=rf"can0/5 does not answer to 1000h sub 0: .*{words}"):
+        Line(answers, answers).sdo.read(0x1000, 0)
+
+
+@pytest.mark.parametrize("code", [0x06010002, 0x06020000])
+def test_an_object_that_is_not_optional_may_not_be_refused(code):
+    abort = b"\x80\x17\x10\x00" + code.to_bytes(4, "little")
+    with pytest.raises(BoardError, match=rf"refuses 0064h in 1017h sub 0: .*{code:08X}h") as caught:
+        Line([abort]).sdo.write(Entry(0x1017, 0, 100, size=2))
+    assert caught.value.fault.code == "sdo-refused"
