@@ -1,0 +1,130 @@
+"""How mapping and search grow with the number of modules: python -m tests.benchmarks.mapping [--json PATH].
+
+Every arm is the paper's, longer or shorter. Pixels are so fine that the bound on a level's pixels binds from the first
+modules on: then each level costs the same, and time and memory must grow with the number of modules, B. The last five
+modules have fewer points than pixels and cost less, so the fitted exponent of the time lies a little above 1.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from controller.manipulator.manipulator import Manipulator
+from controller.search.method import METHODS
+from controller.search.solver import Solver
+from controller.workspace.densities import Densities
+from controller.workspace.mapping import map_densities
+from tests.arms import paper_arm
+
+MODULES = (8, 16, 32, 64, 128, 256)
+PIXEL, LEVEL_PIXELS = 0.001, 100_000
+REPEATS, GOALS, TOLERANCE = 3, 100, 0.002
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was measured for one arm; times in seconds of one processor, memory in MiB.
+
+    Attributes:
+        modules: B.
+        mapping: least time to map all densities.
+        densities: memory that they take.
+        peak: most memory of the process while it mapped, less that before.
+        goal: mean time for one goal, by method.
+        error: median error, by method.
+        switches: mean number of switches, by method.
+    """
+
+    modules: int
+    mapping: float
+    densities: float
+    peak: float
+    goal: dict[str, float]
+    error: dict[str, float]
+    switches: dict[str, float]
+
+
+def timed(manipulator: Manipulator) -> tuple[Densities, float]:
+    """Maps an arm; returns its densities and the time it took."""
+    began = time.process_time()
+    densities = map_densities(manipulator, PIXEL, LEVEL_PIXELS)
+    return densities, time.process_time() - began
+
+
+def measured(modules: int) -> Row:
+    """Measures an arm of so many modules; best in a process of its own, whose peak of memory is then its alone."""
+    manipulator = paper_arm(modules)
+    map_densities(paper_arm(2), 0.1, 100)  # loads the kernels
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    densities, mapping = timed(manipulator)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    mapping = min([mapping, *(timed(manipulator)[1] for _ in range(REPEATS - 1))])
+    solver = Solver(manipulator, densities)
+    configurations = np.random.default_rng(0).integers(0, manipulator.states, (GOALS, modules))
+    goals = manipulator.tips(configurations)[:, :2, 3]
+    goal, error, switches = {}, {}, {}
+    for method in METHODS:
+        previous, found, began = np.zeros(modules, dtype=np.int64), [], time.process_time()
+        for position in goals:
+            found.append(solver.solve(position, previous, TOLERANCE, method))
+            previous = found[-1].configuration
+        goal[method] = (time.process_time() - began) / GOALS
+        error[method] = float(np.median([s.error for s in found]))
+        switches[method] = float(np.mean([s.switches for s in found]))
+    memory = sum(array.nbytes for array in vars(densities).values())
+    return Row(modules, mapping, memory / 2**20, peak / 2**10, goal, error, switches)
+
+
+def exponent(modules: list[int], values: list[float]) -> float:
+    """Returns the slope of the logarithms: 1 where the values grow linearly."""
+    return float(np.polyfit(np.log(modules), np.log(values), 1)[0])
+
+
+def main() -> None:
+    """Measures, prints the table, and writes it as JSON if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="also write the figures there")
+    parser.add_argument("--only", type=int, help="measure one number of modules here, and print JSON")
+    arguments = parser.parse_args()
+    if arguments.only is not None:
+        print(json.dumps(asdict(measured(arguments.only))))
+        return
+    own = [sys.executable, "-m", "tests.benchmarks.mapping", "--only"]
+    run = {"check": True, "capture_output": True, "text": True}
+    rows = [
+        Row(**json.loads(subprocess.run([*own, str(modules)], **run).stdout))
+        for modules in track(MODULES, "measuring", console=Console(stderr=True), transient=True)
+    ]
+    columns = {
+        "mapping s": ([row.mapping for row in rows], "{:.2f}"),
+        "densities MiB": ([row.densities for row in rows], "{:.1f}"),
+        "peak MiB": ([row.peak for row in rows], "{:.0f}"),
+        **{f"{method} ms": ([1e3 * row.goal[method] for row in rows], "{:.3f}") for method in METHODS},
+    }
+    exponents = {name: exponent(list(MODULES), values) for name, (values, _) in columns.items()}
+    headers = [name.replace("-", " ").replace(" ", "\n") for name in columns]
+    table = Table("B", *headers, title=f"{LEVEL_PIXELS:,} pixels a level at most, {GOALS} goals", show_footer=True)
+    table.columns[0].footer = "exponent"
+    for column, fitted in zip(table.columns[1:], exponents.values(), strict=True):
+        column.footer, column.justify = f"{fitted:.2f}", "right"
+    for k, modules in enumerate(MODULES):
+        table.add_row(str(modules), *[shown.format(values[k]) for values, shown in columns.values()])
+    Console().print(table)
+    if arguments.json is not None:
+        figures = {"pixel": PIXEL, "level_pixels": LEVEL_PIXELS, "goals": GOALS, "tolerance": TOLERANCE}
+        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents}
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
