@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import rich.box
 import typer
 from rich.table import Table
 
@@ -52,7 +51,7 @@ def shown(values: Any) -> str:
 
 def results_table(*columns: str) -> Table:
     """Returns an empty table that leaves configurations whole on a narrow terminal."""
-    table = Table(box=rich.box.SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold underline")
     for column in columns:
         table.add_column(column, no_wrap=True)
     return table
@@ -282,13 +281,13 @@ def figure5(
     densities = densities_of(arm, silent=as_json)
     rows = experiment(arm, densities)
     save(picture, arm, densities, rows)
-    table = results_table("method", "target", "configuration", "x", "y", "θ [rad]", "error", "switches")
+    table = results_table("method", "target", "configuration", "x", "y", "θ", "error", "switches")
     for row in rows:
         if as_json:
             print_json({**row.__dict__, "picture": str(picture)})
         table.add_row(
             row.method,
-            shown(row.target),
+            f"{row.target[0]:g}, {row.target[1]:g}",
             row.configuration,
             f"{row.x:.3f}",
             f"{row.y:.3f}",
