@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,44 +85,40 @@ class Layout:
 def lay_out(wiring: Wiring) -> Layout:
     """Lays the boards' bytes out in frames."""
     order = {bus.name: i for i, bus in enumerate(wiring.buses)}
-    wired = sorted(wiring.channels, key=lambda c: (order[c.bus], c.node))
-    nodes = [(key, tuple(channels)) for key, channels in groupby(wired, key=lambda c: (c.bus, c.node))]
+    wired: dict[tuple[str, int], list[Channel]] = {}
+    for channel in sorted(wiring.channels, key=lambda c: (order[c.bus], c.node)):
+        wired.setdefault((channel.bus, channel.node), []).append(channel)
+    outputs = {place: _subs(c.output for c in channels) for place, channels in wired.items()}
+    inputs = {place: _subs(c.input for c in channels if c.input is not None) for place, channels in wired.items()}
+
     boards: list[Board] = []
     frames: list[Frame] = []
     start = input_start = 0
-    for group in _groups([(*key, _subs(c.output for c in channels)) for key, channels in nodes], wiring.shared_rpdo):
-        bus, first, _ = group[0]
-        length = sum(len(outputs) for *_, outputs in group)
-        frames.append(Frame(bus, cia301.RPDO1 + first, slice(start, start + length)))
-        for _, node, outputs in group:
-            here = slice(start, start + len(outputs))
-            before, after = here.start - frames[-1].image.start, frames[-1].image.stop - here.stop
-            mapped = [cia301.mapping(0x6200, sub) for sub in outputs]
-            mapping = [cia301.DUMMY_BYTE] * before + mapped + [cia301.DUMMY_BYTE] * after
-            inputs = _subs(c.input for c in dict(nodes)[bus, node] if c.input is not None)
-            input_here = slice(input_start, input_start + len(inputs))
-            boards.append(Board(bus, node, outputs, inputs, frames[-1].cob_id, tuple(mapping), here, input_here))
+    for group in _groups(outputs, wiring.shared_rpdo):
+        bus, first = group[0]
+        frame = Frame(bus, cia301.RPDO1 + first, slice(start, start + sum(len(outputs[place]) for place in group)))
+        frames.append(frame)
+        for place in group:
+            here = slice(start, start + len(outputs[place]))
+            mapping = [cia301.DUMMY_BYTE] * (here.start - frame.image.start)
+            mapping += [cia301.mapping(0x6200, sub) for sub in outputs[place]]
+            mapping += [cia301.DUMMY_BYTE] * (frame.image.stop - here.stop)
+            input_here = slice(input_start, input_start + len(inputs[place]))
+            boards.append(Board(*place, outputs[place], inputs[place], frame.cob_id, tuple(mapping), here, input_here))
             start, input_start = here.stop, input_here.stop
     return _index(wiring.channels, tuple(boards), tuple(frames))
 
 
-_Wired = tuple[str, int, tuple[int, ...]]  # bus, node, output sub-indices
-
-
-def _groups(boards: list[_Wired], shared: bool) -> list[list[_Wired]]:
-    """Boards whose bytes travel in one frame; only boards of one bus, and no board in two frames."""
-    groups: list[list[_Wired]] = []
-    for board in boards:
-        fits = (
-            shared
-            and groups
-            and groups[-1][0][0] == board[0]
-            and sum(len(outputs) for *_, outputs in groups[-1]) + len(board[2]) <= _FRAME_BYTES
-        )
-        if fits:
-            groups[-1].append(board)
+def _groups(outputs: dict[tuple[str, int], tuple[int, ...]], shared: bool) -> list[list[tuple[str, int]]]:
+    """Boards, as bus and node, whose bytes travel in one frame: of one bus only, and no board in two frames."""
+    groups: list[list[tuple[str, int]]] = []
+    for place, subs in outputs.items():
+        last = groups[-1] if groups else []
+        room = _FRAME_BYTES - sum(len(outputs[other]) for other in last)
+        if shared and last and last[0][0] == place[0] and len(subs) <= room:
+            last.append(place)
         else:
-            groups.append([board])
+            groups.append([place])
     return groups
 
 
