@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 
 import can
@@ -9,12 +10,25 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.actuator import Actuator
+from drivers.cia301 import frame
 from drivers.firmware import SimulatedBoard, Wired
 
 NODE = 5
 OURS = [base + NODE for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)]
 COB_IDS = st.sampled_from([*OURS, 0x000, 0x080, 0x77F, 0x7E4]) | st.integers(0, 0x7FF)
-FRAMES = st.lists(st.tuples(COB_IDS, st.binary(max_size=8)), max_size=30)
+INDICES = st.sampled_from([0x1003, 0x1016, 0x1017, 0x1029, 0x1400, 0x1600, 0x1800, 0x1A00, 0x6005, 0x6200, 0x6206])
+VALUES = st.sampled_from([0, 1, 8, 255, 0x62000108, 0x60000108, 0x10010008, 0x00050008, 0x80000205, 0x7F0064])
+DOWNLOADS = st.builds(
+    lambda index, sub, value, size: (
+        0x600 + NODE,
+        struct.pack("<BHBI", 0x23 | (4 - size) << 2, index, sub, value & (1 << 8 * size) - 1),
+    ),
+    INDICES,
+    st.integers(0, 9),
+    VALUES,
+    st.sampled_from([1, 2, 4]),
+)
+FRAMES = st.lists(st.tuples(COB_IDS, st.binary(max_size=8)) | DOWNLOADS, max_size=30)
 # What may move an actuator by right: commands, RPDOs, and SDO downloads.
 MOVING = {0x000, 0x200 + NODE, 0x600 + NODE}
 
@@ -23,7 +37,7 @@ MOVING = {0x000, 0x200 + NODE, 0x600 + NODE}
 @given(frames=FRAMES)
 def test_firmware_survives_any_data_frame(frames):
     actuator = Actuator("a", 0.1)
-    board = SimulatedBoard(NODE, [Wired(actuator, 0, 0)], lambda cob_id, data: None)
+    board = SimulatedBoard(NODE, [Wired(actuator, 0, 0)], frame)
     board.power_on(0.0)
     board.receive(0, bytes([1, NODE]), 0.0)
     for i, (cob_id, data) in enumerate(frames):
