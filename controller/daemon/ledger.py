@@ -42,7 +42,7 @@ class Pending:
     """What is not yet written: switches of each actuator, shape (A,), and the latest entries on goals."""
 
     counts: NDArray[np.int64]
-    goals: deque[tuple[Any, ...]] = field(default_factory=lambda: deque(maxlen=KEPT))
+    goals: deque[tuple[Any, ...]] = field(default_factory=lambda: deque(maxlen=2 * KEPT))
 
 
 class Ledger:

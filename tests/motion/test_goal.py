@@ -107,7 +107,7 @@ def test_an_end_in_the_past_is_refused_with_how_long_ago() -> None:
 @pytest.mark.parametrize("depth", range(850, 1010, 3))
 @pytest.mark.parametrize("field", [b'{"waypoints": %s}', b'{"id": %s}', b'{"waypoints": [{"position": %s}]}'])
 def test_nesting_of_any_depth_is_refused_by_a_sentence(field: bytes, depth: int) -> None:
-    with pytest.raises(Refusal, match="."):
+    with pytest.raises(Refusal, match=r"goal|waypoints|id"):
         decode(field % (b"[" * depth + b"]" * depth))
 
 
@@ -153,12 +153,12 @@ goals = st.fixed_dictionaries(
 
 def taken_or_refused(payload: bytes) -> None:
     try:
-        trajectory = decode(payload)
-    except Refusal as refusal:
-        assert 0 < len(str(refusal)) <= 2 * LONGEST_SENTENCE
-        str(refusal).encode()
-    else:
-        assert isinstance(trajectory, Trajectory)
+        decode(payload)
+        return
+    except Refusal as error:
+        sentence = str(error)
+    assert 0 < len(sentence) <= 2 * LONGEST_SENTENCE
+    assert sentence.encode()
 
 
 @given(st.binary())

@@ -1,0 +1,183 @@
+"""A control loop on boards that live in memory, and on a clock that the test sets."""
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from controller.daemon.events import Cancel, Planned, Reset, Stop
+from controller.daemon.loop import PERIOD, ControlLoop
+from controller.daemon.state import Diagnostics, Snapshot
+from controller.motion.goal import Trajectory
+from controller.motion.plan import Plan
+from controller.search.solver import Solution
+from drivers.faults import BusBusy, Fault
+from drivers.status import Status
+from tests.arms import paper_arm
+
+TRAVEL = 0.05
+ARM = paper_arm(2)
+
+
+class FakeBoards:
+    """Boards without a bus: what is committed is measured a travel time later."""
+
+    def __init__(self) -> None:
+        self.states = np.zeros(len(ARM.actuators), dtype=np.int8)
+        self.commits: list[list[int]] = []
+        self.ticks: list[float] = []
+        self.starts = 0
+        self.missing: list[Fault] = []
+        self.busy = self.stuck = self.slow = False
+        self.broken: set[str] = set()
+        self._pending: tuple[float, np.ndarray] | None = None
+        self._now = 0.0
+        self._tell: Any = None
+
+    def subscribe(self, callback: Any) -> None:
+        self._tell = callback
+
+    def start(self) -> list[Fault]:
+        self.starts += 1
+        self._break("start")
+        self._pending = None
+        return list(self.missing)
+
+    def measured(self) -> np.ndarray:
+        self._break("measured")
+        return self.states.copy()
+
+    def hold(self) -> None:
+        self._break("hold")
+
+    def commit(self, states: np.ndarray, now: float) -> None:
+        self._break("commit")
+        if self.busy:
+            raise BusBusy("the queue is full")
+        self.commits.append(states.tolist())
+        self._pending = (now + TRAVEL, states.astype(np.int8))
+
+    def tick(self, now: float) -> None:
+        self._now = now
+        self.ticks.append(now)
+        self._break("tick")
+        if self._pending is None or self.slow or now < self._pending[0]:
+            return
+        if self.stuck:
+            self.fail(Fault("stuck", "1.left", "actuator 1.left is stuck"))
+        else:
+            self.states = self._pending[1]
+        self._pending = None
+
+    def moving(self, now: float) -> bool:
+        return self._pending is not None
+
+    def status(self) -> Status:
+        return Status((), ())
+
+    def fail(self, fault: Fault) -> None:
+        self._tell(fault)
+
+    def _break(self, verb: str) -> None:
+        if verb in self.broken:
+            raise RuntimeError(f"{verb} is broken")
+
+
+class FakeLedger:
+    fault = None
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(len(ARM.actuators), dtype=int)
+        self.goals: dict[int, list[Any]] = {}
+
+    def switched(self, actuators: np.ndarray) -> None:
+        self.counts[actuators] += 1
+
+    def accepted(self, number: int, goal: str, waypoints: int) -> None:
+        assert number not in self.goals
+        self.goals[number] = [goal]
+
+    def ended(self, number: int, status: str, code: int, message: str, switches: int) -> None:
+        self.goals[number].append(status)
+
+
+class FakeNotifier:
+    def __init__(self) -> None:
+        self.watchdog: float | None = 0.4
+        self.sent: list[str] = []
+
+    def send(self, *states: str) -> None:
+        self.sent += states
+
+
+class Rig:
+    """The loop and all it says; `go` lets time pass."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.boards, self.ledger, self.notifier = FakeBoards(), FakeLedger(), FakeNotifier()
+        self.published: list[tuple[str, dict[str, Any]]] = []
+        self.snapshots: list[Snapshot] = []
+        self.diagnostics: list[Diagnostics] = []
+        self.replies: list[tuple[str, dict[str, Any]]] = []
+        self._arrival = 0
+        self.loop = ControlLoop(
+            ARM, self.boards, TRAVEL, lambda key, payload: self.published.append((key, dict(payload))),
+            self, self.ledger, self.notifier, lambda: self.now,
+        )  # fmt: skip
+        self.loop.begin()
+        self.settle_start()
+
+    def show(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+
+    def diagnose(self, diagnostics: Diagnostics) -> None:
+        self.diagnostics.append(diagnostics)
+
+    def arrival(self) -> int:
+        self._arrival += 1
+        return self._arrival
+
+    def goal(self, name: str, *configurations: Sequence[int], arrival: int | None = None, **fields: Any) -> Planned:
+        """A goal with a plan through these configurations, `step` seconds between two."""
+        plan = planned(*configurations, **fields)
+        return Planned(arrival or self.arrival(), lambda p: self.replies.append((name, dict(p))), name, plan)
+
+    def request(self, kind: type[Cancel | Stop | Reset]) -> None:
+        name = kind.__name__.lower()
+        self.loop.inbox.hand_over(kind(self.arrival(), lambda p: self.replies.append((name, dict(p)))))
+
+    def run(self, name: str, *configurations: Sequence[int], **fields: Any) -> None:
+        self.loop.inbox.hand_over(self.goal(name, *configurations, **fields))
+
+    def go(self, seconds: float = PERIOD) -> None:
+        """Lets time pass, a tick at a time; each step acts on one event at most."""
+        for _ in range(max(round(seconds / PERIOD), 1)):
+            self.now += PERIOD
+            self.loop.step()
+            self.settle_start()
+
+    def settle_start(self) -> None:
+        """Waits for the end of a start-up that the last step began."""
+        for thread in threading.enumerate():
+            if thread.name == "start-up":
+                thread.join(30)
+
+    @property
+    def results(self) -> list[tuple[str, str]]:
+        return [(payload["id"], payload["status"]) for key, payload in self.published if key == "result"]
+
+    @property
+    def last_result(self) -> dict[str, Any]:
+        return [payload for key, payload in self.published if key == "result"][-1]
+
+
+def planned(*configurations: Sequence[int], step: float = 0.2, stamp: float | None = None, error: float = 0.0) -> Plan:
+    chosen = [np.array(configuration, dtype=np.int64) for configuration in configurations]
+    tips = [ARM.tip(configuration) for configuration in chosen]
+    positions = np.array([tip[:2, 3] for tip in tips]) + np.array([error, 0])
+    times = step * np.arange(len(chosen))
+    solutions = tuple(Solution(c, tip, error, 1, True, 0.0) for c, tip in zip(chosen, tips, strict=True))
+    states = np.array([ARM.actuator_states(configuration) for configuration in chosen])
+    return Plan(Trajectory(stamp, times, positions, 0.002), solutions, states)

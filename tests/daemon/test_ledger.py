@@ -1,0 +1,186 @@
+"""The ledger: exact counts and results, through everything that can happen to file and process."""
+
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller.daemon import ledger as module
+from controller.daemon.ledger import Ledger, default_path, read
+from tests.daemon.waiting import eventually
+
+NAMES = ("1.left", "1.diagonal", "1.right")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "state" / "arm.sqlite"
+
+
+@pytest.fixture
+def ledger(path: Path) -> Iterator[Ledger]:
+    ledger = Ledger(path, NAMES)
+    yield ledger
+    ledger.close()
+
+
+def switch(ledger: Ledger, *actuators: int) -> None:
+    ledger.switched(np.array(actuators, dtype=np.intp))
+
+
+def written(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
+    """What is in the file, which may not be there yet."""
+    try:
+        return read(path)
+    except sqlite3.Error:
+        return {}, []
+
+
+def test_switches_are_counted_exactly(ledger: Ledger, path: Path) -> None:
+    for _ in range(1000):
+        switch(ledger, 0, 2)
+    switch(ledger, 2)
+    switch(ledger)
+    ledger.close()
+    assert read(path)[0] == {"1.left": 1000, "1.right": 1001}
+
+
+def test_goals_have_their_results(ledger: Ledger, path: Path) -> None:
+    ledger.accepted(1, "a", 3)
+    ledger.ended(1, "succeeded", 0, "reached", 12)
+    ledger.accepted(2, "a", 1)
+    ledger.ended(2, "aborted", -4, "stuck", 1)
+    ledger.accepted(3, "b", 1)
+    ledger.close()
+    goals = read(path)[1]
+    assert [(g["id"], g["waypoints"], g["status"], g["code"], g["message"], g["switches"]) for g in goals] == [
+        ("b", 1, None, None, None, None),
+        ("a", 1, "aborted", -4, "stuck", 1),
+        ("a", 3, "succeeded", 0, "reached", 12),
+    ]
+    assert goals[1]["ended"] >= goals[1]["accepted"] > 1.7e9
+
+
+def test_a_result_written_later_than_its_goal_finds_it(ledger: Ledger, path: Path) -> None:
+    ledger.accepted(1, "a", 1)
+    eventually(lambda: written(path)[1])
+    ledger.ended(1, "succeeded", 0, "reached", 2)
+    ledger.close()
+    assert [goal["status"] for goal in read(path)[1]] == ["succeeded"]
+
+
+def test_it_goes_on_where_it_was(ledger: Ledger, path: Path) -> None:
+    switch(ledger, 0, 1)
+    ledger.accepted(1, "a", 1)
+    ledger.close()
+    again = Ledger(path, NAMES)
+    switch(again, 1)
+    again.accepted(1, "b", 1)
+    again.ended(1, "canceled", -1, "canceled", 0)
+    again.close()
+    switches, goals = read(path)
+    assert switches == {"1.left": 1, "1.diagonal": 2}
+    assert [(goal["id"], goal["status"]) for goal in goals] == [("b", "canceled"), ("a", None)]
+
+
+def test_what_cannot_be_written_is_kept_and_written_later(tmp_path: Path) -> None:
+    folder = tmp_path / "state"
+    folder.write_text("in the way")
+    ledger = Ledger(folder / "arm.sqlite", NAMES)
+    switch(ledger, 0)
+    ledger.accepted(1, "a", 1)
+    assert "cannot be written" in eventually(lambda: ledger.fault)
+    switch(ledger, 0, 1)
+    ledger.ended(1, "succeeded", 0, "reached", 3)
+    folder.unlink()
+    eventually(lambda: ledger.fault is None)
+    ledger.close()
+    switches, goals = read(folder / "arm.sqlite")
+    assert switches == {"1.left": 2, "1.diagonal": 1}
+    assert [goal["status"] for goal in goals] == ["succeeded"]
+
+
+def test_a_file_that_is_no_ledger_is_a_fault_and_not_touched(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_text("a letter, far longer than the head of any database would be" * 20)
+    ledger = Ledger(path, NAMES)
+    switch(ledger, 0)
+    assert "cannot be written" in eventually(lambda: ledger.fault)
+    ledger.close()
+    assert path.read_text().startswith("a letter")
+
+
+def test_an_entry_with_no_text_form_does_not_end_it(ledger: Ledger, path: Path) -> None:
+    ledger.accepted(1, "\udc80", 1)
+    eventually(lambda: ledger.fault)
+    ledger.close()
+
+
+def test_only_the_latest_goals_are_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "KEPT", 10)
+    for _ in range(2):
+        ledger = Ledger(path, NAMES)
+        for k in range(8):
+            ledger.accepted(k, str(k), 1)
+            ledger.ended(k, "succeeded", 0, "reached", 1)
+        ledger.close()
+    assert [goal["id"] for goal in read(path)[1]] == [*"76543210", "7", "6"]
+
+
+KILLED = """
+import sys
+import numpy as np
+from pathlib import Path
+from controller.daemon.ledger import Ledger
+
+ledger = Ledger(Path(sys.argv[1]), ("1.left",))
+for line in sys.stdin:
+    ledger.switched(np.array([0]))
+    print("counted", flush=True)
+"""
+
+
+def test_a_killed_process_loses_nothing_older_than_a_second(path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdin
+        assert process.stdout
+        for _ in range(100):
+            process.stdin.write("\n")
+            process.stdin.flush()
+            assert process.stdout.readline() == "counted\n"
+        eventually(lambda: written(path)[0] == {"1.left": 100})  # by itself, without being closed
+        process.stdin.write("\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "counted\n"
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert read(path)[0]["1.left"] in (100, 101)
+    again = Ledger(path, NAMES)
+    switch(again, 0)
+    again.close()
+    assert again.fault is None
+    assert read(path)[0]["1.left"] in (101, 102)
+
+
+def test_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert default_path("a") == tmp_path / "hyperbit" / "a.sqlite"
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hyperbit")
+    assert default_path("a") == Path("/var/lib/hyperbit/a.sqlite")
+
+
+def test_a_missing_ledger_is_an_error_and_not_made(path: Path) -> None:
+    with pytest.raises(sqlite3.Error):
+        read(path)
+    assert not path.parent.exists()

@@ -1,0 +1,18 @@
+"""The one way in which tests wait: for a condition, with an end."""
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+PATIENCE = 30.0  # [s]; a loaded machine is slow
+
+
+def eventually(what: Callable[[], T], patience: float = PATIENCE) -> T:
+    """Returns the first true value of `what`."""
+    until = time.monotonic() + patience
+    while not (value := what()):
+        assert time.monotonic() < until, "what was waited for did not come"
+        time.sleep(0.005)
+    return value
