@@ -147,7 +147,7 @@ def test_200_modules_neither_overflow_nor_lose_their_edge():
 
 
 def test_1000_modules_are_mapped():
-    densities = map_densities(paper_arm(1000), 0.02, 20_000)
+    densities = map_densities(paper_arm(1000), 0.02, 10_000)
     assert np.isfinite(densities.values).all()
     values = densities.level(0).astype(float)
     assert np.logaddexp.reduce(values[values >= 0]) == pytest.approx(1000 * math.log(8), rel=1e-3)
