@@ -26,6 +26,8 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 
+MOST_PIXELS = 2**19
+
 
 class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """A frame: planar with an angle [rad], or spatial with a quaternion x, y, z, w."""
@@ -65,10 +67,10 @@ class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Finest pixel (absent: 1/400 of the arm's length), and memory [MiB] that one intermediate workspace may take."""
+    """Finest pixel (absent: 1/400 of the arm's length), and memory [MiB] that all densities together may take."""
 
     pixel: Positive | None = None
-    level_memory: Annotated[float, Meta(gt=0, le=4096)] = 2.0
+    memory: Annotated[float, Meta(gt=0, le=65536)] = 512.0
 
 
 class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -137,8 +139,9 @@ class Arm:
 
     @property
     def level_pixels(self) -> int:
-        """Most pixels of one intermediate workspace, four bytes each."""
-        return max(1, int(self.settings.workspace.level_memory * 2**20 / 4))
+        """Most pixels of one intermediate workspace, four bytes each: no level needs more than MOST_PIXELS."""
+        share = self.settings.workspace.memory * 2**20 / 4 / (len(self.manipulator.modules) + 1)
+        return max(1, min(MOST_PIXELS, int(share)))
 
     @property
     def tolerance(self) -> float:

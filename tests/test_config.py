@@ -25,7 +25,7 @@ def document(count: int = 2) -> dict:
         "tolerance": {"position": 0.002},
         "travel_time": 0.05,
         "base": {"position": [0.5, 0.25], "orientation": 0.1},
-        "workspace": {"pixel": 0.01, "level_memory": 2},
+        "workspace": {"pixel": 0.01, "memory": 512},
         "method": "ipop-previous",
         "buses": [
             {"name": "can0", "interface": "socketcan", "channel": "can0", "bitrate": 500000},
@@ -169,7 +169,7 @@ FAULTS = [
     ("base.orientation", [0, 0, 1, 1], "base.orientation: a quaternion x, y, z, w of length 1 is needed, got"),
     ("base.position", [0, 0, 1], "base.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle 0.1"),
     ("workspace.pixel", 0, "workspace.pixel: Expected `float` > 0.0 (given: 0)"),
-    ("workspace.level_memory", 5000, "workspace.level_memory: Expected `float` <= 4096.0 (given: 5000)"),
+    ("workspace.memory", 70000, "workspace.memory: Expected `float` <= 65536.0 (given: 70000)"),
     ("method", "ipop", "method: Invalid enum value 'ipop' (given: 'ipop')"),
     ("boards.heartbeat", 0.001, "boards.heartbeat: Expected `float` >= 0.01 (given: 0.001)"),
     (
