@@ -28,7 +28,7 @@ from controller.manipulator.notation import parse_configuration
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 48
 STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half where that is longer
-PATIENCE = 60.0  # [s] for the daemon to be ready; the first start compiles its kernels
+PATIENCE = 180.0  # [s] for the daemon to be ready; the first start compiles its kernels
 
 
 def demo(

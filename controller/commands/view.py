@@ -74,7 +74,7 @@ class View:
         loop = diagnostics["loop"]
         figures = Text(
             f"control loop: longest period {loop['longest_period'] * 1e3:.1f} ms, work {loop['mean_work'] * 1e3:.2f} ms"
-            f" (longest {loop['longest_work'] * 1e3:.2f}), {loop['overruns']} overruns;"
-            f" {diagnostics['switches']} switches since start; ledger {diagnostics['ledger']}"
+            f" (longest {loop['longest_work'] * 1e3:.2f}), {loop['overruns']} overruns\n"
+            f"{diagnostics['switches']} switches since start; ledger {diagnostics['ledger']}"
         )
         return Group(buses, boards, figures)
