@@ -1,0 +1,169 @@
+"""Every question to the planner is answered once, whatever happens meanwhile."""
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from controller.config import Arm
+from controller.daemon import planner as module
+from controller.daemon.events import Cancel, Planned
+from controller.daemon.inbox import Inbox
+from controller.daemon.planner import MOST_WAITING, Planner, Question
+from controller.motion.goal import MOST_BYTES
+from controller.search.solver import Solver
+from tests.daemon.waiting import PATIENCE, eventually
+
+GOAL = json.dumps({"id": "a", "waypoints": [{"t": k, "position": (0.55 - 0.1 * (k % 2), 2.9)} for k in range(5)]})
+
+
+class FakeLoop:
+    """What the planner sees of the control loop."""
+
+    def __init__(self) -> None:
+        self.inbox = Inbox()
+        self.mode, self.reason, self.accept_after = "ready", "holding", 0
+        self.commanded: Any = [0] * 16
+
+
+class Desk:
+    """Asks the planner, and holds it up before a waypoint if told to."""
+
+    def __init__(self, arm: Arm, solver: Solver) -> None:
+        self.loop = FakeLoop()
+        self.answers: list[dict[str, Any]] = []
+        self.planning, self.free = threading.Event(), threading.Event()
+        self.free.set()
+        self._arrival = 0
+
+        def solve(*args: Any) -> Any:
+            self.planning.set()
+            assert self.free.wait(PATIENCE)
+            return solver.solve(*args)
+
+        held = type("Held", (), {"manipulator": solver.manipulator, "solve": staticmethod(solve)})()
+        self.planner = Planner(arm, held, self.loop)
+
+    def ask(self, payload: str | bytes = GOAL, *, run: bool = True) -> None:
+        self._arrival += 1
+        data = payload.encode() if isinstance(payload, str) else payload
+        self.planner.submit(Question(self._arrival, lambda p: self.answers.append(dict(p)), data, 1e9, run))
+
+    def hold_up(self) -> None:
+        self.free.clear()
+        self.ask()
+        assert self.planning.wait(PATIENCE)
+
+
+@pytest.fixture
+def desk(arm: Arm, solver: Solver) -> Iterator[Desk]:
+    desk = Desk(arm, solver)
+    yield desk
+    desk.free.set()
+    desk.planner.close(PATIENCE)
+
+
+def answered(desk: Desk, count: int = 1) -> list[dict[str, Any]]:
+    return eventually(lambda: desk.answers if len(desk.answers) >= count else [])
+
+
+def test_a_goal_goes_to_the_loop_unanswered(desk: Desk) -> None:
+    desk.ask()
+    event = desk.loop.inbox.get(PATIENCE)
+    assert isinstance(event, Planned)
+    assert (event.id, event.arrival, len(event.plan.solutions)) == ("a", 1, 5)
+    assert desk.answers == []
+
+
+def test_a_goal_without_an_id_gets_one(desk: Desk) -> None:
+    desk.ask('{"waypoints": [{"position": [0.55, 2.9]}]}')
+    event = desk.loop.inbox.get(PATIENCE)
+    assert isinstance(event, Planned)
+    assert len(event.id) == 12
+
+
+def test_a_question_is_answered_and_nothing_handed_over(desk: Desk) -> None:
+    desk.ask(run=False)
+    (answer,) = answered(desk)
+    assert [w["t"] for w in answer["waypoints"]] == [0, 1, 2, 3, 4]
+    assert desk.loop.inbox.waiting() == 0
+
+
+@pytest.mark.parametrize("mode", ["starting", "fault", "stopped"])
+def test_a_goal_in_a_mode_that_takes_none_is_refused_with_its_reason(desk: Desk, mode: str) -> None:
+    desk.loop.mode, desk.loop.reason = mode, "because"
+    desk.ask()
+    assert answered(desk)[0]["message"] == f"the arm is {mode}: because"
+    assert answered(desk)[0]["id"] == "a"
+
+
+def test_before_the_states_are_known_nothing_can_be_planned(desk: Desk) -> None:
+    desk.loop.mode, desk.loop.reason, desk.loop.commanded = "starting", "booting", None
+    desk.ask(run=False)
+    assert answered(desk)[0]["message"] == "the arm is starting: booting"
+
+
+def test_a_cancel_ends_the_planning_at_once(desk: Desk) -> None:
+    desk.hold_up()
+    desk.ask()
+    desk.loop.accept_after = 2
+    desk.free.set()
+    answers = answered(desk, 2)
+    assert [a["message"] for a in answers] == ["canceled, stopped or reset before it began"] * 2
+    assert desk.loop.inbox.waiting() == 0
+    desk.ask()
+    assert isinstance(desk.loop.inbox.get(PATIENCE), Planned)
+
+
+def test_too_many_and_too_large_are_refused_at_once(desk: Desk) -> None:
+    desk.hold_up()
+    for _ in range(MOST_WAITING + 3):
+        desk.ask()
+    assert [a["message"] for a in desk.answers] == ["busy: 16 goals are waiting to be planned already"] * 3
+    desk.ask(b" " * (MOST_BYTES + 1))
+    assert "1000001 bytes" in desk.answers[-1]["message"]
+    desk.free.set()
+    for _ in range(MOST_WAITING + 1):
+        assert isinstance(desk.loop.inbox.get(PATIENCE), Planned)
+
+
+def test_closing_refuses_all_that_waits_and_comes(desk: Desk) -> None:
+    desk.hold_up()
+    for _ in range(3):
+        desk.ask()
+    closing = threading.Thread(target=desk.planner.close, args=(PATIENCE,))
+    closing.start()
+    eventually(lambda: desk.planner._closing)
+    desk.free.set()
+    closing.join(PATIENCE)
+    desk.ask()
+    assert [a["message"] for a in desk.answers] == ["the daemon is shutting down; the arm holds"] * 5
+    assert desk.loop.inbox.waiting() == 0
+
+
+def test_a_plan_that_comes_after_the_loop_ended_is_refused(desk: Desk) -> None:
+    desk.loop.inbox.close()
+    desk.ask()
+    assert answered(desk)[0]["message"] == "the daemon is shutting down; the arm holds"
+
+
+def test_a_defect_is_answered_and_the_next_goal_planned(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any) -> Any:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "plan", broken)
+        desk.ask()
+        assert answered(desk)[0]["message"] == "internal error while planning, see the journal"
+    desk.ask()
+    assert isinstance(desk.loop.inbox.get(PATIENCE), Planned)
+
+
+def test_an_inbox_that_is_full_answers_for_the_goal(desk: Desk) -> None:
+    reply: Callable[[Any], None] = lambda payload: None  # noqa: E731
+    for k in range(256):
+        desk.loop.inbox.hand_over(Cancel(k, reply))
+    desk.ask()
+    assert "busy" in answered(desk)[0]["message"]

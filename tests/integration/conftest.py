@@ -1,0 +1,105 @@
+"""The whole chain: a real daemon and a real client on Zenoh, simulated boards on a bus of python-can."""
+
+import itertools
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import pytest
+import zenoh
+
+from controller.config import Arm
+from controller.daemon import session
+from controller.daemon.client import Client
+from controller.daemon.service import Daemon, running, simulated, timing_of, wiring_of
+from controller.workspace.densities import Densities
+from drivers.simulation import Simulation
+from drivers.wiring import BusSettings, Timing, Wiring
+from tests.integration.harness import Observer
+
+CHANNELS = itertools.count()
+
+
+@pytest.fixture(params=["virtual"])
+def bus(request: pytest.FixtureRequest) -> BusSettings:
+    """The bus that daemon and boards share: another interface is another parameter here."""
+    return BusSettings("can0", request.param, f"test-{os.getpid()}-{next(CHANNELS)}")
+
+
+@pytest.fixture
+def wiring(arm: Arm, bus: BusSettings) -> Wiring:
+    return replace(wiring_of(arm), buses=(bus,))
+
+
+@pytest.fixture
+def timing(arm: Arm) -> Timing:
+    return timing_of(arm)
+
+
+@pytest.fixture
+def boards(wiring: Wiring, timing: Timing) -> Iterator[Simulation]:
+    """The simulated boards, running."""
+    with simulated(wiring, timing) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def listener(bus: BusSettings) -> Iterator[can.BusABC]:
+    """Hears all that is on the bus from now on."""
+    with can.Bus(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, ignore_config=True) as listening:
+        yield listening
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+class Bench:
+    """Starts daemons, and sessions that talk to them; all are ended with the test."""
+
+    def __init__(self, stack: ExitStack, arm: Arm, densities: Densities, wiring: Wiring, endpoint: str, ledger: Path):
+        self.stack, self.arm, self.endpoint, self.ledger = stack, arm, endpoint, ledger
+        self._densities, self._wiring = densities, wiring
+
+    def daemon(self) -> Daemon:
+        """Builds a daemon that does not run yet."""
+        config = session.configuration("peer", listen=self.endpoint)
+        return Daemon(self.arm, self._densities, self._wiring, config, self.ledger)
+
+    def run(self) -> Daemon:
+        """Runs a daemon until the test's end."""
+        return self.stack.enter_context(running(self.daemon()))
+
+    def session(self) -> zenoh.Session:
+        return self.stack.enter_context(zenoh.open(session.configuration("client", connect=self.endpoint)))
+
+    def observer(self) -> Observer:
+        """A client that hears everything."""
+        return Observer(Client(self.session(), self.arm.settings.name))
+
+
+@pytest.fixture
+def bench(arm: Arm, densities: Densities, wiring: Wiring, endpoint: str, tmp_path: Path) -> Iterator[Bench]:
+    with ExitStack() as stack:
+        yield Bench(stack, arm, densities, wiring, endpoint, tmp_path / "ledger.sqlite")
+
+
+@pytest.fixture
+def daemon(bench: Bench, boards: Simulation) -> Daemon:
+    """A daemon that runs on simulated boards."""
+    return bench.run()
+
+
+@pytest.fixture
+def client(bench: Bench, daemon: Daemon) -> Observer:
+    """A client of a daemon that is ready."""
+    observer = bench.observer()
+    observer.wait_for("ready")
+    return observer

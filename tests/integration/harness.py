@@ -1,0 +1,74 @@
+"""A client that remembers all it was told, and waits for what is to come."""
+
+import time
+from typing import Any
+
+from controller.daemon.client import Client, Message
+from tests.daemon.waiting import eventually
+
+KEYS = ("feedback", "result", "diagnostics", "state")  # state last: who hears that hears all
+
+
+class Observer:
+    """Hears everything an arm's daemon says.
+
+    Attributes:
+        client: to ask the daemon with.
+        heard: what came on each key, oldest first.
+        times: when it came, UNIX seconds.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self.heard: dict[str, list[Message]] = {key: [] for key in KEYS}
+        self.times: dict[str, list[float]] = {key: [] for key in KEYS}
+        self._subscribers = [client.subscribe(key, self._remember(key)) for key in KEYS]
+
+    def _remember(self, key: str) -> Any:
+        def remember(message: Message) -> None:
+            self.times[key].append(time.time())
+            self.heard[key].append(message)
+
+        return remember
+
+    def ask(self, key: str, **payload: Any) -> Message:
+        return self.client.request(key, payload, timeout=30)
+
+    def goal(self, *positions: tuple[float, float], times: list[float] | None = None, **fields: Any) -> Message:
+        """Sends a goal; without times, a single waypoint now, or one every 0.2 s."""
+        times = times or [0.2 * k for k in range(len(positions))]
+        points = [{"t": t, "position": list(position)} for t, position in zip(times, positions, strict=True)]
+        return self.ask("goal", waypoints=points, **fields)
+
+    def wait_for(self, mode: str, reason: str = "", after: int = 0) -> Message:
+        """Waits until a state heard from the one of index `after` on is in a mode; returns that state."""
+
+        def found() -> Message | None:
+            states = self.heard["state"][after:]
+            return next((s for s in states if s["mode"] == mode and reason in s["reason"]), None)
+
+        return eventually(found)
+
+    def wait_now(self, mode: str, reason: str = "") -> Message:
+        """Waits until a state that is told from now on is in a mode."""
+        return self.wait_for(mode, reason, after=len(self.heard["state"]))
+
+    def result(self, goal: str) -> Message:
+        """Waits for the result of a goal, and sees that it has no other so far."""
+        eventually(lambda: self.results(goal))
+        (result,) = self.results(goal)
+        return result
+
+    def results(self, goal: str | None) -> list[Message]:
+        return [result for result in self.heard["result"] if result["id"] == goal]
+
+    def feedback(self, goal: str) -> list[Message]:
+        return [feedback for feedback in self.heard["feedback"] if feedback["id"] == goal]
+
+    def move(self, *positions: tuple[float, float], goal: str = "move") -> Message:
+        """Sends a goal that must succeed; returns its result."""
+        answer = self.goal(*positions, id=goal)
+        assert answer["accepted"], answer
+        result = self.result(goal)
+        assert result["status"] == "succeeded", result
+        return result
