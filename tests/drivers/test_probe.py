@@ -9,9 +9,9 @@ from drivers.wiring import BusSettings, Channel, Wiring
 
 def test_every_board_says_what_it_is_and_nothing_on_it_changes(make_rig, two_boards):
     rig = make_rig(two_boards)
+    rig.boot()
     with rig.simulation.board("can0/9") as (board, _):
         board.objects.put(0x1000, 0, 0x00020191)
-    rig.boot()
     good, wrong = probe(rig.wiring)
     assert (good.board, good.ok) == ("can0/5", True)
     assert good.text == "device type 00030191h, error register 00h"
