@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from controller.commands import demo, report, service, talk
+from controller.commands import demo, health, report, service, talk
 from controller.commands.common import Failed, errors
 from controller.strict import InputFaults
 
@@ -24,8 +24,8 @@ app.command()(report.plan)
 app.command()(report.fk)
 app.command("map")(report.map_)
 app.command()(report.figure5)
-app.command()(report.check)
-app.command()(report.wear)
+app.command()(health.check)
+app.command()(health.wear)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Commands that reckon and report: plan, fk, map, figure5, check, wear."""
+"""Commands that reckon: plan, fk, map, figure5."""
 
 import csv
 import time
@@ -195,79 +195,6 @@ def map_(
             f"{len(densities.pixels)} intermediate workspaces, pixel {finest:.4g} to {coarsest:.4g}, at most {largest}"
             f" pixels each, {megabytes:.1f} MB in {cache}, {seconds:.2f} s"
         )
-
-
-def check(
-    file: ArmFile,
-    bus: Annotated[bool, typer.Option("--bus", help="Ask each board, too; changes nothing on it.")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Say all that is wrong in an arm's file, by field."""
-    try:
-        arm = load(file)
-    except InputFaults as error:
-        if as_json:
-            print_json({"ok": False, "faults": list(error.faults)})
-            raise typer.Exit(2) from None
-        raise
-    boards = ask_boards(arm) if bus else []
-    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
-    if as_json:
-        print_json({"ok": not missing, "faults": missing, "boards": boards})
-    else:
-        count = len({(a.bus, a.node) for a in arm.wiring})
-        console.print(
-            f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
-            f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
-        )
-        for board in boards:
-            console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
-    if missing:
-        if as_json:
-            raise typer.Exit(1)
-        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer as they should")
-
-
-def ask_boards(arm: Arm) -> list[dict[str, Any]]:
-    """Returns what each board of an arm answers."""
-    from controller.daemon.service import wiring_of
-    from drivers.faults import BusError
-    from drivers.probe import probe
-
-    try:
-        answers = probe(wiring_of(arm))
-    except BusError as error:
-        raise Failed(str(error)) from None
-    return [{"board": answer.board, "ok": answer.ok, "answer": answer.text} for answer in answers]
-
-
-def wear(
-    file: ArmFile,
-    ledger: Annotated[Path | None, typer.Option(help="The ledger; the daemon's default if absent.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Say how often each actuator has switched, and how goals ended."""
-    import sqlite3
-
-    from controller.daemon.ledger import default_path, read
-
-    arm = load(file)
-    path = ledger or default_path(arm.settings.name)
-    try:
-        switches, goals = read(path)
-    except sqlite3.Error as error:
-        raise Failed(f"{path}: no ledger there: {error}") from None
-    counts = {label: switches.get(label, 0) for label in arm.manipulator.actuators}
-    if as_json:
-        print_json({"switches": counts, "goals": goals})
-        return
-    most = max(max(counts.values()), 1)
-    table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
-    for label, count in sorted(counts.items(), key=lambda item: -item[1]):
-        table.add_row(label, str(count), "█" * round(30 * count / most))
-    console.print(table)
-    ended = [str(goal["status"] or "unfinished") for goal in goals]
-    console.print(", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet")
 
 
 def figure5(

@@ -1,0 +1,77 @@
+"""Commands against a daemon in a process of its own, with simulated boards."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from controller.commands import demo
+from controller.commands.talk import connected
+
+ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+
+
+@pytest.fixture(scope="module")
+def endpoint(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("daemon")
+    with demo.started(ARM, folder) as endpoint:
+        with connected("planar16", endpoint, None) as client:
+            demo.wait_until_ready(client)
+        yield endpoint
+
+
+def test_send_follows_a_goal_to_its_result(hyperbit, endpoint):
+    code, out, err = hyperbit("send", str(ARM), "--to", "0.55,2.9", "--connect", endpoint)
+    assert (code, err) == (0, "")
+    assert "reached (0.5" in out
+
+
+def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    file.write_text("id: two\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 0.2}\n")
+    code, out, _ = hyperbit("send", "planar16", str(file), "--connect", endpoint, "--json")
+    answer, *feedback, result = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert (answer["id"], answer["accepted"]) == ("two", True)
+    assert [message["waypoint"] for message in feedback] == [0, 1]
+    assert (result["id"], result["status"], result["code"]) == ("two", "succeeded", 0)
+    assert result["position"] == pytest.approx([0.4, 2.8], abs=0.002)
+
+
+def test_a_refused_goal_fails_with_code_and_sentence(hyperbit, endpoint):
+    code, out, err = hyperbit("send", "planar16", "--to", "9,9", "--connect", endpoint)
+    assert (code, out) == (1, "")
+    assert "code -5" in err
+    assert "out of reach" in err
+
+
+def test_watch_streams_states_until_interrupted(endpoint):
+    command = [sys.executable, "-m", "controller.cli", "watch", "planar16", "--connect", endpoint, "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ, text=True) as watching:
+        assert watching.stdout is not None
+        states = [json.loads(watching.stdout.readline()) for _ in range(3)]
+        watching.send_signal(signal.SIGINT)
+        assert watching.wait(20) == 0
+    assert {state["mode"] for state in states} == {"ready"}
+    assert len(states[0]["measured"]) == 48
+
+
+def test_a_second_daemon_at_the_same_endpoint_fails_in_words(hyperbit, endpoint, tmp_path):
+    book = str(tmp_path / "ledger.sqlite")
+    code, _, err = hyperbit("run", str(ARM), "--simulate", "--listen", endpoint, "--ledger", book)
+    assert code == 1
+    assert endpoint in err
+
+
+def test_the_demo_runs_and_draws(hyperbit, tmp_path):
+    picture = tmp_path / "demo.png"
+    code, out, err = hyperbit("demo", "--picture", str(picture))
+    assert (code, err) == (0, "")
+    assert "closed curve, 48 waypoints" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
