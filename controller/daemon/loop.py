@@ -90,6 +90,8 @@ class ControlLoop:
             self.step()
         self._notifier.send("STOPPING=1")
         self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, "the daemon is shutting down; the arm holds")
+        if self.mode == "executing":
+            self._enter("ready", "holding; the daemon is shutting down")
         self._guarded(self._show, self._clock())
 
     def begin(self) -> None:

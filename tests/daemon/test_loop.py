@@ -443,4 +443,5 @@ def test_at_the_end_goal_and_waiting_requests_are_told(rig: Rig) -> None:
     late = [(name, reply["accepted"], reply["message"]) for name, reply in rig.replies[1:]]
     assert late == [(name, False, "the daemon is shutting down; the arm holds") for name in ("b", "stop", "c")]
     assert "STOPPING=1" in rig.notifier.sent
+    assert (rig.snapshots[-1].mode, rig.snapshots[-1].goal) == ("ready", None)
     assert rig.boards.commits == [states(A)]
