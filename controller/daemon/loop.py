@@ -162,8 +162,6 @@ class ControlLoop:
             )
         )
 
-    # --- what it acts on
-
     def _handle(self, event: Event) -> None:
         match event:
             case Planned():
@@ -187,21 +185,13 @@ class ControlLoop:
                 self._ended = True
 
     def _take(self, goal: Planned) -> None:
-        execution = self._runner.execution
-        trajectory = goal.plan.trajectory
-        late = 0.0 if trajectory.stamp is None else time.time() - trajectory.stamp - float(trajectory.times[-1])
-        code, refusal = codes.INVALID_GOAL, None
+        refusal = self._runner.objection(goal)
         if goal.arrival <= self.accept_after:
-            refusal = "canceled, stopped or reset before it began"
+            refusal = codes.INVALID_GOAL, "canceled, stopped or reset before it began"
         elif self.mode not in ("ready", "executing"):
-            refusal = f"the arm is {self.mode}: {self.reason}"
-        elif execution is not None and execution.goal.id == goal.id:
-            refusal = f"id: goal {goal.id} is running already; a goal that replaces it needs an id of its own"
-        elif late > 0:
-            code = codes.OLD_HEADER_TIMESTAMP
-            refusal = f"stamp: the trajectory ended {late:.3f} s before it was planned"
+            refusal = codes.INVALID_GOAL, f"the arm is {self.mode}: {self.reason}"
         if refusal is not None:
-            goal.reply(refused(code, refusal, goal.id))
+            goal.reply(refused(*refusal, goal.id))
             return
         self._runner.end("replaced", codes.INVALID_GOAL, f"replaced by goal {goal.id}")
         self._runner.begin(goal, self._clock())

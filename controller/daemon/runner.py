@@ -70,6 +70,16 @@ class Runner:
         self.commanded = self._manipulator.configuration(measured)
         self.states = measured.astype(np.uint8)
 
+    def objection(self, goal: Planned) -> tuple[int, str] | None:
+        """Returns code and sentence of what forbids to begin a goal now, None if nothing does."""
+        trajectory = goal.plan.trajectory
+        late = 0.0 if trajectory.stamp is None else time.time() - trajectory.stamp - float(trajectory.times[-1])
+        if late > 0:
+            return codes.OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it was planned"
+        if self.execution is not None and self.execution.goal.id == goal.id:
+            return codes.INVALID_GOAL, f"id: goal {goal.id} is running already; one that replaces it needs its own"
+        return None
+
     def begin(self, goal: Planned, now: float) -> None:
         """Makes a goal the running one."""
         began = start(goal.plan.trajectory, self._lead, now, time.time())

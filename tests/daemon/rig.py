@@ -20,6 +20,15 @@ TRAVEL = 0.05
 ARM = paper_arm(2)
 
 
+A, B, C = (1, 2), (3, 4), (7, 0)  # configurations
+LOST = Fault("board-lost", "can0/1", "board can0/1: no heartbeat")
+
+
+def states(configuration: tuple[int, int]) -> list[int]:
+    """Its actuator states."""
+    return ARM.actuator_states(configuration).tolist()
+
+
 class FakeBoards:
     """Boards without a bus: what is committed is measured a travel time later."""
 
