@@ -1,10 +1,13 @@
 """What goes wrong with actuators, boards and processes, and the way back."""
 
+import dataclasses
 import threading
 import time
 
 import can
 import numpy as np
+import pytest
+from msgspec.structs import replace
 
 from controller.config import Arm
 from controller.daemon.service import Daemon, running, simulated
@@ -125,28 +128,37 @@ def test_a_missing_board_at_start_is_named_and_may_come_later(
     client.move(MIDDLE)
 
 
-def test_a_goal_while_starting_is_refused_with_the_reason(boards: Simulation, bench: Bench) -> None:
-    boards.silence("can0/3")  # keeps the start-up waiting
-    bench.run()
-    client = bench.observer()
-    answer = client.goal(MIDDLE, id="a")
-    assert client.heard["state"] == [] or client.heard["state"][0]["mode"] == "starting"
-    assert (answer["accepted"], answer["id"]) == (False, "a")
-    assert answer["message"] == "the arm is starting: the boards are being brought up"
-    client.wait_for("fault")
-
-
-def test_a_stop_while_starting_stays_until_reset(boards: Simulation, bench: Bench) -> None:
-    boards.silence("can0/3")
+@pytest.fixture
+def starting(boards: Simulation, bench: Bench) -> Observer:
+    """A client of a daemon that waits a minute for board can0/3, which has no power."""
+    patient = replace(bench.arm.settings, boards=replace(bench.arm.settings.boards, boot_timeout=60.0))
+    bench.arm = dataclasses.replace(bench.arm, settings=patient)
+    boards.power_cut("can0/3")
     bench.run()
     client = bench.observer()
     client.wait_for("starting")
-    client.ask("stop")
-    boards.unsilence("can0/3")
-    client.wait_now("stopped")
-    client.ask("reset")  # the first start-up may still be under way
-    client.wait_now("ready")
-    client.move(MIDDLE)
+    return client
+
+
+def test_a_goal_while_starting_is_refused_with_the_reason(starting: Observer, boards: Simulation) -> None:
+    answer = starting.goal(MIDDLE, id="a")
+    assert (answer["accepted"], answer["id"]) == (False, "a")
+    assert answer["message"] == "the arm is starting: the boards are being brought up"
+    boards.power_on("can0/3")
+    starting.wait_for("ready")
+    starting.move(MIDDLE)
+    assert starting.results("a") == []
+
+
+def test_a_stop_while_starting_stays_until_reset(starting: Observer, boards: Simulation) -> None:
+    starting.ask("stop")
+    starting.ask("reset")  # the first start-up is still under way
+    starting.ask("stop")
+    boards.power_on("can0/3")
+    starting.wait_now("stopped")
+    starting.ask("reset")
+    starting.wait_now("ready")
+    starting.move(MIDDLE)
 
 
 def test_another_master_is_a_fault(client: Observer, listener: can.BusABC) -> None:

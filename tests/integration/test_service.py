@@ -16,8 +16,9 @@ from controller.config import Arm
 from controller.daemon import session
 from controller.daemon.client import Client, Unanswered
 from controller.daemon.ledger import read
-from controller.daemon.service import Daemon, running
+from controller.daemon.service import Daemon, embedded, running
 from drivers.simulation import Simulation
+from drivers.wiring import Wiring
 from tests.conftest import PAPER_ARM
 from tests.daemon.waiting import PATIENCE, eventually
 from tests.integration.conftest import Bench
@@ -70,6 +71,11 @@ def test_a_ledger_that_cannot_be_written_stops_no_arm(bench: Bench, boards: Simu
     client.wait_for("ready")
     client.move(MIDDLE)
     eventually(lambda: any("cannot be written" in it["ledger"] for it in client.heard["diagnostics"]))
+
+
+def test_embedded_arms_never_share_a_bus(wiring: Wiring) -> None:
+    channels = [embedded(wiring).buses[0].channel for _ in range(3)]
+    assert len({*channels, wiring.buses[0].channel}) == 4
 
 
 def test_the_token_tells_that_the_daemon_is_there(bench: Bench, boards: Simulation) -> None:
