@@ -2,11 +2,10 @@
 
 import itertools
 import json
-import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
 from pathlib import Path
 
 import pytest
@@ -15,11 +14,9 @@ import zenoh
 from controller.config import Arm
 from controller.daemon import session
 from controller.daemon.client import Client, Unanswered
-from controller.daemon.ledger import read
 from controller.daemon.service import Daemon, embedded, running
 from drivers.simulation import Simulation
 from drivers.wiring import Wiring
-from tests.conftest import PAPER_ARM
 from tests.daemon.waiting import PATIENCE, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
@@ -171,72 +168,29 @@ def test_a_goal_forgotten_by_a_daemon_that_was_started_anew_is_not_waited_for(be
         )
         telling = stand_in.declare_publisher("hyperbit/a/state")
         client = Client(bench.session(), "a")
-        heard = []
-        subscriber = client.subscribe("state", lambda message: heard.append(message))
+        gone = threading.Event()
 
-        def tell(_: object) -> None:
-            for _ in range(20):
+        def tell() -> None:
+            while not gone.wait(0.05):
                 telling.put(json.dumps({"mode": "ready", "goal": None}))
 
-        eventually(lambda: tell(None) or heard)
+        teller = threading.Thread(target=tell, daemon=True)
+        teller.start()
         with pytest.raises(Unanswered, match=r"no word of goal x from arm 'a' for 0\.5 s"):
-            client.run({"id": "x", "waypoints": []}, tell, silence=0.5)
-        del queryable, subscriber
+            client.run({"id": "x", "waypoints": []}, silence=0.5)
+        gone.set()
+        teller.join(PATIENCE)
+        queryable.undeclare()
 
 
-@pytest.fixture
-def process(arm: Arm, endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """The installed command with simulated boards, as an operator runs it."""
-    command = [str(Path(sys.executable).with_name("hyperbit")), "run", str(PAPER_ARM), "--simulate"]
-    command += ["--listen", endpoint, "--ledger", str(tmp_path / "ledger.sqlite")]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "NOTIFY_SOCKET": ""})
-    yield process
-    process.kill()
-    process.communicate()
-
-
-def connected(bench: Bench, process: subprocess.Popen[str]) -> Observer:
-    """A client of the daemon in that process, once it listens."""
-
-    def connect() -> Observer | None:
-        assert process.poll() is None, process.stderr and process.stderr.read()
-        try:
-            return bench.observer()
-        except zenoh.ZError:
-            return None
-
-    client = eventually(connect, 2 * PATIENCE)
-    client.wait_for("ready")
-    return client
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_the_process_in_order(
-    process: subprocess.Popen[str], bench: Bench, tmp_path: Path, number: signal.Signals
-) -> None:
-    client = connected(bench, process)
-    client.move(MIDDLE, goal="a")
-    client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
-    client.wait_for("executing", "goal b")
-    process.send_signal(number)
-    assert process.wait(PATIENCE) == 0
-    result = client.result("b")
-    assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
-    switches, goals = read(tmp_path / "ledger.sqlite")
-    assert [(goal["id"], goal["status"]) for goal in goals] == [("b", "aborted"), ("a", "succeeded")]
-    assert sum(switches.values()) == client.result("a")["switches"]
-
-
-def test_a_killed_process_is_noticed(process: subprocess.Popen[str], bench: Bench) -> None:
-    client = connected(bench, process)
-    assert client.client.alive()
-    watching = bench.session()
-    client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
-    process.kill()
-    process.wait(PATIENCE)
-    name = "hyperbit/planar16/alive"
-    eventually(lambda: not any(reply.ok for reply in watching.liveliness().get(name, timeout=1.0)))
-    assert client.results("a") == []
+def test_what_still_waits_at_the_end_is_answered(bench: Bench, boards: Simulation) -> None:
+    daemon = bench.daemon()
+    daemon.quit()
+    replies = bench.session().get("hyperbit/planar16/stop", timeout=PATIENCE)
+    eventually(lambda: daemon.loop.inbox.waiting() == 2)
+    daemon.run()
+    (answer,) = [json.loads(reply.ok.payload.to_bytes()) for reply in replies]
+    assert (answer["accepted"], answer["message"]) == (False, "the daemon is shutting down; the arm holds")
 
 
 def test_a_daemon_that_cannot_listen_gives_its_bus_back(bench: Bench, boards: Simulation, daemon: Daemon) -> None:
