@@ -112,7 +112,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     travel_time: Annotated[float, Meta(gt=0, le=60)] = 0.05
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
-    method: Method = "ipop-previous"
+    method: Method = "minimum-switch"
     boards: BoardSettings = BoardSettings()
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)

@@ -9,12 +9,12 @@ from controller import plots
 from controller.config import Arm
 from controller.manipulator import frames
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.search.method import METHODS, Method
+from controller.search.method import PAPER_METHODS, PaperMethod
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 
 TARGETS = ((3.0, 0.7), (0.55, 2.9), (0.4, 2.9))
-TITLES: dict[Method, str] = {
+TITLES: dict[PaperMethod, str] = {
     "pop": "(a) POP",
     "ipop-previous": "(b) IPOP, similar to the previous",
     "ipop-contracted": "(c) IPOP, contracted",
@@ -36,7 +36,7 @@ class Row:
         switches: actuators that differ from the configuration before.
     """
 
-    method: Method
+    method: PaperMethod
     target: tuple[float, float]
     configuration: str
     x: float
@@ -49,7 +49,7 @@ class Row:
 def experiment(arm: Arm, densities: Densities) -> list[Row]:
     """Returns nine rows, as Figure 6 lists them."""
     solver, rows = Solver(arm.manipulator, densities), []
-    for method in METHODS:
+    for method in PAPER_METHODS:
         previous = np.zeros(len(arm.manipulator.modules), dtype=np.int64)
         for target in TARGETS:
             found = solver.solve(target, previous, arm.tolerance, method)
@@ -72,7 +72,7 @@ def experiment(arm: Arm, densities: Densities) -> list[Row]:
 def save(path: Path, arm: Arm, densities: Densities, rows: list[Row]) -> None:
     """Writes Figure 5 (a) to (c), one panel beside the other."""
     panels = []
-    for method in METHODS:
+    for method in PAPER_METHODS:
         own = [row for row in rows if row.method == method]
         reached = {f"({row.target[0]:g}, {row.target[1]:g})": row.configuration for row in own}
         configurations = {name: parse_configuration(arm.manipulator, text) for name, text in reached.items()}

@@ -95,6 +95,7 @@ def plan(
     else:
         wanted = read_goals(arm, goals or Path())
     solver = Solver(arm.manipulator, densities_of(arm, silent=as_json))
+    solver.prepare()
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     missed = 0
     for position, given in wanted:
@@ -113,6 +114,8 @@ def plan(
             "switches": found.switches,
             "within_tolerance": found.within_tolerance,
             "seconds": found.seconds,
+            "optimal": found.optimal,
+            "lower_bound": found.lower_bound if np.isfinite(found.lower_bound) else None,
         }
         if as_json:
             print_json(line)

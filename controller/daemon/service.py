@@ -104,6 +104,7 @@ class Daemon:
         timing: Timing | None = None,
     ) -> None:
         solver = Solver(arm.manipulator, densities)
+        solver.prepare()
         boards = Boards(wiring, timing or timing_of(arm))
         with ExitStack() as closing:  # from the last to the first: no more requests, all told, then the boards
             boards.connect()

@@ -114,6 +114,13 @@ class Manipulator:
             start += len(module.actuators)
         return result
 
+    def per_module(self, values: ArrayLike) -> NDArray[np.float64]:
+        """Returns values of the actuators (A,) by module, padded with 0, shape (B, Amax)."""
+        result = np.zeros((len(self.modules), self.bits.shape[2]))
+        filled = np.array([len(m.actuators) for m in self.modules])[:, None] > np.arange(self.bits.shape[2])
+        result[filled] = values
+        return result
+
     def switches(self, first: ArrayLike, second: ArrayLike) -> int:
         """Returns how many actuators differ between two configurations (B,)."""
         module = np.arange(len(self.modules))

@@ -1,5 +1,6 @@
 """A trajectory's plan: the configuration for each waypoint, each searched from the one before."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +11,9 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, Refusal
 from controller.motion.goal import Trajectory
 from controller.search.method import Method
-from controller.search.solver import Solution, Solver
+from controller.search.solver import DEADLINE, Solution, Solver
+
+PLANNING_TIME = 1.0  # [s] for the whole of a trajectory; what is left then is planned with the first answers
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +56,12 @@ def plan(
         Refusal: a waypoint is out of reach; the message has the nearest point found.
     """
     solutions: list[Solution] = []
+    until = time.perf_counter() + PLANNING_TIME
     dimension = solver.manipulator.dimension
     for k, goal in enumerate(trajectory.positions):
         proceed()
-        solution = solver.solve(goal, previous, trajectory.tolerance, method)
+        left = max(until - time.perf_counter(), 0.0)
+        solution = solver.solve(goal, previous, trajectory.tolerance, method, min(DEADLINE, left))
         if not solution.within_tolerance:
             nearest = ", ".join(f"{x:.4f}" for x in solution.tip[:dimension, 3])
             wanted = ", ".join(f"{x:g}" for x in goal)

@@ -19,6 +19,12 @@ def similarity(manipulator: Manipulator, previous: ArrayLike) -> Penalties:
     return weighted((manipulator.bits != own[:, None]).sum(axis=2))
 
 
+def switching(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np.float64]) -> Penalties:
+    """Returns what each state costs (B, Kmax): the weights, (B, Amax), of the actuators that differ from `previous`."""
+    own = manipulator.bits[np.arange(len(manipulator.modules)), np.asarray(previous)]
+    return np.asarray(((manipulator.bits != own[:, None]) * weights[:, None]).sum(axis=2), dtype=float)
+
+
 def contraction(manipulator: Manipulator) -> Penalties:
     """Returns penalties (B, Kmax) that count the extended actuators."""
     return weighted(manipulator.bits.sum(axis=2))

@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
 from controller.search.descent import descend
 from controller.search.method import Method
+from controller.search.minimum_switch import Found, MinimumSwitch
 from controller.search.tail import build_tail, finish
 from controller.workspace.densities import Densities
 
@@ -21,6 +23,8 @@ Vector = NDArray[np.float64]
 # little, to leave the secondary criterion room; the next is tried where the one before misses the tolerance; the last,
 # which nothing reaches, makes the search POP.
 ENOUGH = (30.0, 1_000.0, 10_000.0, np.inf)
+
+DEADLINE = 0.05  # [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,8 @@ class Solution:
         switches: actuators that differ from the previous configuration.
         within_tolerance: whether the error is within the tolerance asked for.
         seconds: time the search took.
+        cost: weighted number of switches.
+        lower_bound: no configuration within the tolerance costs less; infinite where there is proven to be none.
     """
 
     configuration: Configuration
@@ -42,6 +48,13 @@ class Solution:
     switches: int
     within_tolerance: bool
     seconds: float
+    cost: float
+    lower_bound: float = 0.0
+
+    @property
+    def optimal(self) -> bool:
+        """Whether it is proven that no configuration within the tolerance costs less."""
+        return self.within_tolerance and self.lower_bound >= self.cost * (1 - 1e-9)  # sums of weights are rounded
 
 
 class Solver:
@@ -52,15 +65,31 @@ class Solver:
         densities: of its intermediate workspaces.
     """
 
-    def __init__(self, manipulator: Manipulator, densities: Densities) -> None:
-        """Builds the exact table of the last modules."""
+    def __init__(self, manipulator: Manipulator, densities: Densities, weights: ArrayLike | None = None) -> None:
+        """Builds the exact table of the last modules.
+
+        Args:
+            manipulator: the arm.
+            densities: of its intermediate workspaces.
+            weights: of the actuators' switches, positive, shape (A,); all 1 if absent.
+        """
         self.manipulator = manipulator
         self.densities = densities
+        self._weights = manipulator.per_module(np.ones(len(manipulator.actuators)) if weights is None else weights)
         self._tail = build_tail(manipulator)
         self._to_base = inverse(manipulator.base)
 
+    def prepare(self) -> None:
+        """Claims the memory of the search for fewest switches, which the first searches would else wait for."""
+        self._minimum.claim()
+
     def solve(
-        self, goal: ArrayLike, previous: ArrayLike, tolerance: float, method: Method = "ipop-previous"
+        self,
+        goal: ArrayLike,
+        previous: ArrayLike,
+        tolerance: float,
+        method: Method = "minimum-switch",
+        deadline: float = DEADLINE,
     ) -> Solution:
         """Returns the configuration that a method takes for a goal.
 
@@ -68,27 +97,57 @@ class Solver:
             goal: tip position in the world, shape (2,) or (3,).
             previous: configuration to stay close to, and to count switches from, shape (B,).
             tolerance: distance from the goal that is good enough.
-            method: the algorithm of section 3.2, and for IPOP the secondary criterion.
+            method: fewest switches, or the algorithm of section 3.2 and for IPOP the secondary criterion.
+            deadline: time that the search for fewest switches may take [s]; it is never worse than IPOP.
         """
         began = time.perf_counter()
+        chosen = np.asarray(previous, dtype=np.int64)
         world = np.zeros(3)
         world[: len(np.asarray(goal))] = goal
-        local = self._towards(self._to_base[:3, :3] @ world + self._to_base[:3, 3])
-        stays = np.linalg.norm(self.manipulator.tip(previous)[:3, 3] - world) <= tolerance
-        if method == "ipop-previous" and stays:
-            best = np.array(previous)
+        local = self._to_base[:3, :3] @ world + self._to_base[:3, 3]
+        bound = 0.0
+        if method in ("minimum-switch", "ipop-previous") and self._error(chosen, world) <= tolerance:
+            best = chosen.copy()
+        elif method == "minimum-switch":
+            first = self._search(self._towards(local), chosen, tolerance, "ipop-previous")
+            best, bound = self._fewest(local, world, chosen, tolerance, first, began + deadline)
         else:
-            best = self._search(local, np.asarray(previous), tolerance, method)
-        tip = self.manipulator.tip(best)
-        error = float(np.linalg.norm(tip[:3, 3] - world))
+            best = self._search(self._towards(local), chosen, tolerance, method)
+        error = self._error(best, world)
         return Solution(
             configuration=best,
-            tip=tip,
+            tip=self.manipulator.tip(best),
             error=error,
-            switches=self.manipulator.switches(best, previous),
+            switches=self.manipulator.switches(best, chosen),
             within_tolerance=error <= tolerance,
             seconds=time.perf_counter() - began,
+            cost=self._cost(best, chosen),
+            lower_bound=bound,
         )
+
+    def _error(self, configuration: Configuration, world: Vector) -> float:
+        """Returns the distance of a configuration's tip from a point in the world."""
+        return float(np.linalg.norm(self.manipulator.tip(configuration)[:3, 3] - world))
+
+    def _cost(self, configuration: Configuration, previous: Configuration) -> float:
+        """Returns the weighted number of switches between two configurations."""
+        own = self.manipulator.bits[np.arange(len(previous)), previous]
+        new = self.manipulator.bits[np.arange(len(previous)), configuration]
+        return float(((own != new) * self._weights).sum())
+
+    def _fewest(
+        self, goal: Vector, world: Vector, previous: Configuration, tolerance: float, first: Configuration, until: float
+    ) -> tuple[Configuration, float]:
+        """Returns the cheapest configuration found from a first answer, and the bound proven."""
+        error = self._error(first, world)
+        cost = self._cost(first, previous) if error <= tolerance else np.inf
+        costs = criteria.switching(self.manipulator, previous, self._weights)
+        found = self._minimum.improve(goal, previous, costs, tolerance, Found(first, cost, error**2), until)
+        return found.configuration, found.bound
+
+    @cached_property
+    def _minimum(self) -> MinimumSwitch:
+        return MinimumSwitch(self.manipulator)
 
     def _towards(self, goal: Vector) -> Vector:
         """Returns `goal`, or, where it is outside the box of W_0, the centre of the nearest pixel that has points.

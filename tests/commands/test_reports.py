@@ -63,15 +63,17 @@ def test_plan_prints_one_line_of_json(hyperbit):
     assert code == 0
     assert list(line) == [
         *("goal", "configuration", "position", "orientation"),
-        *("error", "switches", "within_tolerance", "seconds"),
+        *("error", "switches", "within_tolerance", "seconds", "optimal", "lower_bound"),
     ]
     assert line["goal"] == [0.55, 2.9]
+    assert line["lower_bound"] <= line["switches"]
+    assert line["optimal"] is (line["lower_bound"] >= line["switches"])
     assert line["within_tolerance"] is True
     assert line["error"] == pytest.approx(math.dist(line["position"], line["goal"]))
     assert line["switches"] == sum(bin(int(digit)).count("1") for digit in line["configuration"])
 
 
-@pytest.mark.parametrize("method", ["pop", "ipop-previous", "ipop-contracted"])
+@pytest.mark.parametrize("method", ["minimum-switch", "pop", "ipop-previous", "ipop-contracted"])
 def test_plan_takes_method_tolerance_and_previous(hyperbit, method):
     words = (
         "--goal",

@@ -187,6 +187,6 @@ def planned(*configurations: Sequence[int], step: float = 0.2, stamp: float | No
     tips = [ARM.tip(configuration) for configuration in chosen]
     positions = np.array([tip[:2, 3] for tip in tips]) + np.array([error, 0])
     times = step * np.arange(len(chosen))
-    solutions = tuple(Solution(c, tip, error, 1, True, 0.0) for c, tip in zip(chosen, tips, strict=True))
+    solutions = tuple(Solution(c, tip, error, 1, True, 0.0, 1.0) for c, tip in zip(chosen, tips, strict=True))
     states = np.array([ARM.actuator_states(configuration) for configuration in chosen])
     return Plan(Trajectory(stamp, times, positions, 0.002), solutions, states)

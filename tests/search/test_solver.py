@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
-from controller.search.method import METHODS
+from controller.search.method import PAPER_METHODS
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import (
@@ -25,7 +25,7 @@ from tests.arms import (
 
 TARGETS = [(3.0, 0.7), (0.55, 2.9), (0.4, 2.9)]
 TOLERANCE = 0.002
-each_method = pytest.mark.parametrize("method", METHODS)
+each_method = pytest.mark.parametrize("method", PAPER_METHODS)
 
 
 def solver_of(manipulator: Manipulator, pixel: float = 0.02) -> Solver:
@@ -63,7 +63,7 @@ def followed(solver, method, goals):
 def test_a_hundred_goals_are_reached_and_history_saves_switches(solver):
     goals = random_goals(solver.manipulator, 100)
     switches = {}
-    for method in METHODS:
+    for method in PAPER_METHODS:
         solutions = followed(solver, method, goals)
         assert all(s.within_tolerance for s in solutions)
         switches[method] = np.mean([s.switches for s in solutions])
@@ -101,7 +101,7 @@ def test_contraction_extends_fewer_actuators(solver):
         method: np.mean(
             [solver.manipulator.actuator_states(s.configuration).sum() for s in followed(solver, method, goals)]
         )
-        for method in METHODS
+        for method in PAPER_METHODS
     }
     assert extended["ipop-contracted"] < extended["pop"]
     assert extended["ipop-contracted"] < extended["ipop-previous"]

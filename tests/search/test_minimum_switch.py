@@ -1,0 +1,166 @@
+"""Fewest switches, held to brute force on arms whose every configuration can be tried."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.vgt import vgt
+from controller.search.minimum_switch import middle
+from controller.search.segment import Storage, build_segment
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
+
+SURE = 1e-7  # a tip nearer to the tolerance than this may count as within or not
+
+
+def solver_of(arm: Manipulator, weights: np.ndarray | None = None) -> Solver:
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights)
+
+
+def costs_of(arm: Manipulator, previous: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    own = arm.actuator_states(previous)
+    return np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every_configuration(arm)])
+
+
+def brute_force(arm, goal, previous, tolerance, weights) -> tuple[float, float]:
+    """The least cost within the tolerance, taken narrowly and widely; infinite where there is none."""
+    away = np.linalg.norm(arm.tips(every_configuration(arm))[:, :3, 3] - goal, axis=1)
+    costs = costs_of(arm, previous, weights)
+    return tuple(float(costs[away <= tolerance + slack].min(initial=np.inf)) for slack in (-SURE, SURE))
+
+
+@settings(max_examples=60)
+@given(short_arms(most=4), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5), st.booleans())
+def test_brute_force_agrees(arm, seed, tolerance, weighted):
+    if np.prod(arm.states.astype(float)) > 5000:
+        return
+    rng = np.random.default_rng(seed)
+    weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
+    previous = rng.integers(0, arm.states)
+    goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
+    found = solver_of(arm, weights).solve(goal, previous, tolerance)
+    narrow, wide = brute_force(arm, goal, previous, tolerance, weights)
+    if found.within_tolerance:
+        assert wide - 1e-9 <= found.cost <= narrow + 1e-9
+        assert found.optimal
+        assert found.lower_bound == pytest.approx(found.cost)
+    else:
+        assert narrow == np.inf
+        assert found.lower_bound == np.inf
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_brute_force_agrees_on_200_goals_of_18_actuators(weighted):
+    arm = paper_arm(6)
+    rng = np.random.default_rng(6)
+    weights = rng.uniform(1.0, 3.0, 18) if weighted else np.ones(18)
+    solver = solver_of(arm, weights)
+    everything = every_configuration(arm)
+    tips = arm.tips(everything)[:, :3, 3]
+    states = np.concatenate([arm.bits[i][everything[:, i]] for i in range(6)], axis=1)
+    previous = np.zeros(6, dtype=np.int64)
+    for goal in tips[rng.integers(0, len(tips), 200)]:
+        costs = (states != arm.actuator_states(previous)) @ weights
+        least = costs[np.linalg.norm(tips - goal, axis=1) <= 0.005].min()
+        found = solver.solve(goal, previous, 0.005)
+        assert found.cost == pytest.approx(least)
+        assert found.optimal
+        previous = found.configuration
+
+
+def test_goals_in_sequence_are_met_proven_and_cheaper_than_ipop(arm, densities):
+    solver = Solver(arm.manipulator, densities)
+    rng = np.random.default_rng(3)
+    goals = arm.manipulator.tips(rng.integers(0, 8, (60, 16)))[:, :2, 3]
+    previous = np.zeros(16, dtype=np.int64)
+    proven = 0
+    for goal in goals:
+        ipop = solver.solve(goal, previous, 0.002, "ipop-previous")
+        found = solver.solve(goal, previous, 0.002, deadline=10.0)
+        assert found.within_tolerance
+        assert found.lower_bound <= found.cost == found.switches <= ipop.switches
+        proven += found.optimal
+        previous = found.configuration
+    assert proven >= 54
+
+
+def test_no_time_at_all_still_gives_ipops_answer_or_better(arm, densities):
+    solver = Solver(arm.manipulator, densities)
+    previous = np.zeros(16, dtype=np.int64)
+    found = solver.solve((0.55, 2.9), previous, 0.002, deadline=0.0)
+    assert found.within_tolerance
+    assert found.switches <= solver.solve((0.55, 2.9), previous, 0.002, "ipop-previous").switches
+
+
+def test_heavy_actuators_rest(arm, densities):
+    """With the lower half's switches dear, less of them than with all alike."""
+    weights = np.where(np.arange(48) < 24, 10.0, 1.0)
+    previous = np.zeros(16, dtype=np.int64)
+    rng = np.random.default_rng(8)
+    goals = arm.manipulator.tips(rng.integers(0, 8, (10, 16)))[:, :2, 3]
+
+    def lower_switches(solver: Solver) -> int:
+        found = [solver.solve(goal, previous, 0.002, deadline=10.0).configuration for goal in goals]
+        return sum(int(arm.manipulator.actuator_states(c)[:24].sum()) for c in found)
+
+    dear = lower_switches(Solver(arm.manipulator, densities, weights))
+    assert dear < lower_switches(Solver(arm.manipulator, densities))
+
+
+def test_a_goal_out_of_reach_gives_the_nearest_found_and_says_so(arm, densities):
+    found = Solver(arm.manipulator, densities).solve((6.0, 6.0), np.zeros(16, dtype=np.int64), 0.002)
+    assert not found.within_tolerance
+    assert not found.optimal
+    assert found.error == pytest.approx(np.linalg.norm(found.tip[:2, 3] - (6.0, 6.0)))
+
+
+def test_long_and_spatial_arms():
+    for arm, tolerance in ((paper_arm(64), 0.01), (spatial_arm(16), 0.02)):
+        rng = np.random.default_rng(4)
+        solver = Solver(arm, map_densities(arm, arm.length / 100, 20_000))
+        previous = rng.integers(0, arm.states)
+        for _ in range(3):
+            goal = arm.tip(rng.integers(0, arm.states))[:3, 3]
+            ipop = solver.solve(goal, previous, tolerance, "ipop-previous")
+            found = solver.solve(goal, previous, tolerance)
+            assert found.within_tolerance >= ipop.within_tolerance
+            assert not ipop.within_tolerance or found.cost <= ipop.cost
+            assert found.lower_bound <= found.cost or not found.within_tolerance
+            previous = found.configuration
+
+
+@given(st.lists(modules, min_size=1, max_size=4), st.integers(0, 2**32 - 1), st.integers(1, 400))
+@settings(max_examples=40)
+def test_a_segment_lists_all_that_is_nearer_than_what_it_leaves_out(chain, seed, rows):
+    arm = Manipulator(chain)
+    rng = np.random.default_rng(seed)
+    centre = rng.integers(0, arm.states)
+    weights = arm.per_module(rng.uniform(0.5, 2.0, len(arm.actuators)))
+    own = arm.bits[np.arange(len(chain)), centre]
+    distances = ((arm.bits != own[:, None]) * weights[:, None]).sum(axis=2).astype(float)
+    segment = build_segment(arm, Storage(rows + 1), centre, distances, distances, 0, len(chain))
+    listed = np.tile(centre, (len(segment.costs), 1))
+    for row, configuration in enumerate(listed):
+        segment.write(row, configuration)
+    assert len(np.unique(listed, axis=0)) == len(listed) <= max(rows, 1)
+    np.testing.assert_allclose(arm.tips(listed)[:, :3, 3], segment.positions, atol=1e-9)
+    np.testing.assert_allclose(arm.tips(listed)[:, :3, :3], segment.rotations, atol=1e-9)
+    module = np.arange(len(chain))
+    np.testing.assert_allclose(distances[module, listed].sum(axis=1), segment.costs, atol=1e-9)
+    if np.prod(arm.states.astype(float)) <= 2000:
+        everything = distances[module, every_configuration(arm)].sum(axis=1)
+        assert (everything < segment.beyond - 1e-9).sum() == (segment.costs < segment.beyond - 1e-9).sum()
+        assert segment.beyond == np.inf or np.isclose(everything, segment.beyond).any()
+
+
+def test_an_arm_is_cut_into_like_numbers_of_configurations():
+    assert middle(paper_arm(16), 0, 16) == 8
+    assert middle(paper_arm(16), 8, 16) == 12
+    assert middle(paper_arm(1), 0, 1) in (0, 1)
+    lengths = [(0.2, 0.25)] * 3
+    assert Manipulator([vgt("BC", 0.2, *lengths)]).states.tolist() == [8]
