@@ -1,6 +1,7 @@
 """An arm's YAML file: what it may say, and every fault in it by the path of the field."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -8,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
+from numpy.typing import NDArray
 
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
@@ -66,6 +68,13 @@ class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
     position: Positive
 
 
+class WeightSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """What a switch costs: at the base, as against 1 at the tip, and how much more where the ledger counts most."""
+
+    base: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    wear: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+
+
 class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Finest pixel (absent: 1/400 of the arm's length), and memory [MiB] that all densities together may take."""
 
@@ -101,6 +110,7 @@ class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
     node: Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
     output: Bit
     input: Bit | None = None
+    weight: Annotated[float, Meta(gt=0, le=1000)] = 1.0
 
 
 class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -113,6 +123,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = "minimum-switch"
+    weights: WeightSettings = WeightSettings()
     boards: BoardSettings = BoardSettings()
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)
@@ -142,6 +153,18 @@ class Arm:
         """Most pixels of one intermediate workspace, four bytes each: no level needs more than MOST_PIXELS."""
         share = self.settings.workspace.memory * 2**20 / 4 / (len(self.manipulator.modules) + 1)
         return max(1, min(MOST_PIXELS, int(share)))
+
+    def weights(self, switches: Mapping[str, int] | None = None) -> NDArray[np.float64]:
+        """Returns what a switch of each actuator costs, shape (A,).
+
+        Args:
+            switches: how often each has switched so far, by label; none if absent.
+        """
+        modules, settings = len(self.manipulator.modules), self.settings.weights
+        place = np.array([int(label.split(".")[0]) - 1 for label in self.manipulator.actuators])
+        own = np.linspace(settings.base, 1.0, modules)[place] * ([entry.weight for entry in self.wiring] or 1.0)
+        worn = np.array([(switches or {}).get(label, 0) for label in self.manipulator.actuators], dtype=float)
+        return np.asarray(own * (1.0 + settings.wear * worn / max(worn.max(), 1.0)))
 
     @property
     def tolerance(self) -> float:

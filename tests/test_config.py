@@ -2,6 +2,7 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import msgspec
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.config import Arm, load, to_builtins
+from controller.config import Arm, WeightSettings, load, to_builtins
 from controller.manipulator import frames
 from controller.strict import InputFaults
 
@@ -338,3 +339,17 @@ def test_however_a_document_is_changed_it_loads_or_says_why_not(read, data, seed
         said = arm.manipulator.actuators
     assert said
     assert all(said)
+
+
+def test_weights_fall_from_base_to_tip_and_grow_with_wear(arm):
+    assert arm.weights().tolist() == [1.0] * 48
+    settings = msgspec.structs.replace(arm.settings, weights=WeightSettings(base=4.0, wear=0.5))
+    heavy = [msgspec.structs.replace(entry, weight=2.0 if k == 7 else 1.0) for k, entry in enumerate(arm.wiring)]
+    weighted = replace(arm, settings=settings, wiring=tuple(heavy))
+    plain = weighted.weights()
+    assert plain[0] == plain[2] == 4.0
+    assert plain[-1] == 1.0
+    assert plain[7] == pytest.approx(2 * plain[6])
+    worn = weighted.weights({"1.left": 10, "1.right": 5, "no.such": 99})
+    assert worn[:3] / plain[:3] == pytest.approx([1.5, 1.0, 1.25])
+    assert worn[3:].tolist() == plain[3:].tolist()

@@ -94,7 +94,7 @@ def plan(
         wanted: Goals = [(parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
     else:
         wanted = read_goals(arm, goals or Path())
-    solver = Solver(arm.manipulator, densities_of(arm, silent=as_json))
+    solver = Solver(arm.manipulator, densities_of(arm, silent=as_json), arm.weights())
     solver.prepare()
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     missed = 0
@@ -114,6 +114,7 @@ def plan(
             "switches": found.switches,
             "within_tolerance": found.within_tolerance,
             "seconds": found.seconds,
+            "cost": found.cost,
             "optimal": found.optimal,
             "lower_bound": found.lower_bound if np.isfinite(found.lower_bound) else None,
         }

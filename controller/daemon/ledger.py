@@ -139,6 +139,15 @@ class Ledger:
         return rows
 
 
+def counted(path: Path) -> dict[str, int]:
+    """Returns the switches of each actuator so far; none where there is no ledger, or none that can be read."""
+    try:
+        return read(path)[0]
+    except sqlite3.Error as error:
+        log.info("wear counts as none: %s: %s", path, error)
+        return {}
+
+
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     """Returns the switches of each actuator and the goals, newest first.
 

@@ -13,7 +13,7 @@ import zenoh
 
 from controller.config import Arm
 from controller.daemon.events import Quit
-from controller.daemon.ledger import Ledger
+from controller.daemon.ledger import Ledger, counted
 from controller.daemon.loop import ControlLoop
 from controller.daemon.notify import Notifier
 from controller.daemon.outbox import Outbox
@@ -103,7 +103,7 @@ class Daemon:
         ledger: Path,
         timing: Timing | None = None,
     ) -> None:
-        solver = Solver(arm.manipulator, densities)
+        solver = Solver(arm.manipulator, densities, arm.weights(counted(ledger)))
         solver.prepare()
         boards = Boards(wiring, timing or timing_of(arm))
         with ExitStack() as closing:  # from the last to the first: no more requests, all told, then the boards

@@ -63,7 +63,7 @@ def test_plan_prints_one_line_of_json(hyperbit):
     assert code == 0
     assert list(line) == [
         *("goal", "configuration", "position", "orientation"),
-        *("error", "switches", "within_tolerance", "seconds", "optimal", "lower_bound"),
+        *("error", "switches", "within_tolerance", "seconds", "cost", "optimal", "lower_bound"),
     ]
     assert line["goal"] == [0.55, 2.9]
     assert line["lower_bound"] <= line["switches"]
