@@ -105,7 +105,7 @@ def test_much_can_be_left_out(read):
     )
     assert arm.wiring == ()
     assert arm.pixel == arm.manipulator.length / 400
-    assert (arm.settings.method, arm.settings.boards.heartbeat) == ("ipop-previous", 0.1)
+    assert (arm.settings.method, arm.settings.boards.heartbeat) == ("minimum-switch", 0.1)
 
 
 def test_diagonals_alternate_and_legs_may_differ(read):
