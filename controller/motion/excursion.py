@@ -1,0 +1,247 @@
+"""How far the tip strays from the straight line of a transition, whichever of its actuators have switched already."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Known = NDArray[np.bool_]
+
+COUNTED = 12  # most actuators of which every subset is tried
+STARTS = 16  # of the ascent to the greatest excursion, beside the two ends
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """The n actuators that switch, in m modules; a module's state is the mask of those that have switched, 0 before.
+
+    Attributes:
+        actuators: indices into the arm's actuators, shape (n,).
+        owners: module that each belongs to, shape (n,).
+        flags: its bit in that module's mask, shape (n,).
+        rotations: of each module for each mask, with the modules around it that stay, shape (m, 2^bits, 3, 3).
+        translations: likewise, shape (m, 2^bits, 3).
+        known: whether the module has a state with these actuator states, shape (m, 2^bits).
+        end: masks when all have switched, shape (m,).
+        line: the tip before and after, shape (2, 3).
+        unknown: what counts as excursion where a module has no state with its actuator states.
+    """
+
+    actuators: Index
+    owners: Index
+    flags: Index
+    rotations: Array
+    translations: Array
+    known: Known
+    end: Index
+    line: Array
+    unknown: float = np.inf
+
+    def masks(self, stages: list[Index]) -> Index:
+        """Returns the masks (m,) when stages, each of actuators (k,) counted among those that switch, have switched."""
+        masks = np.zeros_like(self.end)
+        for stage in stages:
+            np.add.at(masks, self.owners[stage], self.flags[stage])
+        return masks
+
+    def excursions(self, masks: Index, stage: Index) -> Array:
+        """Returns the excursions (2^k,) of all subsets of a stage (k,) on top of masks (m,); bit j is stage[j]."""
+        t = self
+        arguments = (t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks, stage, t.unknown)
+        return np.asarray(subsets(*arguments))
+
+    def greatest(self, masks: Index, stage: Index) -> float:
+        """Returns the greatest excursion of those subsets, for many actuators the greatest that ascent finds."""
+        if len(stage) <= COUNTED:
+            return float(self.excursions(masks, stage).max())
+        t, every = self, np.arange(self.known.shape[1])
+        lower, upper = masks[:, None], (masks + self.masks([stage]))[:, None]
+        between = (every & lower == lower) & (every | upper == upper)
+        if t.unknown == np.inf and (between & ~t.known).any():
+            return np.inf
+        mixed = np.random.default_rng(0).integers(0, 2, (STARTS, len(masks)), dtype=bool)
+        starts = [masks.copy(), upper[:, 0].copy(), *np.where(mixed, upper[:, 0], masks)]
+        return max(float(ascend(t.rotations, t.translations, between & t.known, t.line, s)) for s in starts)
+
+    def singles(self, masks: Index) -> Array:
+        """Returns the excursions (k, n) of each actuator switched on top of masks (k, m); infinite if it cannot be."""
+        t = self
+        return np.asarray(singles(t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks))
+
+    def back(self) -> "Transition":
+        """Returns the transition from end to start, through the same states."""
+        rows, masks = np.arange(len(self.end))[:, None], self.end[:, None] ^ np.arange(self.known.shape[1])
+        r, b, known = (np.ascontiguousarray(a[rows, masks]) for a in (self.rotations, self.translations, self.known))
+        return replace(self, rotations=r, translations=b, known=known, line=self.line[::-1].copy())
+
+
+def build_transition(manipulator: Manipulator, start: Configuration, end: Configuration) -> Transition:
+    """Returns the transition between configurations (B,)."""
+    ends = np.array([start, end])
+    bits = [module.bits[ends[:, i]] for i, module in enumerate(manipulator.modules)]
+    switching = [np.flatnonzero(b[0] != b[1]) for b in bits]
+    modules = [i for i, columns in enumerate(switching) if len(columns)]
+    size = 1 << max((len(columns) for columns in switching), default=0)
+    links, known = np.tile(np.eye(4), (len(modules), size, 1, 1)), np.zeros((len(modules), size), dtype=bool)
+    lead, row = manipulator.base, 0
+    for i, module in enumerate(manipulator.modules):
+        if not len(switching[i]):
+            lead = lead @ module.frames[start[i]]
+            continue
+        differ = module.bits != bits[i][0]
+        between = np.flatnonzero(differ.sum(axis=1) == differ[:, switching[i]].sum(axis=1))
+        masks = differ[np.ix_(between, switching[i])] @ (1 << np.arange(len(switching[i])))
+        links[row, masks], known[row, masks] = lead @ module.frames[between], True
+        lead, row = np.eye(4), row + 1
+    if modules:
+        links[-1] = links[-1] @ lead
+    offsets = np.cumsum([0, *(len(module.actuators) for module in manipulator.modules)])
+    every = [(offsets[i] + column, k, 1 << j) for k, i in enumerate(modules) for j, column in enumerate(switching[i])]
+    actuators, owners, flags = np.array(every, dtype=np.int64).reshape(-1, 3).T.copy()
+    return Transition(
+        actuators,
+        owners,
+        flags,
+        np.ascontiguousarray(links[..., :3, :3]),
+        np.ascontiguousarray(links[..., :3, 3]),
+        known,
+        np.array([(1 << len(switching[i])) - 1 for i in modules], dtype=np.int64),
+        np.ascontiguousarray(manipulator.tips(ends)[:, :3, 3]),
+    )
+
+
+@njit("f8(f8[::1], f8[:,::1])", cache=True, nogil=True, inline="always")
+def excursion(point: Array, line: Array) -> float:
+    """Returns the distance of a point (3,) from the straight line between two (2, 3)."""
+    dot, square, away = 0.0, 0.0, 0.0
+    for i in range(3):
+        along = line[1, i] - line[0, i]
+        square += along * along
+        dot += along * (point[i] - line[0, i])
+    part = min(max(dot / square, 0.0), 1.0) if square > 0 else 0.0
+    for i in range(3):
+        away += (point[i] - line[0, i] - part * (line[1, i] - line[0, i])) ** 2
+    return float(np.sqrt(away))
+
+
+@njit("void(f8[:,::1], f8[::1], f8[::1], f8[::1])", cache=True, nogil=True, inline="always")
+def carry(r: Array, b: Array, point: Array, out: Array) -> None:
+    """Writes b + R p; `out` may be the point itself."""
+    x, y, z = point[0], point[1], point[2]
+    for i in range(3):
+        out[i] = b[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
+
+
+@njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
+def append(r: Array, b: Array, s: Array, c: Array) -> None:
+    """Replaces the frame (R, b) by (R S, b + R c)."""
+    for i in range(3):
+        x, y, z = r[i, 0], r[i, 1], r[i, 2]
+        b[i] += x * c[0] + y * c[1] + z * c[2]
+        for j in range(3):
+            r[i, j] = x * s[0, j] + y * s[1, j] + z * s[2, j]
+
+
+@njit(
+    "f8[::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[::1], i8[::1], f8)",
+    cache=True,
+    nogil=True,
+)
+def subsets(
+    r: Array,
+    b: Array,
+    known: Known,
+    owners: Index,
+    flags: Index,
+    line: Array,
+    masks: Index,
+    stage: Index,
+    unknown: float,
+) -> Array:
+    """Returns the excursion of every subset of the stage."""
+    slots, count = np.full(len(masks), -1), 0
+    slots[owners[stage]] = 0
+    # Modules that stay are composed once, into a lead before each that moves and one behind the last.
+    lead_r, lead_b = np.empty((len(stage) + 1, 3, 3)), np.zeros((len(stage) + 1, 3))
+    lead_r[:] = np.eye(3)
+    moving = np.empty(len(stage), dtype=np.int64)
+    for i in range(len(masks)):
+        if slots[i] == 0:
+            moving[count], slots[i] = i, count
+            count += 1
+        else:
+            append(lead_r[count], lead_b[count], r[i, masks[i]], b[i, masks[i]])
+    result, point, states = np.empty(1 << len(stage)), np.empty(3), np.empty(count, dtype=np.int64)
+    for subset in range(len(result)):
+        for k in range(count):
+            states[k] = masks[moving[k]]
+        for j in range(len(stage)):
+            if subset >> j & 1:
+                states[slots[owners[stage[j]]]] |= flags[stage[j]]
+        point[:] = lead_b[count]
+        valid = True
+        for k in range(count - 1, -1, -1):
+            i, state = moving[k], states[k]
+            valid &= known[i, state]
+            carry(r[i, state], b[i, state], point, point)
+            carry(lead_r[k], lead_b[k], point, point)
+        result[subset] = excursion(point, line) if valid else unknown
+    return result
+
+
+@njit("void(f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
+    """Writes the tip in the frame below each module, (m + 1, 3)."""
+    tails[len(masks)] = 0.0
+    for i in range(len(masks) - 1, -1, -1):
+        carry(r[i, masks[i]], b[i, masks[i]], tails[i + 1], tails[i])
+
+
+@njit("f8(f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], f8[:,::1], i8[::1])", cache=True, nogil=True)
+def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> float:
+    """Takes each module in turn to its mask of greatest excursion until none gains; returns the excursion."""
+    tails, point = np.empty((len(masks) + 1, 3)), np.empty(3)
+    fill_tails(r, b, masks, tails)
+    best, before = excursion(tails[0], line), -1.0
+    while best > before:
+        before = best
+        head_r, head_b = np.eye(3), np.zeros(3)
+        for i in range(len(masks)):
+            for mask in range(allowed.shape[1]):
+                if allowed[i, mask]:
+                    carry(r[i, mask], b[i, mask], tails[i + 1], point)
+                    carry(head_r, head_b, point, point)
+                    away = excursion(point, line)
+                    if away > best:
+                        best, masks[i] = away, mask
+            append(head_r, head_b, r[i, masks[i]], b[i, masks[i]])
+        fill_tails(r, b, masks, tails)
+    return float(best)
+
+
+@njit(
+    "f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[:,::1])", cache=True, nogil=True
+)
+def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line: Array, masks: Index) -> Array:
+    """Returns the excursion of each actuator switched on top of each of the masks."""
+    result, m = np.full((len(masks), len(owners)), np.inf), len(r)
+    heads_r, heads_b, tails, point = np.empty((m + 1, 3, 3)), np.empty((m + 1, 3)), np.empty((m + 1, 3)), np.empty(3)
+    heads_r[0], heads_b[0] = np.eye(3), 0.0
+    for k in range(len(masks)):
+        fill_tails(r, b, masks[k], tails)
+        for i in range(m):
+            heads_r[i + 1], heads_b[i + 1] = heads_r[i], heads_b[i]
+            append(heads_r[i + 1], heads_b[i + 1], r[i, masks[k, i]], b[i, masks[k, i]])
+        for j in range(len(owners)):
+            i = owners[j]
+            mask = masks[k, i] | flags[j]
+            if mask != masks[k, i] and known[i, mask]:
+                carry(r[i, mask], b[i, mask], tails[i + 1], point)
+                carry(heads_r[i], heads_b[i], point, point)
+                result[k, j] = excursion(point, line)
+    return result
