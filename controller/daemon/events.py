@@ -32,6 +32,14 @@ class Planned(Request):
     plan: Plan
 
 
+@dataclass(frozen=True, eq=False)
+class Improved:
+    """A better plan for a goal that is being run, told by its arrival."""
+
+    arrival: int
+    plan: Plan
+
+
 class Cancel(Request):
     """Hold now, and take no goal that arrived before."""
 
@@ -56,4 +64,4 @@ class Quit:
     """The service is asked to end."""
 
 
-Event = Request | Started | Quit
+Event = Request | Improved | Started | Quit

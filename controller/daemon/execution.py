@@ -1,6 +1,6 @@
 """One goal being run: which waypoint is due when. It only reckons; the runner acts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,6 +21,7 @@ class Execution:
         settled_at: when that one's actuators are settled; infinite before the first.
         reported: waypoints up to this one have been reported settled, or were left out.
         switches: actuators switched so far.
+        plan: the goal's, or a better one that came later.
     """
 
     goal: Planned
@@ -30,11 +31,10 @@ class Execution:
     settled_at: float = np.inf
     reported: int = -1
     switches: int = 0
+    plan: Plan = field(init=False)
 
-    @property
-    def plan(self) -> Plan:
-        """The goal's plan."""
-        return self.goal.plan
+    def __post_init__(self) -> None:
+        self.plan = self.goal.plan
 
     @property
     def last(self) -> bool:

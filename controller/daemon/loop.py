@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from controller.daemon.bringup import BringUp
-from controller.daemon.events import Cancel, Event, Payload, Planned, Quit, Reset, Started, Stop
+from controller.daemon.events import Cancel, Event, Improved, Payload, Planned, Quit, Reset, Started, Stop
 from controller.daemon.inbox import Inbox
 from controller.daemon.ledger import Ledger
 from controller.daemon.messages import done, refused
@@ -179,6 +179,8 @@ class ControlLoop:
                 event.reply(done("stopped; the arm holds until reset"))
             case Reset():
                 self._reset(event)
+            case Improved():
+                self._runner.improve(event.arrival, event.plan)
             case Started():
                 self._started(event.faults)
             case Quit():

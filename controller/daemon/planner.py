@@ -7,7 +7,8 @@ import uuid
 from dataclasses import dataclass
 
 from controller.config import Arm
-from controller.daemon.events import Payload, Planned, Request
+from controller.daemon.events import Improved, Payload, Planned, Request
+from controller.daemon.foresight import Foresight
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.messages import done, refused
 from controller.daemon.state import pose
@@ -88,10 +89,29 @@ class Planner:
         if previous is None or (question.run and mode not in ("ready", "executing")):
             raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
         found = plan(self._solver, trajectory, previous, settings.method, lambda: self._proceed(question))
+        ahead = Foresight(self._solver, found, shortest) if settings.method == "minimum-switch" else None
         if question.run:
             self._loop.inbox.hand_over(Planned(question.arrival, question.reply, goal, found))
+            if ahead is not None:
+                self._improve(question, ahead)
         else:
-            question.reply(self._described(trajectory, found))
+            question.reply(self._described(trajectory, ahead.whole() if ahead is not None else found))
+
+    def _improve(self, question: Question, ahead: Foresight) -> None:
+        """Betters the plan of a goal while it is being run, until it is done or something else is to be planned."""
+        told = None
+        try:
+            for better in ahead.betters():
+                if better is not told:
+                    self._loop.inbox.put(Improved(question.arrival, better))
+                    told = better
+                self._proceed(question)
+                if not self._queue.empty() or self._loop.mode not in ("ready", "executing"):
+                    return
+        except Refusal:  # canceled or stopped: the goal has had its answer
+            return
+        except Exception:
+            log.exception("looking ahead failed, the goal goes on as first planned")
 
     def _proceed(self, question: Question) -> None:
         """Checks that the answer is still wanted.

@@ -13,6 +13,7 @@ from controller.daemon.ledger import Ledger
 from controller.daemon.state import measured_tip, pose, written
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
+from controller.motion.plan import Plan
 from drivers.boards import Boards
 from drivers.faults import BusBusy
 
@@ -86,6 +87,11 @@ class Runner:
         self.execution = Execution(goal, began, self._lead)
         self._accepted += 1
         self._ledger.accepted(self._accepted, goal.id, len(goal.plan.solutions))
+
+    def improve(self, arrival: int, plan: Plan) -> None:
+        """Takes a better plan for what is left of the goal of this arrival, if that is the running one."""
+        if self.execution is not None and self.execution.goal.arrival == arrival:
+            self.execution.plan = plan
 
     def advance(self, now: float) -> str | None:
         """Does what is due at `now`; returns a sentence on the end of the goal when that has come.

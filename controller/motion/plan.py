@@ -1,7 +1,7 @@
 """A trajectory's plan: the configuration for each waypoint, each searched from the one before."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from controller.motion.goal import Trajectory
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solution, Solver
 
-PLANNING_TIME = 1.0  # [s] for the whole of a trajectory; what is left then is planned with the first answers
+PLANNING_TIME = 0.03  # [s] for the whole of a trajectory; what is left then is planned with the first answers
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,17 @@ class Plan:
     def switches(self) -> int:
         """Actuators that switch, all waypoints together."""
         return sum(solution.switches for solution in self.solutions)
+
+    def improved(self, solver: Solver, first: int, configurations: Sequence[Configuration]) -> "Plan":
+        """Returns the plan with other configurations from waypoint `first`, at least 1, on; the rest stays as it is."""
+        solutions, states = list(self.solutions), self.actuator_states.copy()
+        end = first + len(configurations)
+        chosen = [*configurations, *(s.configuration for s in self.solutions[end : end + 1])]
+        for k, configuration in enumerate(chosen, first):
+            goal, before = self.trajectory.positions[k], solutions[k - 1].configuration
+            solutions[k] = solver.described(configuration, goal, before, self.trajectory.tolerance)
+            states[k] = solver.manipulator.actuator_states(configuration)
+        return Plan(self.trajectory, tuple(solutions), states)
 
 
 def plan(

@@ -141,7 +141,7 @@ def match(
 
 
 @njit(
-    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], i8[::1], f8, f8, f8, i8[:,::1], f8[::1])",
+    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], i8[::1], f8, f8, i8[:,::1], f8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -157,15 +157,14 @@ def collect(
     shape: Index,
     cell: float,
     tolerance: float,
-    most_cost: float,
     pairs: Index,
     pair_costs: Array,
 ) -> int:
-    """Writes the cheapest pairs within the tolerance, as many as `pairs` (n, 2) and `pair_costs` (n,) hold.
+    """Writes the cheapest pairs within the tolerance, and their costs, as many as there is room for.
 
-    Returns their number; pairs dearer than `most_cost` are left out.
+    Returns their number; `pairs` is of shape (n, 2), `pair_costs` of shape (n,).
     """
-    count, room, worst, limit = 0, len(pair_costs), most_cost, tolerance * tolerance
+    count, room, worst, limit = 0, len(pair_costs), np.inf, tolerance * tolerance
     for q in range(len(asking)):
         if asking_costs[q] > worst:
             continue

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.meeting import CELLS, carried, match, seen, sort_into_cells
+from controller.search.cells import Cells
+from controller.search.meeting import carried, seen
 from controller.search.segment import Segment, Storage, build_segment
 
 Array = NDArray[np.float64]
@@ -41,38 +42,6 @@ class Found:
 
 
 Check = tuple[float, int, bool]
-
-
-class Cells:
-    """Points sorted into cells, to be asked for what is near."""
-
-    def __init__(self, most: int) -> None:
-        """Allocates for at most `most` points."""
-        self._starts, self._order = np.empty(CELLS + 1, dtype=np.int32), np.empty(most, dtype=np.int32)
-        self._corner, self._shape = np.empty(3), np.empty(3, dtype=np.int64)
-        self._points, self._costs, self._cell, self._tolerance = np.empty((0, 3)), np.empty(0), 0.0, 0.0
-
-    def fill(self, points: Array, costs: Array, tolerance: float) -> None:
-        """Takes points (n, 3) and their costs (n,)."""
-        self._points, self._costs, self._tolerance = points, costs, tolerance
-        self._cell, _ = sort_into_cells(points, tolerance, self._starts, self._order, self._corner, self._shape)
-
-    def match(self, asking: Array, costs: Array, best: Found) -> tuple[int, int, float, float]:
-        """Returns the best pair of an asking row and a point, see meeting.match."""
-        return match(
-            asking,
-            costs,
-            self._points,
-            self._costs,
-            self._starts,
-            self._order,
-            self._corner,
-            self._shape,
-            self._cell,
-            self._tolerance,
-            best.cost,
-            best.square,
-        )
 
 
 class MinimumSwitch:
@@ -167,7 +136,7 @@ class MinimumSwitch:
         self._cells.fill(upper.positions, upper.costs, tolerance)
         asking = self._asking[: len(lower.costs)]
         seen(goal, lower.rotations, lower.positions, asking)
-        i, j, cost, square = self._cells.match(asking, lower.costs, best)
+        i, j, cost, square = self._cells.match(asking, lower.costs, best.cost, best.square)
         if i < 0:
             return best
         configuration = centre.copy()
@@ -224,14 +193,14 @@ class MinimumSwitch:
             if of_upper:
                 asking = self._asking[: len(b.costs)]
                 carried(upper.positions[row], b.rotations, b.positions, asking)
-                i, j, found, square = self._lower_cells.match(asking, b.costs + cost, best)
+                i, j, found, square = self._lower_cells.match(asking, b.costs + cost, best.cost, best.square)
                 parts = ((b, i), (a, j), (upper, row))
                 gap = min(a.beyond, b.beyond)
             else:
                 r, p = lower.rotations[row], lower.positions[row]
                 asking = self._asking[: len(c.costs)]
                 seen(r.T @ (goal - p), c.rotations, c.positions, asking)
-                i, j, found, square = self._upper_cells.match(asking, c.costs + cost, best)
+                i, j, found, square = self._upper_cells.match(asking, c.costs + cost, best.cost, best.square)
                 parts = ((c, i), (d, j), (lower, row))
                 gap = min(c.beyond, d.beyond)
             bound = min(bound, gap + cost)

@@ -49,6 +49,16 @@ class Segment:
             row = int(self.parents[row])
 
 
+@njit("void(i8[::1], i8[::1], i8[::1], i8[::1], i8[:,::1])", cache=True, nogil=True)
+def write_rows(rows: Index, parents: Index, modules: Index, choices: Index, configurations: Index) -> None:
+    """Puts the states of rows (n,) in configurations (n, B) that have the centre's."""
+    for n in range(len(rows)):
+        row = rows[n]
+        while row > 0:
+            configurations[n, modules[row]] = choices[row]
+            row = parents[row]
+
+
 class Storage:
     """Memory for segments' rows, used again for each: fresh pages would cost more time than what is written to them.
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
+from controller.search.candidates import Candidates
 from controller.search.descent import descend
 from controller.search.method import Method
 from controller.search.minimum_switch import Found, MinimumSwitch
@@ -63,6 +64,7 @@ class Solver:
     Attributes:
         manipulator: the arm.
         densities: of its intermediate workspaces.
+        least_weight: of any actuator's switches.
     """
 
     def __init__(self, manipulator: Manipulator, densities: Densities, weights: ArrayLike | None = None) -> None:
@@ -75,9 +77,11 @@ class Solver:
         """
         self.manipulator = manipulator
         self.densities = densities
-        self._weights = manipulator.per_module(np.ones(len(manipulator.actuators)) if weights is None else weights)
+        own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
+        self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
         self._tail = build_tail(manipulator)
         self._to_base = inverse(manipulator.base)
+        self._candidates: tuple[int, Candidates] | None = None
 
     def prepare(self) -> None:
         """Claims the memory of the search for fewest switches, which the first searches would else wait for."""
@@ -102,9 +106,7 @@ class Solver:
         """
         began = time.perf_counter()
         chosen = np.asarray(previous, dtype=np.int64)
-        world = np.zeros(3)
-        world[: len(np.asarray(goal))] = goal
-        local = self._to_base[:3, :3] @ world + self._to_base[:3, 3]
+        local, world = self._local(goal)
         bound = 0.0
         if method in ("minimum-switch", "ipop-previous") and self._error(chosen, world) <= tolerance:
             best = chosen.copy()
@@ -113,17 +115,47 @@ class Solver:
             best, bound = self._fewest(local, world, chosen, tolerance, first, began + deadline)
         else:
             best = self._search(self._towards(local), chosen, tolerance, method)
-        error = self._error(best, world)
+        return self.described(best, goal, chosen, tolerance, time.perf_counter() - began, bound)
+
+    def described(
+        self,
+        configuration: Configuration,
+        goal: ArrayLike,
+        previous: Configuration,
+        tolerance: float,
+        seconds: float = 0.0,
+        bound: float = 0.0,
+    ) -> Solution:
+        """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
+        error = self._error(configuration, self._local(goal)[1])
         return Solution(
-            configuration=best,
-            tip=self.manipulator.tip(best),
+            configuration=configuration,
+            tip=self.manipulator.tip(configuration),
             error=error,
-            switches=self.manipulator.switches(best, chosen),
+            switches=self.manipulator.switches(configuration, previous),
             within_tolerance=error <= tolerance,
-            seconds=time.perf_counter() - began,
-            cost=self._cost(best, chosen),
+            seconds=seconds,
+            cost=self._cost(configuration, previous),
             lower_bound=bound,
         )
+
+    def candidates(
+        self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int
+    ) -> tuple[NDArray[np.int64], Vector]:
+        """Returns at most `most` of the cheapest configurations (n, B) within the tolerance, and their costs (n,).
+
+        Only those that switch little are looked at; there may be none.
+        """
+        if self._candidates is None or self._candidates[0] != most:
+            self._candidates = (most, Candidates(self.manipulator, most))
+        costs = criteria.switching(self.manipulator, previous, self._weights)
+        return self._candidates[1].find(self._local(goal)[0], previous, costs, tolerance)
+
+    def _local(self, goal: ArrayLike) -> tuple[Vector, Vector]:
+        """Returns a goal in frame F_0 and in the world, shape (3,) each."""
+        world = np.zeros(3)
+        world[: len(np.asarray(goal))] = goal
+        return self._to_base[:3, :3] @ world + self._to_base[:3, 3], world
 
     def _error(self, configuration: Configuration, world: Vector) -> float:
         """Returns the distance of a configuration's tip from a point in the world."""

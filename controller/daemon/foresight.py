@@ -1,0 +1,52 @@
+"""Looking ahead while the arm moves: better plans for the waypoints still to come, each in time for its own."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from controller.daemon.execution import start
+from controller.motion.lookahead import LookAhead
+from controller.motion.plan import Plan
+from controller.search.solver import Solver
+
+MARGIN = 0.1  # [s] before a waypoint's actuators switch, at which its configuration is decided
+WHOLE_TIME = 5.0  # [s] for a plan that nobody waits to run
+
+
+class Foresight:
+    """Betters a plan from its second waypoint on; the first is on its way already.
+
+    Args:
+        solver: of the arm.
+        plan: to better.
+        lead: how long before a waypoint's time its actuators switch [s].
+    """
+
+    def __init__(self, solver: Solver, plan: Plan, lead: float) -> None:
+        self._solver, self._plan, self._lead = solver, plan, lead
+        self._start = start(plan.trajectory, lead, time.monotonic(), time.time())
+
+    def betters(self) -> Iterator[Plan]:
+        """Gives a better plan whenever more is decided, and the same again in between, to let others have a say."""
+        trajectory, told = self._plan.trajectory, 0
+        ahead = LookAhead(self._solver, self._plan.solutions[0].configuration, trajectory.tolerance)
+        for k, goal in enumerate(trajectory.positions[1:], 1):
+            ahead.extend(goal)
+            soon = time.monotonic() + self._lead + MARGIN - self._start
+            due = int(np.searchsorted(trajectory.times, soon)) - 1
+            ahead.decide(k if k == len(trajectory.times) - 1 else min(due, k))
+            decided = ahead.decided()
+            if len(decided) > told:
+                self._plan = self._plan.improved(self._solver, told + 1, decided[told:])
+                told = len(decided)
+            yield self._plan
+
+    def whole(self) -> Plan:
+        """Returns the plan bettered to its end, or as far as there is time."""
+        until = time.perf_counter() + WHOLE_TIME
+        self._start = np.inf  # nothing is due
+        for better in self.betters():
+            if time.perf_counter() > until:
+                return better
+        return self._plan

@@ -1,0 +1,54 @@
+"""Many cheap configurations for a goal, for those who choose among them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.search.cells import Cells
+from controller.search.meeting import seen
+from controller.search.minimum_switch import CLOSE, middle
+from controller.search.segment import Storage, build_segment, write_rows
+
+Array = NDArray[np.float64]
+
+ROWS = 1 << 12  # of each half
+
+
+class Candidates:
+    """The cheapest configurations near a given one, with the memory to find them.
+
+    Args:
+        manipulator: the arm.
+        most: how many to find at most.
+    """
+
+    def __init__(self, manipulator: Manipulator, most: int) -> None:
+        self._m = manipulator
+        self._half = middle(manipulator, 0, len(manipulator.modules))
+        self._lower, self._upper = Storage(ROWS + 1), Storage(ROWS + 1)
+        self._cells, self._asking = Cells(ROWS + 1), np.empty((ROWS + 1, 3))
+        self._pairs, self._costs = np.empty((most, 2), dtype=np.int64), np.empty(most)
+
+    def find(
+        self, goal: Array, centre: Configuration, costs: Array, tolerance: float
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Returns configurations (n, B) whose tips are within the tolerance, and what they cost (n,).
+
+        Args:
+            goal: in frame F_0, shape (3,).
+            centre: the configuration that costs nothing, shape (B,).
+            costs: of every state of every module, shape (B, Kmax).
+            tolerance: of the tip's distance from the goal.
+        """
+        count = len(self._m.modules)
+        lower = build_segment(self._m, self._lower, centre, costs, costs, 0, self._half)
+        upper = build_segment(self._m, self._upper, centre, costs, costs, self._half, count)
+        self._cells.fill(upper.positions, upper.costs, tolerance * CLOSE)
+        asking = self._asking[: len(lower.costs)]
+        seen(goal, lower.rotations, lower.positions, asking)
+        found = self._cells.collect(asking, lower.costs, self._pairs, self._costs)
+        configurations = np.tile(centre, (found, 1))
+        for segment, rows in zip((lower, upper), self._pairs[:found].T, strict=True):
+            chosen = np.ascontiguousarray(rows)
+            write_rows(chosen, segment.parents, segment.modules, segment.choices, configurations)
+        return configurations, self._costs[:found].copy()

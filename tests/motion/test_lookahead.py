@@ -1,0 +1,89 @@
+"""Looking ahead: fewer switches over a whole trajectory, every waypoint still met."""
+
+import numpy as np
+import pytest
+
+from controller.motion import lookahead
+from controller.motion.lookahead import LookAhead
+from controller.search.solver import Solver
+
+TOLERANCE = 0.002
+
+
+@pytest.fixture(scope="module")
+def solver(arm, densities):
+    return Solver(arm.manipulator, densities)
+
+
+def curve(count: int, radius: float = 0.3) -> np.ndarray:
+    turns = np.linspace(0.0, 2 * np.pi, count)
+    return np.column_stack((0.2 + radius * np.cos(turns), 2.6 + radius / 2 * np.sin(turns)))
+
+
+def cheapest_each_time(solver, start, goals) -> int:
+    total, previous = 0, start
+    for goal in goals:
+        found = solver.solve(goal, previous, TOLERANCE, deadline=10.0)
+        total, previous = total + found.switches, found.configuration
+    return total
+
+
+def switches(solver, start, configurations) -> int:
+    pairs = zip([start, *configurations], configurations, strict=False)
+    return sum(solver.manipulator.switches(a, b) for a, b in pairs)
+
+
+def followed(solver, start, goals, decide=lambda ahead, k: None):
+    ahead = LookAhead(solver, start, TOLERANCE)
+    for k, goal in enumerate(goals, 1):
+        ahead.extend(goal)
+        decide(ahead, k)
+    return ahead.decide(len(goals))
+
+
+def test_a_curve_of_100_waypoints_takes_at_least_15_percent_less(solver):
+    goals = curve(100)
+    start = solver.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE, deadline=10.0).configuration
+    chosen = followed(solver, start, goals[1:])
+    tips = solver.manipulator.tips(chosen)[:, :2, 3]
+    assert np.linalg.norm(tips - goals[1:], axis=1).max() <= TOLERANCE
+    assert switches(solver, start, chosen) <= 0.85 * cheapest_each_time(solver, start, goals[1:])
+
+
+def test_what_is_decided_stays_decided(solver):
+    goals = curve(20)
+    start = solver.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE).configuration
+    seen: list[list[bytes]] = []
+
+    def decide(ahead, k):
+        ahead.decide(max(k - 3, 0))  # as when the arm is on its heels
+        seen.append([c.tobytes() for c in ahead.decided()])
+
+    chosen = [c.tobytes() for c in followed(solver, start, goals[1:], decide)]
+    assert len(chosen) == 19
+    for k, decided in enumerate(seen, 1):
+        assert len(decided) >= max(k - 3, 0)
+        assert chosen[: len(decided)] == decided
+
+
+def test_a_waypoint_too_far_for_small_tables_is_met_all_the_same(solver):
+    start = np.zeros(16, dtype=np.int64)
+    goals = [(3.0, 0.7), (-1.5, 2.0), (-1.45, 2.0)]
+    chosen = followed(solver, start, goals)
+    tips = solver.manipulator.tips(chosen)[:, :2, 3]
+    assert np.linalg.norm(tips - goals, axis=1).max() <= TOLERANCE
+
+
+def test_weights_decide_what_is_cheap(arm, densities, monkeypatch):
+    monkeypatch.setattr(lookahead, "WIDTH", 8)
+    weights = np.where(np.arange(48) < 24, 5.0, 1.0)
+    goals = curve(12)
+    dear = {}
+    for name, solver in (
+        ("plain", Solver(arm.manipulator, densities)),
+        ("weighted", Solver(arm.manipulator, densities, weights)),
+    ):
+        start = solver.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE, "ipop-previous").configuration
+        states = [arm.manipulator.actuator_states(c) for c in (start, *followed(solver, start, goals[1:]))]
+        dear[name] = float((np.diff(np.array(states, dtype=int), axis=0) != 0)[:, :24].sum())
+    assert dear["weighted"] < dear["plain"]
