@@ -1,4 +1,4 @@
-"""The descent of the configuration tree, from base to tip: POP and IPOP (section 3.2), one kernel."""
+"""The descent of the configuration tree, from base to tip: POP and IPOP (section 3.2), one kernel; and a wider one."""
 
 import numpy as np
 from numba import njit
@@ -98,3 +98,82 @@ def descend(
         configuration[i] = best
         x, y, z = bx, by, bz
     return x, y, z
+
+
+@njit(
+    "i8(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
+    " f8[:,::1], f8, i8, i8[:,::1], f8[:,::1], f8[::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def spread(
+    goal: Array,
+    rotations: Array,
+    translations: Array,
+    states: Index,
+    values: NDArray[np.float32],
+    offsets: Index,
+    shapes: Index,
+    references: Array,
+    pixels: Array,
+    costs: Array,
+    worth: float,
+    depth: int,
+    configurations: Index,
+    wanted: Array,
+    prices: Array,
+) -> int:
+    """Fixes modules 1 to `depth` of many configurations at once: a beam through the configuration tree.
+
+    Of all children of the nodes of one level, those of least cost less `worth` times their measure are kept, as many as
+    there is room for. Writes their states to `configurations` (W, B), the goal in frame F_depth to `wanted` (W, 3) and
+    the costs so far to `prices` (W,), the best first; returns their number.
+
+    Args:
+        goal: position in frame F_0, shape (3,).
+        rotations: and the next seven: see descend.
+        translations: see descend.
+        states: see descend.
+        values: see descend.
+        offsets: see descend.
+        shapes: see descend.
+        references: see descend.
+        pixels: see descend.
+        costs: of every module's states, shape (B, Kmax).
+        worth: cost that one more unit of the measure makes up for.
+        depth: number of modules to fix.
+        configurations: written.
+        wanted: written.
+        prices: written.
+    """
+    width, most = len(prices), len(prices) * states.max()
+    parents, choices = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+    scores, points, totals = np.empty(most), np.empty((most, 3)), np.empty(most)
+    kept = np.empty_like(configurations)
+    wanted[0], prices[0], count = goal, 0.0, 1
+    for i in range(depth):
+        born = 0
+        for n in range(count):
+            x, y, z = wanted[n, 0], wanted[n, 1], wanted[n, 2]
+            for j in range(states[i]):
+                r, b = rotations[i, j], translations[i, j]
+                dx, dy, dz = x - b[0], y - b[1], z - b[2]
+                points[born, 0] = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
+                points[born, 1] = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
+                points[born, 2] = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+                p = points[born]
+                m = measure(values, offsets[i + 1], shapes[i + 1], references[i + 1], pixels[i + 1], p[0], p[1], p[2])
+                parents[born], choices[born], totals[born] = n, j, prices[n] + costs[i, j]
+                # Out of reach by any distance counts as worse than any cost.
+                scores[born] = totals[born] - worth * m if m >= 0 else 1e12 - m
+                born += 1
+        order = np.argsort(scores[:born])
+        count = min(born, width)
+        for n in range(count):
+            k = order[n]
+            kept[n, :i] = configurations[parents[k], :i]
+            kept[n, i] = choices[k]
+            wanted[n], prices[n] = points[k], totals[k]
+        configurations[:count, : i + 1] = kept[:count, : i + 1]
+    return count

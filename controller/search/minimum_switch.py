@@ -6,6 +6,7 @@ costs more than was listed, so the other costs little, and for each of those few
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,14 @@ class MinimumSwitch:
         self._asking.fill(0)
 
     def improve(
-        self, goal: Array, centre: Configuration, costs: Array, tolerance: float, best: Found, until: float
+        self,
+        goal: Array,
+        centre: Configuration,
+        costs: Array,
+        tolerance: float,
+        best: Found,
+        widen: Callable[[Found], Found],
+        until: float,
     ) -> Found:
         """Returns the cheapest configuration within the tolerance, and what is proven of its cost.
 
@@ -76,6 +84,7 @@ class MinimumSwitch:
             costs: of every state of every module, at least 0, shape (B, Kmax).
             tolerance: of the tip's distance from the goal.
             best: a first answer, of infinite cost if it is not within the tolerance.
+            widen: looks for a better one farther from the centre; called once, where the first lists prove nothing.
             until: `time.perf_counter()` at which to be done, nearly.
         """
         tolerance *= CLOSE
@@ -94,6 +103,8 @@ class MinimumSwitch:
                 best, bound = self._check(goal, lower, upper, centre, costs, tolerance, best, checks, until)
             if bound >= best.cost or bound == np.inf:
                 break
+            if most == LADDER[0]:
+                best = widen(best)
             best = self._wander(goal, costs, tolerance, best, storages, until - most * row_time)
         return Found(best.configuration, best.cost, best.square, min(bound, best.cost))
 

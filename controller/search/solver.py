@@ -4,6 +4,7 @@ import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
 from controller.search.candidates import Candidates
-from controller.search.descent import descend
+from controller.search.descent import descend, spread
 from controller.search.method import Method
 from controller.search.minimum_switch import Found, MinimumSwitch
 from controller.search.tail import build_tail, finish
@@ -26,6 +27,7 @@ Vector = NDArray[np.float64]
 ENOUGH = (30.0, 1_000.0, 10_000.0, np.inf)
 
 DEADLINE = 0.05  # [s]
+WIDTH = 32  # of the beam
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +176,31 @@ class Solver:
         error = self._error(first, world)
         cost = self._cost(first, previous) if error <= tolerance else np.inf
         costs = criteria.switching(self.manipulator, previous, self._weights)
-        found = self._minimum.improve(goal, previous, costs, tolerance, Found(first, cost, error**2), until)
+
+        def widen(best: Found) -> Found:
+            return self._spread(goal, costs, tolerance, best)
+
+        found = self._minimum.improve(goal, previous, costs, tolerance, Found(first, cost, error**2), widen, until)
         return found.configuration, found.bound
+
+    def _spread(self, goal: Vector, costs: criteria.Penalties, tolerance: float, best: Found) -> Found:
+        """Returns the best of a beam's configurations for a goal in F_0, or `best` if none is cheaper."""
+        m, d, t = self.manipulator, self.densities, self._tail
+        configurations = np.zeros((WIDTH, len(m.modules)), dtype=np.int64)
+        wanted, prices = np.zeros((WIDTH, 3)), np.zeros(WIDTH)
+        worth = float(self._weights.sum() / len(m.actuators))
+        arm: tuple[Any, ...] = (m.rotations, m.translations, m.states)
+        levels: tuple[Any, ...] = (d.values, d.offsets, d.shapes, d.references, d.pixels)
+        count = spread(goal, *arm, *levels, costs, worth, t.root, configurations, wanted, prices)
+        table: tuple[Any, ...] = (t.root, t.depth, t.points, t.cell, t.corner, t.shape, t.starts, t.order)
+        modules = np.arange(len(m.modules))
+        for configuration, (x, y, z), price in zip(configurations[:count], wanted, prices, strict=False):
+            if price < best.cost:
+                error = finish(x, y, z, tolerance, *table, costs, *arm, configuration)
+                cost = float(costs[modules, configuration].sum())
+                if error <= tolerance and cost < best.cost:
+                    best = Found(configuration, cost, error**2)
+        return best
 
     @cached_property
     def _minimum(self) -> MinimumSwitch:

@@ -164,3 +164,19 @@ def test_an_arm_is_cut_into_like_numbers_of_configurations():
     assert middle(paper_arm(1), 0, 1) in (0, 1)
     lengths = [(0.2, 0.25)] * 3
     assert Manipulator([vgt("BC", 0.2, *lengths)]).states.tolist() == [8]
+
+
+def test_the_beam_saves_a_long_arm_most_of_ipops_switches():
+    arm = paper_arm(48)
+    solver = Solver(arm, map_densities(arm, arm.length / 300, 60_000))
+    rng = np.random.default_rng(9)
+    previous = rng.integers(0, arm.states)
+    saved = []
+    for _ in range(5):
+        goal = arm.tip(rng.integers(0, arm.states))[:2, 3]
+        ipop = solver.solve(goal, previous, 0.005, "ipop-previous")
+        found = solver.solve(goal, previous, 0.005)
+        assert found.within_tolerance
+        saved.append(found.switches / ipop.switches)
+        previous = found.configuration
+    assert np.mean(saved) < 0.5
