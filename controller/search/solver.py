@@ -4,7 +4,6 @@ import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -189,14 +188,27 @@ class Solver:
         configurations = np.zeros((WIDTH, len(m.modules)), dtype=np.int64)
         wanted, prices = np.zeros((WIDTH, 3)), np.zeros(WIDTH)
         worth = float(self._weights.sum() / len(m.actuators))
-        arm: tuple[Any, ...] = (m.rotations, m.translations, m.states)
-        levels: tuple[Any, ...] = (d.values, d.offsets, d.shapes, d.references, d.pixels)
-        count = spread(goal, *arm, *levels, costs, worth, t.root, configurations, wanted, prices)
-        table: tuple[Any, ...] = (t.root, t.depth, t.points, t.cell, t.corner, t.shape, t.starts, t.order)
+        count = spread(
+            goal,
+            m.rotations,
+            m.translations,
+            m.states,
+            d.values,
+            d.offsets,
+            d.shapes,
+            d.references,
+            d.pixels,
+            costs,
+            worth,
+            t.root,
+            configurations,
+            wanted,
+            prices,
+        )
         modules = np.arange(len(m.modules))
         for configuration, (x, y, z), price in zip(configurations[:count], wanted, prices, strict=False):
             if price < best.cost:
-                error = finish(x, y, z, tolerance, *table, costs, *arm, configuration)
+                error = self._finish(x, y, z, tolerance, costs, configuration)
                 cost = float(costs[modules, configuration].sum())
                 if error <= tolerance and cost < best.cost:
                     best = Found(configuration, cost, error**2)
@@ -256,8 +268,23 @@ class Solver:
             t.root,
             configuration,
         )
-        error = finish(
-            *wanted,
+        return configuration, self._finish(*wanted, tolerance, penalties, configuration)
+
+    def _finish(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        tolerance: float,
+        penalties: criteria.Penalties,
+        configuration: Configuration,
+    ) -> float:
+        """Fixes the modules that the densities leave, for a goal in frame F_root; returns the error."""
+        m, t = self.manipulator, self._tail
+        return finish(
+            x,
+            y,
+            z,
             tolerance,
             t.root,
             t.depth,
@@ -273,7 +300,6 @@ class Solver:
             m.states,
             configuration,
         )
-        return configuration, error
 
     def _thresholds(self, tolerance: float, enough: float) -> NDArray[np.float64]:
         """Returns, for each level, the ln of a pixel's count at which `enough` points are within the tolerance."""
