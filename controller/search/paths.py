@@ -1,0 +1,170 @@
+"""Paths of probability: the densities' descent from the base, finished by the exact tail."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.search import criteria
+from controller.search.descent import descend, spread
+from controller.search.method import PaperMethod
+from controller.search.minimum_switch import Found
+from controller.search.tail import build_tail, finish
+from controller.workspace.densities import Densities
+
+Vector = NDArray[np.float64]
+
+# The primary criterion's threshold: as many configurations must be expected to end within the tolerance. The first asks
+# little, to leave the secondary criterion room; the next is tried where the one before misses the tolerance; the last,
+# which nothing reaches, makes the search POP.
+ENOUGH = (30.0, 1_000.0, 10_000.0, np.inf)
+WIDTH = 32  # of the beam
+
+
+class Paths:
+    """POP and IPOP of one manipulator, and a beam; holds the exact table of the last modules."""
+
+    def __init__(self, manipulator: Manipulator, densities: Densities) -> None:
+        """Builds the table."""
+        self.manipulator = manipulator
+        self.densities = densities
+        self._tail = build_tail(manipulator)
+
+    def follow(self, goal: Vector, previous: Configuration, tolerance: float, method: PaperMethod) -> Configuration:
+        """Returns the first configuration within the tolerance as the threshold rises, else the nearest seen.
+
+        Args:
+            goal: in frame F_0, shape (3,).
+            previous: configuration to stay close to, shape (B,).
+            tolerance: distance from the goal that is good enough.
+            method: the algorithm, and for IPOP the secondary criterion.
+        """
+        goal = self._towards(goal)
+        if method == "pop":
+            return self._descend(goal, 0.0, criteria.indifferent(self.manipulator), np.inf)[0]
+        if method == "ipop-previous":
+            penalties = criteria.similarity(self.manipulator, previous)
+        else:
+            penalties = criteria.contraction(self.manipulator)
+        best, best_error = previous, np.inf
+        for enough in ENOUGH:
+            configuration, error = self._descend(goal, tolerance, penalties, enough)
+            if error < best_error:
+                best, best_error = configuration, error
+            if error <= tolerance:
+                break
+        return best
+
+    def spread(self, goal: Vector, costs: criteria.Penalties, tolerance: float, worth: float, best: Found) -> Found:
+        """Returns the best of a beam's configurations for a goal in F_0, or `best` if none is cheaper.
+
+        Args:
+            goal: in frame F_0, shape (3,).
+            costs: of every module's states, shape (B, Kmax).
+            tolerance: distance from the goal that is good enough.
+            worth: cost that one more unit of the measure makes up for.
+            best: found before.
+        """
+        m, d, t = self.manipulator, self.densities, self._tail
+        configurations = np.zeros((WIDTH, len(m.modules)), dtype=np.int64)
+        wanted, prices = np.zeros((WIDTH, 3)), np.zeros(WIDTH)
+        count = spread(
+            goal,
+            m.rotations,
+            m.translations,
+            m.states,
+            d.values,
+            d.offsets,
+            d.shapes,
+            d.references,
+            d.pixels,
+            costs,
+            worth,
+            t.root,
+            configurations,
+            wanted,
+            prices,
+        )
+        modules = np.arange(len(m.modules))
+        for configuration, (x, y, z), price in zip(configurations[:count], wanted, prices, strict=False):
+            if price < best.cost:
+                error = self._finish(x, y, z, tolerance, costs, configuration)
+                cost = float(costs[modules, configuration].sum())
+                if error <= tolerance and cost < best.cost:
+                    best = Found(configuration, cost, error**2)
+        return best
+
+    def _towards(self, goal: Vector) -> Vector:
+        """Returns `goal`, or, where it is outside the box of W_0, the centre of the nearest pixel that has points.
+
+        Every density is as good as zero out there: distances to their boxes would lead the descent astray.
+        """
+        low, high = self.densities.box(0)
+        if np.all((low <= goal) & (goal <= high)):
+            return goal
+        z, y, x = np.nonzero(self.densities.level(0) >= 0)
+        centres = self.densities.references[0] + self.densities.pixels[0] * np.column_stack((x, y, z))
+        return np.asarray(centres[np.argmin(np.linalg.norm(centres - goal, axis=1))])
+
+    def _descend(
+        self, goal: Vector, tolerance: float, penalties: criteria.Penalties, enough: float
+    ) -> tuple[Configuration, float]:
+        """Returns configuration and error of one descent to `goal` (3,) in the base frame."""
+        m, d, t = self.manipulator, self.densities, self._tail
+        configuration = np.zeros(len(m.modules), dtype=np.int64)
+        wanted = descend(
+            goal,
+            m.rotations,
+            m.translations,
+            m.states,
+            d.values,
+            d.offsets,
+            d.shapes,
+            d.references,
+            d.pixels,
+            penalties,
+            self._thresholds(tolerance, enough),
+            t.root,
+            configuration,
+        )
+        return configuration, self._finish(*wanted, tolerance, penalties, configuration)
+
+    def _finish(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        tolerance: float,
+        penalties: criteria.Penalties,
+        configuration: Configuration,
+    ) -> float:
+        """Fixes the modules that the densities leave, for a goal in frame F_root; returns the error."""
+        m, t = self.manipulator, self._tail
+        return finish(
+            x,
+            y,
+            z,
+            tolerance,
+            t.root,
+            t.depth,
+            t.points,
+            t.cell,
+            t.corner,
+            t.shape,
+            t.starts,
+            t.order,
+            penalties,
+            m.rotations,
+            m.translations,
+            m.states,
+            configuration,
+        )
+
+    def _thresholds(self, tolerance: float, enough: float) -> NDArray[np.float64]:
+        """Returns, for each level, the ln of a pixel's count at which `enough` points are within the tolerance."""
+        if np.isinf(enough):
+            return np.full(len(self.densities.pixels), np.inf)
+        ball = math.pi * tolerance**2 if self.manipulator.planar else 4 / 3 * math.pi * tolerance**3
+        volumes = self.densities.pixels**self.manipulator.dimension
+        return np.log(np.maximum(enough * volumes / ball, 1.0))
