@@ -8,6 +8,7 @@ costs more than was listed, so the other costs little, and for each of those few
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 
 LADDER = (1 << 14, 1 << 16, 1 << 18)  # rows of a half, the next where the one before proves nothing
 QUARTER = 1 << 14
+BEAMS = (32, 128, 512)  # widths, the next where there is time
 MOST_CHECKS = 128
 CLOSE = 1.0 - 1e-9  # the tolerance is kept whatever the order of additions
 
@@ -73,7 +75,7 @@ class MinimumSwitch:
         costs: Array,
         tolerance: float,
         best: Found,
-        widen: Callable[[Found], Found],
+        widen: Callable[[Found, int], Found],
         until: float,
     ) -> Found:
         """Returns the cheapest configuration within the tolerance, and what is proven of its cost.
@@ -84,11 +86,11 @@ class MinimumSwitch:
             costs: of every state of every module, at least 0, shape (B, Kmax).
             tolerance: of the tip's distance from the goal.
             best: a first answer, of infinite cost if it is not within the tolerance.
-            widen: looks for a better one farther from the centre; called once, where the first lists prove nothing.
+            widen: looks for a better one farther from the centre, with a beam of a width.
             until: `time.perf_counter()` at which to be done, nearly.
         """
         tolerance *= CLOSE
-        bound, row_time = 0.0, 0.0
+        bound, row_time, beam_time = 0.0, 0.0, 0.0
         for most, storages in zip(LADDER, self._halves, strict=True):
             began = time.perf_counter()
             if began + most * row_time > until:
@@ -104,8 +106,15 @@ class MinimumSwitch:
             if bound >= best.cost or bound == np.inf:
                 break
             if most == LADDER[0]:
-                best = widen(best)
+                began = time.perf_counter()
+                best = widen(best, BEAMS[0])
+                beam_time = time.perf_counter() - began
             best = self._wander(goal, costs, tolerance, best, storages, until - most * row_time)
+        for before, width in pairwise(BEAMS):
+            beam_time *= 1.5 * width / before
+            if bound >= best.cost or bound == np.inf or time.perf_counter() + beam_time > until:
+                break
+            best = self._wander(goal, costs, tolerance, widen(best, width), self._halves[0], until)
         return Found(best.configuration, best.cost, best.square, min(bound, best.cost))
 
     def _wander(

@@ -19,7 +19,6 @@ Vector = NDArray[np.float64]
 # little, to leave the secondary criterion room; the next is tried where the one before misses the tolerance; the last,
 # which nothing reaches, makes the search POP.
 ENOUGH = (30.0, 1_000.0, 10_000.0, np.inf)
-WIDTH = 32  # of the beam
 
 
 class Paths:
@@ -56,7 +55,9 @@ class Paths:
                 break
         return best
 
-    def spread(self, goal: Vector, costs: criteria.Penalties, tolerance: float, worth: float, best: Found) -> Found:
+    def spread(
+        self, goal: Vector, costs: criteria.Penalties, tolerance: float, worth: float, width: int, best: Found
+    ) -> Found:
         """Returns the best of a beam's configurations for a goal in F_0, or `best` if none is cheaper.
 
         Args:
@@ -64,11 +65,12 @@ class Paths:
             costs: of every module's states, shape (B, Kmax).
             tolerance: distance from the goal that is good enough.
             worth: cost that one more unit of the measure makes up for.
+            width: how many partial configurations are kept at each module.
             best: found before.
         """
         m, d, t = self.manipulator, self.densities, self._tail
-        configurations = np.zeros((WIDTH, len(m.modules)), dtype=np.int64)
-        wanted, prices = np.zeros((WIDTH, 3)), np.zeros(WIDTH)
+        configurations = np.zeros((width, len(m.modules)), dtype=np.int64)
+        wanted, prices = np.zeros((width, 3)), np.zeros(width)
         count = spread(
             goal,
             m.rotations,

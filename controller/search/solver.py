@@ -169,8 +169,8 @@ class Solver:
         costs = criteria.switching(self.manipulator, previous, self._weights)
         worth = float(self._weights.sum() / len(self.manipulator.actuators))
 
-        def widen(best: Found) -> Found:
-            return self._paths.spread(goal, costs, tolerance, worth, best)
+        def widen(best: Found, width: int) -> Found:
+            return self._paths.spread(goal, costs, tolerance, worth, width, best)
 
         found = self._minimum.improve(goal, previous, costs, tolerance, Found(first, cost, error**2), widen, until)
         return found.configuration, found.bound
