@@ -19,6 +19,7 @@ check: $(VENV)/installed
 
 bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.mapping
+	$(BIN)/python -m tests.benchmarks.search
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

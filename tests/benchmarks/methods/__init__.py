@@ -1,0 +1,66 @@
+"""What is compared. A method is a file with `prepare(manipulator, densities, ...)`, which returns its problem (tables),
+and `solve(problem, goal, previous, tolerance)`, which returns a configuration.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from controller.search.method import METHODS as PRODUCT_METHODS
+from tests.benchmarks.methods import (
+    annealing,
+    continuous,
+    k_switch,
+    meeting,
+    optimum,
+    paper_ipop,
+    paper_pop,
+    product,
+    two_by_two,
+)
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method.
+
+    Attributes:
+        name: in tables and plots.
+        prepare: builds the tables.
+        solve: takes a goal.
+        most: goals that it is measured on, the first of a set; where it is slow.
+        mapped: whether the densities are among its tables.
+    """
+
+    name: str
+    prepare: Callable[..., Any]
+    solve: Callable[..., Any]
+    most: int | None = None
+    mapped: bool = False
+
+
+OURS = "minimum-switch"
+SLOW = 50
+
+OPTIMUM = Method("proven optimum", optimum.prepare, optimum.solve)
+MEETING = Method("meet in the middle", meeting.prepare, meeting.solve, mapped=True)
+METHODS = (
+    *(
+        Method(f"hyperbit {name}", partial(product.prepare, method=name), product.solve, mapped=True)
+        for name in (OURS, "ipop-previous", "pop")
+        if name in PRODUCT_METHODS
+    ),
+    MEETING,
+    Method("POP, as printed", paper_pop.prepare, paper_pop.solve, mapped=True),
+    Method("IPOP, as printed", paper_ipop.prepare, paper_ipop.solve, mapped=True),
+    Method("two-by-two", two_by_two.prepare, two_by_two.solve),
+    Method("k-switch, k = 3", partial(k_switch.prepare, switches=3), k_switch.solve),
+    Method("k-switch, k = 4", partial(k_switch.prepare, switches=4), k_switch.solve),
+    Method("continuous, rounded", continuous.prepare, continuous.solve, most=SLOW),
+)
+
+
+def annealed(name: str, seconds: float) -> Method:
+    """Returns annealing that takes so long for a goal."""
+    return Method(name, partial(annealing.prepare, seconds=seconds), annealing.solve, most=SLOW)

@@ -1,0 +1,106 @@
+"""POP as printed: Ebert-Uphoff and Chirikjian 1996, section 3.2.1. At each module the branch of greatest density.
+
+Pixels alone decide, up to the last module. Where no branch has density the paper is silent; the nearest pixel that has
+some is taken then, which is kinder to it than an arbitrary branch.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.workspace.densities import Densities
+from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    arm: Planar
+    densities: Densities
+
+
+def prepare(manipulator: Manipulator, densities: Densities) -> Problem:
+    return Problem(planar(manipulator), densities)
+
+
+def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    nothing_passes = np.full(len(previous) + 1, np.inf)
+    return descent(problem, goal, problem.arm.costs(previous), nothing_passes)
+
+
+def descent(problem: Problem, goal: Array, penalties: Index, thresholds: Array) -> Configuration:
+    """Returns what the descent chooses; thresholds are on ln of a pixel's count, shape (B+1,)."""
+    arm, d = problem.arm, problem.densities
+    configuration = np.zeros(len(arm.states), dtype=np.int64)
+    descend(
+        goal,
+        arm.down,
+        arm.states,
+        d.values,
+        d.offsets,
+        d.shapes,
+        d.references,
+        d.pixels,
+        penalties,
+        thresholds,
+        configuration,
+    )
+    return configuration
+
+
+@njit("f8(f4[::1], i8, i8[::1], f8[::1], f8, f8, f8)", cache=True, nogil=True, error_model="numpy", inline="always")
+def density(
+    values: NDArray[np.float32], offset: int, shape: Index, reference: Array, pixel: float, x: float, y: float
+) -> float:
+    """Returns ln of the count in the point's pixel, or minus the distance to the nearest pixel that has any."""
+    fx, fy = (x - reference[0]) / pixel, (y - reference[1]) / pixel
+    ix = min(max(int(np.floor(fx + 0.5)), 0), shape[2] - 1)
+    iy = min(max(int(np.floor(fy + 0.5)), 0), shape[1] - 1)
+    value = float(values[offset + iy * shape[2] + ix])
+    if max(abs(fx - ix), abs(fy - iy)) > 0.51:
+        value = min(value, 0.0) - pixel * np.sqrt((fx - ix) ** 2 + (fy - iy) ** 2)
+    return value
+
+
+@njit(
+    "void(f8[::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1], i8[:,::1], f8[::1], i8[::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def descend(
+    goal: Array,
+    down: Array,
+    states: Index,
+    values: NDArray[np.float32],
+    offsets: Index,
+    shapes: Index,
+    references: Array,
+    pixels: Array,
+    penalties: Index,
+    thresholds: Array,
+    configuration: Index,
+) -> None:
+    """Writes the configuration: of the branches above the threshold that of least penalty, else the densest."""
+    x, y = goal[0], goal[1]
+    for i in range(len(states)):
+        best, best_density, best_penalty, best_passes = -1, 0.0, 0, False
+        for j in range(states[i]):
+            px, py = moved(down[i, j], x, y)
+            n = i + 1
+            value = density(values, offsets[n], shapes[n], references[n], pixels[n], px, py)
+            passes = value >= thresholds[n]
+            if passes == best_passes:
+                better = (
+                    penalties[i, j] < best_penalty
+                    if passes and penalties[i, j] != best_penalty
+                    else value > best_density
+                )
+            else:
+                better = passes
+            if best < 0 or better:
+                best, best_density, best_penalty, best_passes = j, value, penalties[i, j], passes
+        configuration[i] = best
+        x, y = moved(down[i, best], x, y)

@@ -1,0 +1,63 @@
+"""A planar arm as plain arrays for the kernels of the methods compared: motions of points, and what they switch."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Planar:
+    """The arm. A motion (c, s, x, y) takes a point to (c px - s py + x, s px + c py + y).
+
+    Attributes:
+        states: K_i, shape (B,).
+        up: how a point in frame i stands in frame i-1, for each state, shape (B, K, 4).
+        down: how a point in frame i-1 stands in frame i, shape (B, K, 4).
+        differing: actuators that differ between two states of a module, shape (B, K, K).
+    """
+
+    states: Index
+    up: Array
+    down: Array
+    differing: Index
+
+    def costs(self, previous: Configuration) -> Index:
+        """Switches to each state of each module from a configuration, shape (B, K)."""
+        return np.ascontiguousarray(self.differing[np.arange(len(self.states)), previous])
+
+
+def planar(manipulator: Manipulator) -> Planar:
+    """Returns the arm's arrays; it must be planar and stand at the origin."""
+    if not manipulator.planar or not np.allclose(manipulator.base, np.eye(4)):
+        raise ValueError("the methods compared here take planar arms that stand at the origin")
+    c, s = manipulator.rotations[..., 0, 0], manipulator.rotations[..., 1, 0]
+    x, y = manipulator.translations[..., 0], manipulator.translations[..., 1]
+    return Planar(
+        manipulator.states,
+        np.stack((c, s, x, y), axis=-1),
+        np.stack((c, -s, -(c * x + s * y), s * x - c * y), axis=-1),
+        (manipulator.bits[:, :, None] != manipulator.bits[:, None]).sum(axis=3),
+    )
+
+
+@njit("UniTuple(f8, 2)(f8[::1], f8, f8)", cache=True, nogil=True, inline="always")
+def moved(motion: Array, x: float, y: float) -> tuple[float, float]:
+    """Returns where a motion takes a point."""
+    return motion[0] * x - motion[1] * y + motion[2], motion[1] * x + motion[0] * y + motion[3]
+
+
+@njit("void(f8[:,:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+def tips_above(up: Array, configuration: Index, out: Array) -> None:
+    """Writes where the tip stands in each frame F_0 to F_B, shape (B+1, 2)."""
+    x, y = 0.0, 0.0
+    out[len(configuration)] = 0.0
+    for i in range(len(configuration) - 1, -1, -1):
+        x, y = moved(up[i, configuration[i]], x, y)
+        out[i, 0], out[i, 1] = x, y

@@ -1,0 +1,31 @@
+"""The product's own methods, through its Solver: the exact tail after pop and ipop-previous, and minimum-switch."""
+
+from dataclasses import dataclass
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.search.method import Method
+from controller.search.solver import Solution, Solver
+from controller.workspace.densities import Densities
+from tests.benchmarks.methods.planar import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    solver: Solver
+    method: Method
+
+
+def prepare(manipulator: Manipulator, densities: Densities, method: Method) -> Problem:
+    solver = Solver(manipulator, densities)
+    if method == "minimum-switch":
+        solver.prepare()
+    return Problem(solver, method)
+
+
+def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    return solution(problem, goal, previous, tolerance).configuration
+
+
+def solution(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Solution:
+    """Returns all that the solver says, for what it claims to have proven."""
+    return problem.solver.solve(goal, previous, tolerance, problem.method)

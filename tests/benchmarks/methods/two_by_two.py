@@ -1,0 +1,93 @@
+"""Two-by-two search: Motahari, Zohoor and Korayem 2013, "A new inverse kinematic algorithm for discretely actuated
+hyper-redundant manipulators".
+
+From the base on, two modules at a time are pending: of all their pairs of states the one is taken that brings the tip
+nearest the goal with the modules above at their mean, the mean of their workspace. Then the tip itself is improved: of
+all pairs of modules and of states the best is taken, again and again, until it is within the tolerance or none is
+better.
+
+The full text was not at hand. That two modules are pending in each step is from Motahari 2024, "Solving the inverse
+kinematics problem of discretely actuated hyper-redundant manipulators using the multi-module searching method", which
+generalises it. That the upper module of a pair is pending once more with the next is chosen here: it brings more goals
+within the tolerance than pairs that share none. So is the improvement's order.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.workspace.densities import Densities
+from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar, tips_above
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The arm, and the mean of each intermediate workspace in its own frame, shape (B+1, 2)."""
+
+    arm: Planar
+    means: Array
+
+
+def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
+    arm = planar(manipulator)
+    means = np.zeros((len(arm.states) + 1, 2))
+    for i in reversed(range(len(arm.states))):
+        c, s, x, y = arm.up[i, : arm.states[i]].mean(axis=0)  # motions are linear, so the mean of all is the mean's
+        px, py = means[i + 1]
+        means[i] = c * px - s * py + x, s * px + c * py + y
+    return Problem(arm, means)
+
+
+def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    arm, configuration = problem.arm, np.zeros(len(previous), dtype=np.int64)
+    place(goal, arm.down, arm.states, problem.means, configuration)
+    improve(goal, arm.up, arm.down, arm.states, tolerance, configuration)
+    return configuration
+
+
+@njit("void(f8[::1], f8[:,:,::1], i8[::1], f8[:,::1], i8[::1])", cache=True, nogil=True, error_model="numpy")
+def place(goal: Array, down: Array, states: Index, means: Array, configuration: Index) -> None:
+    """Writes a first configuration; of each pair the lower module is fixed, the upper one pending once more."""
+    x, y = goal[0], goal[1]
+    for i in range(max(len(states) - 1, 1)):
+        upper = min(i + 1, len(states) - 1)
+        best = np.inf
+        for j in range(states[i]):
+            px, py = moved(down[i, j], x, y)
+            for k in range(states[upper] if upper > i else 1):
+                qx, qy = moved(down[upper, k], px, py) if upper > i else (px, py)
+                square = (qx - means[upper + 1, 0]) ** 2 + (qy - means[upper + 1, 1]) ** 2
+                if square < best:
+                    best, configuration[i] = square, j
+                    if upper > i:
+                        configuration[upper] = k
+        x, y = moved(down[i, configuration[i]], x, y)
+
+
+@njit("void(f8[::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8, i8[::1])", cache=True, nogil=True, error_model="numpy")
+def improve(goal: Array, up: Array, down: Array, states: Index, tolerance: float, configuration: Index) -> None:
+    """Takes the best pair of states of any two modules, until within the tolerance or none is better."""
+    count = len(states)
+    tips = np.empty((count + 1, 2))
+    tips_above(up, configuration, tips)
+    best = (goal[0] - tips[0, 0]) ** 2 + (goal[1] - tips[0, 1]) ** 2
+    while best > tolerance * tolerance:
+        first, second, to_first, to_second = -1, -1, 0, 0
+        x, y = goal[0], goal[1]
+        for i in range(count - 1):
+            for j in range(states[i]):
+                px, py = moved(down[i, j], x, y)
+                for h in range(i + 1, count):
+                    for k in range(states[h]):
+                        qx, qy = moved(down[h, k], px, py)
+                        square = (qx - tips[h + 1, 0]) ** 2 + (qy - tips[h + 1, 1]) ** 2
+                        if square < best:
+                            best, first, second, to_first, to_second = square, i, h, j, k
+                    px, py = moved(down[h, configuration[h]], px, py)
+            x, y = moved(down[i, configuration[i]], x, y)
+        if first < 0:
+            break
+        configuration[first], configuration[second] = to_first, to_second
+        tips_above(up, configuration, tips)
