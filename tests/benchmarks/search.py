@@ -31,7 +31,7 @@ MODULES, PIXEL, LEVEL_PIXELS = 16, 0.01, 1_000_000
 TOLERANCE = 0.002
 PROOFS = 100
 PROOF_SECONDS, PROOF_SHARE = 25.0, 0.08  # for all proofs of one set: at most, and for each goal asked for
-LONGEST = 0.05  # [s] for a goal that annealing is given to come to an equal share within the tolerance
+LONGEST = 0.04  # [s] for a goal that annealing is given to come to an equal share within the tolerance
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
 from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar, tips_above
 
-# In switches. An error of ERROR_OF_A_SWITCH beyond the tolerance is as bad as one switch. Hotter
-# and colder, and smaller errors, were tried on the paper's arm: what came within the tolerance more often switched more.
+# In switches. An error of ERROR_OF_A_SWITCH beyond the tolerance is as bad as one switch. Hotter, colder and smaller
+# ones were tried on the paper's arm: what came within the tolerance more often switched more.
 HOT, COLD, ERROR_OF_A_SWITCH = 4.0, 0.8, 0.01
 LEAST_MOVES = 100
 
