@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from controller.manipulator.manipulator import Configuration
 from controller.motion.plan import Plan
 from drivers.faults import Fault
 
@@ -40,8 +41,27 @@ class Improved:
     plan: Plan
 
 
+@dataclass(frozen=True, eq=False)
+class Follow:
+    """What a moving goal asks for until the next of these comes.
+
+    Attributes:
+        arrival: place among all requests of the first setpoint in the stream.
+        previous: the loop's configuration from which this was decided, itself, shape (B,); None: not known.
+        configuration: to switch to once the last transition is settled, shape (B,); None: stay.
+        until: when the stream has stopped, unless another of these comes before [s on the loop's clock].
+        reason: a sentence on what is followed.
+    """
+
+    arrival: int
+    previous: Configuration | None
+    configuration: Configuration | None
+    until: float
+    reason: str
+
+
 class Cancel(Request):
-    """Hold now, and take no goal that arrived before."""
+    """Hold now, and take no goal or stream that began before."""
 
 
 class Stop(Request):
@@ -64,4 +84,4 @@ class Quit:
     """The service is asked to end."""
 
 
-Event = Request | Improved | Started | Quit
+Event = Request | Improved | Follow | Started | Quit

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from controller.daemon.bringup import BringUp
-from controller.daemon.events import Cancel, Event, Improved, Payload, Planned, Quit, Reset, Started, Stop
+from controller.daemon.events import Cancel, Event, Follow, Improved, Payload, Planned, Quit, Reset, Started, Stop
 from controller.daemon.inbox import Inbox
 from controller.daemon.ledger import Ledger
 from controller.daemon.messages import done, refused
@@ -37,6 +37,7 @@ class ControlLoop:
         mode: of the daemon.
         reason: a sentence on the mode.
         accept_after: goals up to this arrival are no longer taken.
+        follow_after: nor are streams of setpoints that began up to this one.
         inbox: what the loop is to act on.
 
     Args:
@@ -63,7 +64,7 @@ class ControlLoop:
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
-        self.accept_after = 0
+        self.accept_after = self.follow_after = 0
         self.inbox = Inbox()
         self._runner = Runner(manipulator, boards, travel, travel + PERIOD, publish, ledger)
         self._boards, self._telemetry, self._ledger, self._notifier = boards, telemetry, ledger, notifier
@@ -80,6 +81,11 @@ class ControlLoop:
     def commanded(self) -> Configuration | None:
         """Configuration to plan from, None while it is not known."""
         return self._runner.commanded
+
+    @property
+    def free_at(self) -> float:
+        """From when on the next transition may begin with the last one settled [s on the loop's clock]."""
+        return self._runner.free_at
 
     # --- the loop
 
@@ -124,7 +130,7 @@ class ControlLoop:
         self._boards.tick(now)
         while not self._reported.empty():  # before the goal goes on, which they may concern
             self._fail(self._reported.get())
-        waypoint = self._runner.execution and self._runner.execution.waypoint
+        states = self._runner.states
         try:
             end = self._runner.advance(now)
         except BusBusy as error:
@@ -132,7 +138,7 @@ class ControlLoop:
             return
         if end is not None:
             self._enter("ready", end)
-        self._changed |= waypoint != (self._runner.execution and self._runner.execution.waypoint)
+        self._changed |= states is not self._runner.states
         if self._notifier.watchdog and now >= self._next_beat:
             self._notifier.send("WATCHDOG=1")
             self._next_beat = now + self._notifier.watchdog / 4
@@ -166,14 +172,17 @@ class ControlLoop:
         match event:
             case Planned():
                 self._take(event)
+            case Follow():
+                self._follow(event)
             case Cancel():
-                self.accept_after = event.arrival
-                told = self._runner.end("canceled", codes.INVALID_GOAL, "canceled; the arm holds")
+                self._drop_until(event.arrival)
+                followed = self._runner.following is not None
+                told = self._runner.end("canceled", codes.INVALID_GOAL, "canceled; the arm holds") or followed
                 if self.mode == "executing":
-                    self._enter("ready", "holding; the goal was canceled")
+                    self._enter("ready", f"holding; {'following' if followed else 'the goal'} was canceled")
                 event.reply(done("canceled" if told else "there was no goal to cancel; the arm holds"))
             case Stop():
-                self.accept_after = event.arrival
+                self._drop_until(event.arrival)
                 self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, "emergency stop; the arm holds")
                 self._enter("stopped", "emergency stop; the arm holds until reset")
                 event.reply(done("stopped; the arm holds until reset"))
@@ -196,10 +205,26 @@ class ControlLoop:
             goal.reply(refused(*refusal, goal.id))
             return
         self._runner.end("replaced", codes.INVALID_GOAL, f"replaced by goal {goal.id}")
+        self.follow_after = max(goal.arrival, self.follow_after)
         self._runner.begin(goal, self._clock())
         self._enter("executing", f"goal {goal.id}")
         message = f"accepted, {len(goal.plan.solutions)} waypoints, {goal.plan.switches} switches planned"
         goal.reply({**done(message), "id": goal.id})
+
+    def _follow(self, wish: Follow) -> None:
+        """Follows a moving goal, but none whose stream began before the last request that ended such."""
+        if wish.arrival <= self.follow_after or self._clock() > wish.until:
+            return
+        if self.mode in ("ready", "executing"):
+            self._runner.follow(wish)
+            if (self.mode, self.reason) != ("executing", wish.reason):
+                self._enter("executing", wish.reason)
+        else:  # it must begin anew: the arm never moves by itself when a mode is entered
+            self.follow_after = wish.arrival
+
+    def _drop_until(self, arrival: int) -> None:
+        """Takes no goal or stream any more that began up to an arrival."""
+        self.accept_after, self.follow_after = arrival, max(arrival, self.follow_after)
 
     # --- modes
 
@@ -223,7 +248,7 @@ class ControlLoop:
         if self.mode not in ("fault", "stopped"):
             event.reply(done(f"nothing to reset: the arm is {self.mode}"))
             return
-        self.accept_after = event.arrival
+        self._drop_until(event.arrival)
         self._faults.clear()
         self._runner.forget()
         event.reply(done("resetting; the mode will be ready, or fault with the reason"))

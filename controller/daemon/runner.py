@@ -1,4 +1,4 @@
-"""Goals on the boards: one at a time, each told its result exactly once."""
+"""Goals on the boards: one at a time, each told its result exactly once; or a moving goal, which is followed."""
 
 import logging
 import time
@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.daemon.events import Payload, Planned
+from controller.daemon.events import Follow, Payload, Planned
 from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
 from controller.daemon.state import measured_tip, pose, written
@@ -30,6 +30,8 @@ class Runner:
         states: its actuator states, shape (A,).
         switches: actuators switched since the daemon began.
         execution: of the running goal.
+        following: what a moving goal asks for; there is never both.
+        free_at: from when on the next transition may begin with the last one settled [s on the loop's clock].
 
     Args:
         manipulator: the arm.
@@ -53,6 +55,8 @@ class Runner:
         self.states: NDArray[np.uint8] | None = None
         self.switches = 0
         self.execution: Execution | None = None
+        self.following: Follow | None = None
+        self.free_at = 0.0
         self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, lead
         self._publish, self._ledger = publish, ledger
         self._accepted = 0
@@ -93,12 +97,20 @@ class Runner:
         if self.execution is not None and self.execution.goal.arrival == arrival:
             self.execution.plan = plan
 
+    def follow(self, wish: Follow) -> None:
+        """Ends the running goal for a moving one, or has the next of its wishes replace the last."""
+        if self.execution is not None:
+            self.end("replaced", codes.INVALID_GOAL, "replaced by a setpoint")
+        self.following = wish
+
     def advance(self, now: float) -> str | None:
-        """Does what is due at `now`; returns a sentence on the end of the goal when that has come.
+        """Does what is due at `now`; returns a sentence on the end of the goal or stream when that has come.
 
         Raises:
             BusBusy: the bus has taken no frame for too long.
         """
+        if self.following is not None:
+            return self._pursue(self.following, now)
         execution = self.execution
         if execution is None:
             return None
@@ -114,15 +126,34 @@ class Runner:
         return None
 
     def end(self, status: str, code: int, message: str) -> bool:
-        """Tells the running goal its result; returns whether there was one."""
+        """Tells the running goal its result, and follows nothing; returns whether there was a goal."""
         execution, self.execution = self.execution, None
-        self._busy_since = None
+        self.following = self._busy_since = None
         if execution is None:
             return False
         result = {"id": execution.goal.id, "status": status, "code": code, "message": message}
         self._publish("result", {**result, "switches": execution.switches, **self._where(execution)})
         self._ledger.ended(self._accepted, status, code, message, execution.switches)
         return True
+
+    def _pursue(self, wish: Follow, now: float) -> str | None:
+        """Switches to the configuration wished for when the last transition is settled.
+
+        Raises:
+            BusBusy: the bus has taken no frame for too long.
+        """
+        if now > wish.until:
+            self.following = self._busy_since = None
+            return "holding; the stream of setpoints has stopped"
+        if wish.configuration is None or wish.previous is not self.commanded:  # switched meanwhile
+            self._busy_since = None
+        elif self._settled(now) and self._commit(self._manipulator.actuator_states(wish.configuration), now):
+            self.commanded = wish.configuration
+        return None
+
+    def _settled(self, now: float) -> bool:
+        """Returns whether the last transition has come to its end."""
+        return now >= self.free_at and not self._boards.moving(now)
 
     def _commit(self, states: NDArray[np.uint8], now: float) -> bool:
         """Switches the actuators; returns False if the bus took no frame, to be tried again with the next tick."""
@@ -135,6 +166,7 @@ class Runner:
                 raise BusBusy(f"no command could be sent for {BUSY_FOR:g} s: {error}") from error
             return False
         self._busy_since = None
+        self.free_at = now + self._lead
         switched = np.flatnonzero(states != self.states)
         self.switches += len(switched)
         self._ledger.switched(switched)

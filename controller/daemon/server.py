@@ -35,9 +35,9 @@ class Server:
         described = description(arm)
         self._declared: list[Declared] = []
         self._act("goal", lambda payload, reply: self._question(payload, reply, run=True))
-        self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(self._arrival(), reply)))
-        self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(self._arrival(), reply)))
-        self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(self._arrival(), reply)))
+        self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(self.arrival(), reply)))
+        self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(self.arrival(), reply)))
+        self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(self.arrival(), reply)))
         self._answer("plan", lambda payload, reply: self._question(payload, reply, run=False))
         self._answer("arm", lambda _, reply: reply(described))
         self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
@@ -79,9 +79,10 @@ class Server:
             self._outbox.publish("result", {"id": None, "status": "refused", **answer})
 
     def _question(self, payload: bytes, reply: Reply, *, run: bool) -> None:
-        self._planner.submit(Question(self._arrival(), reply, payload, time.time(), run))
+        self._planner.submit(Question(self.arrival(), reply, payload, time.time(), run))
 
-    def _arrival(self) -> int:
+    def arrival(self) -> int:
+        """Returns the place among all requests of one that comes now; from any thread."""
         return next(self._arrivals)
 
 

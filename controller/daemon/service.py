@@ -13,6 +13,7 @@ import zenoh
 
 from controller.config import Arm
 from controller.daemon.events import Quit
+from controller.daemon.follower import Follower
 from controller.daemon.ledger import Ledger, counted
 from controller.daemon.loop import ControlLoop
 from controller.daemon.notify import Notifier
@@ -103,7 +104,8 @@ class Daemon:
         ledger: Path,
         timing: Timing | None = None,
     ) -> None:
-        solver = Solver(arm.manipulator, densities, arm.weights(counted(ledger)))
+        weights = arm.weights(counted(ledger))
+        solver, follower_solver = (Solver(arm.manipulator, densities, weights) for _ in range(2))
         solver.prepare()
         boards = Boards(wiring, timing or timing_of(arm))
         with ExitStack() as closing:  # from the last to the first: no more requests, all told, then the boards
@@ -115,15 +117,25 @@ class Daemon:
             closing.callback(book.close)
             outbox = Outbox(session, prefix)
             closing.callback(outbox.close)
-            telemetry = Publisher(session, prefix, arm.manipulator, outbox.waiting, lambda: planner.waiting())
+            telemetry = Publisher(
+                session,
+                prefix,
+                arm.manipulator,
+                outbox.waiting,
+                lambda: planner.waiting(),
+                lambda: follower.status(),
+            )
             closing.callback(telemetry.close)
             travel = arm.settings.travel_time
             self.loop = ControlLoop(arm.manipulator, boards, travel, outbox.publish, telemetry, book, Notifier())
             closing.callback(self.loop.inbox.close)
+            follower = Follower(arm, follower_solver, self.loop)
             planner = Planner(arm, solver, self.loop)
             closing.callback(planner.close)
             server = Server(session, arm, self.loop, planner, outbox)
             closing.callback(server.close)
+            follower.listen(session, prefix, server.arrival)
+            closing.callback(follower.close)
             self._closing = closing.pop_all()
 
     def run(self) -> None:

@@ -112,13 +112,14 @@ def written(manipulator: Manipulator, actuator_states: NDArray[np.int8]) -> str:
     return format_configuration(manipulator, manipulator.configuration(actuator_states))
 
 
-def diagnostics_payload(diagnostics: Diagnostics, outbox: int, planning: int) -> Payload:
+def diagnostics_payload(diagnostics: Diagnostics, outbox: int, planning: int, setpoint: Payload) -> Payload:
     """Returns the payload of `diagnostics`."""
     return {
         "stamp": diagnostics.stamp,
         "loop": asdict(diagnostics.loop),
         **asdict(diagnostics.hardware),
         "queues": {"inbox": diagnostics.inbox, "outbox": outbox, "planning": planning},
+        "setpoint": setpoint,
         "switches": diagnostics.switches,
         "ledger": diagnostics.ledger or "ok",
     }

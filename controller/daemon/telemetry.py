@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import zenoh
 
+from controller.daemon.events import Payload
 from controller.daemon.messages import encode
 from controller.daemon.state import Diagnostics, Snapshot, diagnostics_payload, state_payload
 from controller.manipulator.manipulator import Manipulator
@@ -22,6 +23,7 @@ class Publisher:
         manipulator: to reckon the tip from measured states.
         outbox: returns how many messages wait there.
         planning: returns how many goals wait to be planned.
+        setpoint: returns how the stream of setpoints fares.
     """
 
     def __init__(
@@ -31,11 +33,12 @@ class Publisher:
         manipulator: Manipulator,
         outbox: Callable[[], int],
         planning: Callable[[], int],
+        setpoint: Callable[[], Payload],
     ) -> None:
         drop, json = zenoh.CongestionControl.DROP, zenoh.Encoding.APPLICATION_JSON
         self._state = session.declare_publisher(f"{prefix}/state", encoding=json, congestion_control=drop)
         self._diagnostics = session.declare_publisher(f"{prefix}/diagnostics", encoding=json, congestion_control=drop)
-        self._manipulator, self._outbox, self._planning = manipulator, outbox, planning
+        self._manipulator, self._outbox, self._planning, self._setpoint = manipulator, outbox, planning, setpoint
         self._news = threading.Condition()
         self._latest: Snapshot | None = None
         self._latest_diagnostics: Diagnostics | None = None
@@ -74,7 +77,7 @@ class Publisher:
                 if state is not None:
                     self._state.put(encode(state_payload(self._manipulator, state)))
                 if diagnostics is not None:
-                    payload = diagnostics_payload(diagnostics, self._outbox(), self._planning())
+                    payload = diagnostics_payload(diagnostics, self._outbox(), self._planning(), self._setpoint())
                     self._diagnostics.put(encode(payload))
             except Exception:
                 log.exception("telemetry was not sent")

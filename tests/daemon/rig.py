@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from controller.daemon.events import Cancel, Planned, Reset, Stop
+from controller.daemon.events import Cancel, Follow, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.state import Diagnostics, Snapshot
 from controller.motion.goal import Trajectory
@@ -159,6 +159,14 @@ class Rig:
 
     def run(self, name: str, *configurations: Sequence[int], **fields: Any) -> None:
         self.loop.inbox.hand_over(self.goal(name, *configurations, **fields))
+
+    def wish(self, stream: int, configuration: Sequence[int] | None, lasting: float = 0.25) -> Follow:
+        """What a moving goal asks for from the configuration of now; `stream` is the arrival of its first setpoint."""
+        chosen = None if configuration is None else np.array(configuration, dtype=np.int64)
+        return Follow(stream, self.loop.commanded, chosen, self.now + lasting, "following a setpoint")
+
+    def follow(self, stream: int, configuration: Sequence[int] | None, lasting: float = 0.25) -> None:
+        self.loop.inbox.put(self.wish(stream, configuration, lasting))
 
     def go(self, seconds: float = PERIOD) -> None:
         """Lets time pass, a tick at a time; each step acts on one event at most."""

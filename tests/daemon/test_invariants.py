@@ -24,6 +24,7 @@ acts = st.one_of(
     st.tuples(st.just("goal"), configurations),
     st.tuples(st.just("old goal"), configurations),
     st.tuples(st.sampled_from(["cancel", "stop", "reset", "fault", "busy", "stuck", "missing", "defect"]), st.none()),
+    st.tuples(st.sampled_from(["follow", "follow anew"]), st.none() | st.tuples(st.integers(0, 7), st.integers(0, 7))),
     st.tuples(st.just("go"), st.integers(1, 60)),
 )
 
@@ -31,12 +32,15 @@ acts = st.one_of(
 @given(st.lists(acts, max_size=40))
 def test_whatever_happens(sequence: list[tuple[str, object]]) -> None:
     rig = Rig()
-    boards, modes, goals = rig.boards, [rig.loop.mode], 0
+    boards, modes, goals, stream = rig.boards, [rig.loop.mode], 0, rig.arrival()
     for act, argument in [*sequence, ("go", 30)]:
         match act:
             case "goal" | "old goal":
                 goals += 1
                 rig.run(f"goal {goals}", *argument, arrival=1 if act == "old goal" else None)  # type: ignore[misc]
+            case "follow" | "follow anew":
+                stream = rig.arrival() if act == "follow anew" else stream
+                rig.follow(stream, argument)  # type: ignore[arg-type]
             case "cancel" | "stop" | "reset":
                 rig.request({"cancel": Cancel, "stop": Stop, "reset": Reset}[act])
             case "fault":
@@ -57,7 +61,7 @@ def test_whatever_happens(sequence: list[tuple[str, object]]) -> None:
                     assert len(boards.commits) <= commits + bool(may_move), f"switched in {before}"
     while rig.loop.inbox.waiting():  # let it act on all it was told
         rig.go()
-    running = rig.loop.mode == "executing"
+    running = rig.loop.mode == "executing" and rig.loop.reason.startswith("goal")
     accepted = [name for name, reply in rig.replies if name.startswith("goal") and reply["accepted"]]
     answered = [name for name, _ in rig.replies if name.startswith("goal")]
     assert sorted(answered) == sorted(f"goal {k + 1}" for k in range(goals)), "each goal is answered once"

@@ -1,0 +1,207 @@
+"""Following a moving goal: setpoints from Zenoh, tracked, and made into configurations for the control loop.
+
+A stream is all setpoints without a pause of the tracker's time-out. Whatever ends following (a cancel, a stop, a
+fault, a reset, a goal) ends it for the stream that runs: only one that begins later is followed.
+"""
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from controller.config import Arm
+from controller.daemon.events import Follow, Payload
+from controller.daemon.loop import PERIOD, ControlLoop
+from controller.manipulator.manipulator import Configuration
+from controller.motion.codes import Refusal
+from controller.motion.setpoint import Setpoint, decode
+from controller.motion.tracking import GoalTracker, Tracking
+from controller.search.solver import Solver
+
+log = logging.getLogger(__name__)
+
+Arrivals = Callable[[], int]
+
+SEARCH_TIME = 0.01  # [s] for one search; it is never worse than IPOP
+POLL, IDLE_POLL = 0.005, 0.02  # [s] between two looks for a setpoint
+WORD_EVERY = 0.02  # [s] between two words to the loop that only say: the stream is alive
+SENTENCE_EVERY = 1.0  # [s]; what is said of a goal out of reach changes no more often
+RETRY = 0.1  # [s] after a search that found nothing within reach, which takes its whole time
+MOST_WAITING = 16  # events of a loop that is behind: it needs no more of them
+SMOOTHING = 0.1  # share of the latest in running means
+
+
+class Follower:
+    """Follows one stream of setpoints at a time; all but `status` belongs to one thread.
+
+    Times are the control loop's. The tracker, which compares with senders' stamps, gets UNIX seconds: the same clock
+    moved by an offset that stays while a track is alive, so that a change of the wall clock moves nothing.
+
+    Args:
+        arm: whose goals move.
+        solver: used by nobody else.
+        loop: to move the arm.
+        clock: of the loop [s].
+        wall: UNIX time [s].
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        solver: Solver,
+        loop: ControlLoop,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        """Builds the tracker, which takes most of a second."""
+        tracking = Tracking()
+        self._arm, self._solver, self._loop, self._clock, self._wall = arm, solver, loop, clock, wall
+        self._dimension, self._tolerance = arm.manipulator.dimension, arm.tolerance
+        self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
+        self._settling = arm.settings.travel_time + PERIOD
+        self._stream, self._offset, self._searching = 0, 0.0, SEARCH_TIME / 2
+        self._heard = self._fitted = self._next_word = self._next_sentence = self._retry = -math.inf
+        self._interval, self._received, self._refused = math.inf, 0, 0
+        self._last_refusal: str | None = None
+        self._note, self._given_up = "", -1
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    # --- the thread
+
+    def listen(self, session: zenoh.Session, prefix: str, arrival: Arrivals) -> None:
+        """Starts the thread on "<prefix>/setpoint"; `arrival` counts all requests."""
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # the latest wins, none waits
+        subscriber = session.declare_subscriber(f"{prefix}/setpoint", ring)
+        self._thread = threading.Thread(target=self._run, args=(subscriber, arrival), name="follower", daemon=True)
+        self._thread.start()
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Ends the thread."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(timeout)
+
+    def _run(self, subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]], arrival: Arrivals) -> None:
+        while not self._closing.wait(POLL if self._alive(self._heard) else IDLE_POLL):
+            try:
+                sample = subscriber.try_recv()
+                if sample is not None and str(sample.key_expr).endswith("/setpoint"):  # wildcards move nothing
+                    self.take(sample.payload.to_bytes(), arrival())
+                self.consider()
+            except Exception:
+                self._give_up()
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def _give_up(self) -> None:
+        """Follows the stream no more after a defect, told once."""
+        if self._given_up != self._stream:
+            log.exception("following failed, the arm holds")
+        self._given_up = self._stream
+
+    # --- the stream
+
+    def take(self, payload: bytes, arrival: int) -> None:
+        """Takes a setpoint that has arrived; what is wrong with one is only counted."""
+        now = self._clock()
+        if self._alive(self._heard):
+            last = now - self._heard
+            self._interval = last if math.isinf(self._interval) else mixed(self._interval, last)
+        else:
+            self._stream, self._interval, self._note = arrival, math.inf, ""
+            self._next_word = self._next_sentence = self._retry = -math.inf
+        self._heard = now
+        self._received += 1
+        try:
+            setpoint = decode(payload, self._dimension, self._arm.tolerance)
+            if not self._over():
+                self._measure(setpoint, now)
+        except Refusal as refusal:
+            self._refused += 1
+            self._last_refusal = str(refusal)
+
+    def _measure(self, setpoint: Setpoint, now: float) -> None:
+        """Gives a setpoint to the tracker.
+
+        Raises:
+            Refusal: it is stale, from the future or out of order.
+        """
+        if not self._alive(self._fitted):
+            self._tracker.forget()
+            self._offset = self._wall() - now
+        if self._tracker.measure(setpoint.position, setpoint.stamp, now + self._offset):
+            self._fitted, self._tolerance = now, setpoint.tolerance
+
+    def consider(self) -> None:
+        """Tells the loop what the goal asks for now, which changes without a new setpoint, too, for it moves."""
+        previous, free_at, now = self._loop.commanded, self._loop.free_at, self._clock()
+        if not self._alive(self._fitted):
+            return
+        if self._over():
+            self._tracker.forget()
+            self._fitted = -math.inf
+            return
+        if self._loop.inbox.waiting() > MOST_WAITING:
+            return
+        configuration = None if previous is None else self._wanted(previous, free_at, now)
+        if configuration is not None or now >= self._next_word:
+            self._next_word = now + WORD_EVERY
+            until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"
+            self._loop.inbox.put(Follow(self._stream, previous, configuration, until, reason))
+
+    def _wanted(self, previous: Configuration, free_at: float, now: float) -> Configuration | None:
+        """Returns the configuration (B,) to switch to from the previous; None: stay, or it is too early to tell."""
+        if now < max(free_at - self._searching - PERIOD, self._retry):
+            return None
+        manipulator, tolerance = self._arm.manipulator, self._tolerance
+        tip = manipulator.tip(previous)[: self._dimension, 3]
+        lead = max(free_at - now, self._searching) + self._settling
+        goal = self._tracker.wants(now + self._offset, lead, tip, tolerance)
+        if goal is None:
+            self._say("", now)
+            return None
+        method = self._arm.settings.method
+        found = self._solver.solve(goal, previous, tolerance / 2, method, SEARCH_TIME)  # see GoalTracker.wants
+        self._searching = mixed(self._searching, found.seconds)
+        if found.error > tolerance:
+            where = ", ".join(f"{x:.4f}" for x in goal)
+            self._say(f", which is out of reach at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now)
+            self._retry = now + RETRY
+            return None
+        self._say("", now)
+        return found.configuration if found.switches else None
+
+    def _say(self, note: str, now: float) -> None:
+        """Takes a note on the stream, unless the last is too young."""
+        if note != self._note and now >= self._next_sentence:
+            self._note, self._next_sentence = note, now + SENTENCE_EVERY
+
+    def _over(self) -> bool:
+        """Returns whether the stream is followed no more."""
+        return self._stream <= max(self._loop.follow_after, self._given_up)
+
+    def _alive(self, last: float) -> bool:
+        """Returns whether what came last did so within the time-out."""
+        return self._clock() - last <= self._timeout
+
+    # --- for diagnostics
+
+    def status(self) -> Payload:
+        """Returns how the stream fares; from any thread."""
+        return {
+            "received": self._received,
+            "refused": self._refused,
+            "last_refusal": self._last_refusal,
+            "outliers": self._tracker.outliers,
+            "jumps": self._tracker.jumps,
+            "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard) else 0.0,
+            "alive": self._alive(self._fitted),
+        }
+
+
+def mixed(mean: float, latest: float) -> float:
+    """Returns a running mean with the latest value in it."""
+    return mean + SMOOTHING * (latest - mean)
