@@ -109,7 +109,19 @@ class Follower:
 
     def take(self, payload: bytes, arrival: int) -> None:
         """Takes a setpoint that has arrived; what is wrong with one is only counted."""
-        now = self._clock()
+        self._received += 1
+        try:
+            setpoint = decode(payload, self._dimension, self._arm.tolerance)
+            now = self._clock()
+            self._belongs(now, arrival)
+            if not self._over():
+                self._measure(setpoint, now)
+        except Refusal as refusal:
+            self._refused += 1
+            self._last_refusal = str(refusal)
+
+    def _belongs(self, now: float, arrival: int) -> None:
+        """Counts a setpoint to the stream that runs, or begins one with it."""
         if self._alive(self._heard):
             last = now - self._heard
             self._interval = last if math.isinf(self._interval) else mixed(self._interval, last)
@@ -117,14 +129,6 @@ class Follower:
             self._stream, self._interval, self._note = arrival, math.inf, ""
             self._next_word = self._next_sentence = self._retry = -math.inf
         self._heard = now
-        self._received += 1
-        try:
-            setpoint = decode(payload, self._dimension, self._arm.tolerance)
-            if not self._over():
-                self._measure(setpoint, now)
-        except Refusal as refusal:
-            self._refused += 1
-            self._last_refusal = str(refusal)
 
     def _measure(self, setpoint: Setpoint, now: float) -> None:
         """Gives a setpoint to the tracker.

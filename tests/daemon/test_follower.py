@@ -167,6 +167,16 @@ def test_what_ends_following_ends_it_until_a_fresh_stream(field: Field) -> None:
     assert field.wishes[-1].arrival > field.loop.follow_after
 
 
+def test_garbage_does_not_keep_an_ended_stream_running(field: Field) -> None:
+    field.stream(10)
+    field.loop.follow_after = field.arrival()
+    for _ in range(20):
+        field.raw(b"garbage")
+        field.go(0.02)
+    field.stream(2)
+    assert field.wishes[-1].arrival > field.loop.follow_after
+
+
 def test_out_of_reach_moves_nothing_and_says_so_seldom(field: Field) -> None:
     for k in range(100):
         field.send(9.0 + 0.001 * k, 9.0)
