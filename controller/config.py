@@ -120,6 +120,8 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     modules: Annotated[list[VgtSettings | TransformsSettings], Meta(min_length=1)]
     tolerance: ToleranceSettings
     travel_time: Annotated[float, Meta(gt=0, le=60)] = 0.05
+    rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    inrush: Count | None = None
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = "minimum-switch"

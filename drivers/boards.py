@@ -107,6 +107,10 @@ class Boards:
             states = np.where(self._layout.sensed, ends, states).astype(np.int8)
         return np.where(ready, states, -1).astype(np.int8)
 
+    def outputs(self) -> NDArray[np.uint8]:
+        """(A,) states that the boards were last switched to, whatever is measured."""
+        return self._outputs.states()
+
     def hold(self) -> None:
         """Takes the measured states as the commanded ones; sends nothing."""
         self._watch.accept(self.measured())

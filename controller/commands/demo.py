@@ -1,6 +1,7 @@
 """The demo: a real daemon with simulated boards in one process, its client in this one."""
 
 import contextlib
+import math
 import queue
 import socket
 import subprocess
@@ -27,7 +28,7 @@ from controller.manipulator.notation import parse_configuration
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 48
-STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half where that is longer
+STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half, for each stage, where that is longer
 PATIENCE = 180.0  # [s] for the daemon to be ready; the first start compiles its kernels
 
 
@@ -53,7 +54,7 @@ def demo(
             result = run(client, [{"position": target}], f"target ({written(target)})")
             rows.append((written(target), result, time.perf_counter() - began))
             reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
-        step = max(STEP, 1.5 * arm.settings.travel_time)
+        step = max(STEP, 1.5 * arm.settings.travel_time * stages(arm) + arm.settings.rest_time)
         waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
         began = time.perf_counter()
         result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
@@ -80,6 +81,11 @@ def closed_curve(arm: Arm) -> NDArray[np.float64]:
     curve[:, 0] += 0.1 * arm.manipulator.length * np.cos(turns)
     curve[:, 1] += 0.05 * arm.manipulator.length * np.sin(turns)
     return curve
+
+
+def stages(arm: Arm) -> int:
+    """Returns how many stages there should be time for: along the curve fewer than a third of the actuators switch."""
+    return 1 if arm.settings.inrush is None else math.ceil(len(arm.manipulator.actuators) / 3 / arm.settings.inrush)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ import numpy as np
 
 from controller.daemon.execution import start
 from controller.motion.lookahead import LookAhead
+from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
 from controller.search.solver import Solver
 
@@ -20,25 +21,28 @@ class Foresight:
     Args:
         solver: of the arm.
         plan: to better.
-        lead: how long before a waypoint's time its actuators switch [s].
+        pace: of the arm's transitions.
     """
 
-    def __init__(self, solver: Solver, plan: Plan, lead: float) -> None:
-        self._solver, self._plan, self._lead = solver, plan, lead
-        self._start = start(plan.trajectory, lead, time.monotonic(), time.time())
+    def __init__(self, solver: Solver, plan: Plan, pace: Pace) -> None:
+        self._solver, self._plan, self._pace = solver, plan, pace
+        before = pace.lead * len(plan.transitions[0].stages)
+        self._start = start(plan.trajectory, before, time.monotonic(), time.time())
 
     def betters(self) -> Iterator[Plan]:
         """Gives a better plan whenever more is decided, and the same again in between, to let others have a say."""
         trajectory, told = self._plan.trajectory, 0
         ahead = LookAhead(self._solver, self._plan.solutions[0].configuration, trajectory.tolerance)
+        between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
+        earliest = trajectory.times - self._pace.longest(between, actuators)
         for k, goal in enumerate(trajectory.positions[1:], 1):
             ahead.extend(goal)
-            soon = time.monotonic() + self._lead + MARGIN - self._start
-            due = int(np.searchsorted(trajectory.times, soon)) - 1
+            soon = time.monotonic() + MARGIN - self._start
+            due = int(np.searchsorted(earliest, soon)) - 1
             ahead.decide(k if k == len(trajectory.times) - 1 else min(due, k))
             decided = ahead.decided()
             if len(decided) > told:
-                self._plan = self._plan.improved(self._solver, told + 1, decided[told:])
+                self._plan = self._plan.improved(self._solver, self._pace, told + 1, decided[told:])
                 told = len(decided)
             yield self._plan
 

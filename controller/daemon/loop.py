@@ -17,6 +17,7 @@ from controller.daemon.state import Diagnostics, Mode, Snapshot, Telemetry
 from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
+from controller.motion.pacing import Pace
 from drivers.boards import Boards
 from drivers.faults import BusBusy, Fault
 
@@ -49,6 +50,8 @@ class ControlLoop:
         ledger: counts switches and goals.
         notifier: word to systemd.
         clock: monotonic time [s].
+        inrush: most actuators that may switch at once; None: no bound.
+        rest: time that an actuator rests between two travels [s].
     """
 
     def __init__(
@@ -61,12 +64,14 @@ class ControlLoop:
         ledger: Ledger,
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
+        inrush: int | None = None,
+        rest: float = 0.0,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
         self.accept_after = self.follow_after = 0
         self.inbox = Inbox()
-        self._runner = Runner(manipulator, boards, travel, travel + PERIOD, publish, ledger)
+        self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
         self._boards, self._telemetry, self._ledger, self._notifier = boards, telemetry, ledger, notifier
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
         self._faults: dict[tuple[str, str], Fault] = {}
@@ -80,12 +85,12 @@ class ControlLoop:
     @property
     def commanded(self) -> Configuration | None:
         """Configuration to plan from, None while it is not known."""
-        return self._runner.commanded
+        return self._runner.switching.commanded
 
     @property
     def free_at(self) -> float:
         """From when on the next transition may begin with the last one settled [s on the loop's clock]."""
-        return self._runner.free_at
+        return self._runner.switching.free_at
 
     # --- the loop
 
@@ -130,7 +135,7 @@ class ControlLoop:
         self._boards.tick(now)
         while not self._reported.empty():  # before the goal goes on, which they may concern
             self._fail(self._reported.get())
-        states = self._runner.states
+        states = self._runner.switching.states
         try:
             end = self._runner.advance(now)
         except BusBusy as error:
@@ -138,7 +143,7 @@ class ControlLoop:
             return
         if end is not None:
             self._enter("ready", end)
-        self._changed |= states is not self._runner.states
+        self._changed |= states is not self._runner.switching.states
         if self._notifier.watchdog and now >= self._next_beat:
             self._notifier.send("WATCHDOG=1")
             self._next_beat = now + self._notifier.watchdog / 4
@@ -149,7 +154,9 @@ class ControlLoop:
         if now >= self._next_diagnostics:
             self._next_diagnostics = now + DIAGNOSTICS_EVERY
             status, hardware, waiting = self._time.take(), self._boards.status(), self.inbox.waiting()
-            diagnostics = Diagnostics(time.time(), status, hardware, waiting, self._runner.switches, self._ledger.fault)
+            diagnostics = Diagnostics(
+                time.time(), status, hardware, waiting, self._runner.switching.switches, self._ledger.fault
+            )
             self._telemetry.diagnose(diagnostics)
 
     def _show(self, now: float) -> None:
@@ -160,7 +167,7 @@ class ControlLoop:
                 stamp=time.time(),
                 mode=self.mode,
                 reason=self.reason,
-                commanded=self._runner.states,
+                commanded=self._runner.switching.states,
                 measured=self._boards.measured(),
                 goal=execution.goal.id if execution else None,
                 waypoint=execution.waypoint if execution and execution.waypoint >= 0 else None,
@@ -250,7 +257,7 @@ class ControlLoop:
             return
         self._drop_until(event.arrival)
         self._faults.clear()
-        self._runner.forget()
+        self._runner.switching.forget()
         event.reply(done("resetting; the mode will be ready, or fault with the reason"))
         self._enter("starting", "the boards are being brought up after a reset")
         self._bring_up.begin()
@@ -268,7 +275,7 @@ class ControlLoop:
             return
         self._boards.hold()
         try:
-            self._runner.adopt(self._boards.measured())
+            self._runner.switching.adopt(self._boards.measured())
         except ValueError as error:
             self._fail(Fault("unknown-state", "arm", f"what the boards measure is no configuration: {error}"))
             return

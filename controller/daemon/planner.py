@@ -6,16 +6,20 @@ import threading
 import uuid
 from dataclasses import dataclass
 
+import numpy as np
+
 from controller.config import Arm
 from controller.daemon.events import Improved, Payload, Planned, Request
 from controller.daemon.foresight import Foresight
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.messages import done, refused
 from controller.daemon.state import pose
+from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import GoalMessage, Trajectory, check_size, parse, schedule
+from controller.motion.goal import GoalMessage, check_size, parse, schedule
+from controller.motion.pacing import Pace
 from controller.motion.plan import Plan, plan
 from controller.search.solver import Solver
 
@@ -83,19 +87,19 @@ class Planner:
 
     def _serve(self, question: Question, message: GoalMessage, goal: str) -> None:
         manipulator, settings = self._arm.manipulator, self._arm.settings
-        shortest = settings.travel_time + PERIOD
-        trajectory = schedule(message, manipulator.dimension, self._arm.tolerance, shortest, question.received)
+        pace = Pace(settings.travel_time + PERIOD, settings.inrush, settings.rest_time)
+        trajectory = schedule(message, manipulator.dimension, self._arm.tolerance, pace.shortest, question.received)
         previous, mode, reason = self._loop.commanded, self._loop.mode, self._loop.reason
         if previous is None or (question.run and mode not in ("ready", "executing")):
             raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
-        found = plan(self._solver, trajectory, previous, settings.method, lambda: self._proceed(question))
-        ahead = Foresight(self._solver, found, shortest) if settings.method == "minimum-switch" else None
+        found = plan(self._solver, trajectory, previous, settings.method, lambda: self._proceed(question), pace)
+        ahead = Foresight(self._solver, found, pace) if settings.method == "minimum-switch" else None
         if question.run:
             self._loop.inbox.hand_over(Planned(question.arrival, question.reply, goal, found))
             if ahead is not None:
                 self._improve(question, ahead)
         else:
-            question.reply(self._described(trajectory, ahead.whole() if ahead is not None else found))
+            question.reply(self._described(previous, ahead.whole() if ahead is not None else found))
 
     def _improve(self, question: Question, ahead: Foresight) -> None:
         """Betters the plan of a goal while it is being run, until it is done or something else is to be planned."""
@@ -124,8 +128,13 @@ class Planner:
         if question.run and question.arrival <= self._loop.accept_after:
             raise Refusal(codes.INVALID_GOAL, "canceled, stopped or reset before it began")
 
-    def _described(self, trajectory: Trajectory, found: Plan) -> Payload:
-        manipulator = self._arm.manipulator
+    def _described(self, previous: Configuration, found: Plan) -> Payload:
+        manipulator, trajectory = self._arm.manipulator, found.trajectory
+        before, stages = manipulator.actuator_states(previous), list[list[list[str]]]()
+        for transition in found.transitions:
+            changes = np.diff(np.vstack([before, transition.stages]).astype(int), axis=0)
+            stages.append([[manipulator.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()])
+            before = transition.stages[-1]
         waypoints = [
             {
                 "t": t,
@@ -134,9 +143,13 @@ class Planner:
                 **pose(manipulator, solution.tip),
                 "error": solution.error,
                 "switches": solution.switches,
+                "stages": labels,
+                "excursion": transition.excursion,
                 "seconds": solution.seconds,
             }
-            for t, goal, solution in zip(trajectory.times, trajectory.positions, found.solutions, strict=True)
+            for t, goal, solution, labels, transition in zip(
+                trajectory.times, trajectory.positions, found.solutions, stages, found.transitions, strict=True
+            )
         ]
         message = f"{len(waypoints)} waypoints, {found.switches} switches"
         return {**done(message), "waypoints": waypoints, "switches": found.switches}

@@ -3,41 +3,37 @@
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.daemon.events import Follow, Payload, Planned
 from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
 from controller.daemon.state import measured_tip, pose, written
-from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.daemon.switching import Switching
+from controller.manipulator.manipulator import Manipulator
 from controller.motion import codes
+from controller.motion.pacing import Pace, Staged
 from controller.motion.plan import Plan
 from drivers.boards import Boards
-from drivers.faults import BusBusy
 
 log = logging.getLogger(__name__)
-
-BUSY_FOR = 0.25  # [s]; a bus that takes no frame for longer is a fault
 
 
 class Runner:
     """Switches the boards to the waypoints of the running goal. The control loop's, called by no other thread.
 
     Attributes:
-        commanded: configuration last switched to or adopted, None before the first.
-        states: its actuator states, shape (A,).
-        switches: actuators switched since the daemon began.
+        switching: of the boards.
         execution: of the running goal.
         following: what a moving goal asks for; there is never both.
-        free_at: from when on the next transition may begin with the last one settled [s on the loop's clock].
 
     Args:
         manipulator: the arm.
         boards: connected.
         travel: longest time of an actuator from end-stop to end-stop [s].
-        lead: time that is needed from the tick before a switch to its end [s].
+        pace: of the transitions.
         publish: sends a payload on "feedback" or "result"; must not wait.
         ledger: counts switches and goals.
     """
@@ -47,33 +43,16 @@ class Runner:
         manipulator: Manipulator,
         boards: Boards,
         travel: float,
-        lead: float,
+        pace: Pace,
         publish: Callable[[str, Payload], None],
         ledger: Ledger,
     ) -> None:
-        self.commanded: Configuration | None = None
-        self.states: NDArray[np.uint8] | None = None
-        self.switches = 0
+        self.switching = Switching(manipulator, boards, travel, pace, ledger)
         self.execution: Execution | None = None
         self.following: Follow | None = None
-        self.free_at = 0.0
-        self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, lead
+        self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, pace.lead
         self._publish, self._ledger = publish, ledger
         self._accepted = 0
-        self._busy_since: float | None = None
-
-    def forget(self) -> None:
-        """Takes the arm's configuration as unknown."""
-        self.commanded = self.states = None
-
-    def adopt(self, measured: NDArray[np.int8]) -> None:
-        """Takes measured actuator states (A,) as the commanded ones; moves nothing.
-
-        Raises:
-            ValueError: they are no configuration of the arm.
-        """
-        self.commanded = self._manipulator.configuration(measured)
-        self.states = measured.astype(np.uint8)
 
     def objection(self, goal: Planned) -> tuple[int, str] | None:
         """Returns code and sentence of what forbids to begin a goal now, None if nothing does."""
@@ -86,16 +65,20 @@ class Runner:
         return None
 
     def begin(self, goal: Planned, now: float) -> None:
-        """Makes a goal the running one."""
-        began = start(goal.plan.trajectory, self._lead, now, time.time())
-        self.execution = Execution(goal, began, self._lead)
+        """Makes a goal the running one; it begins with the states as they are, whatever it was planned from."""
+        first, *others = goal.plan.transitions
+        stages = self.switching.from_here(first.stages)
+        lead = self._lead * len(stages) + max(self.switching.ready(stages[0]) - now, 0.0)
+        self.execution = Execution(goal, start(goal.plan.trajectory, lead, now, time.time()), self._lead)
+        if not np.array_equal(stages, first.stages):
+            self.execution.plan = replace(goal.plan, transitions=(Staged(stages, None), *others))
         self._accepted += 1
         self._ledger.accepted(self._accepted, goal.id, len(goal.plan.solutions))
 
     def improve(self, arrival: int, plan: Plan) -> None:
         """Takes a better plan for what is left of the goal of this arrival, if that is the running one."""
         if self.execution is not None and self.execution.goal.arrival == arrival:
-            self.execution.plan = plan
+            self.execution.improve(plan)
 
     def follow(self, wish: Follow) -> None:
         """Ends the running goal for a moving one, or has the next of its wishes replace the last."""
@@ -114,21 +97,37 @@ class Runner:
         execution = self.execution
         if execution is None:
             return None
-        if execution.reported < execution.waypoint and now >= execution.settled_at and not self._boards.moving(now):
+        if (
+            execution.reported < execution.waypoint
+            and now >= execution.settled_at - 1e-9
+            and not self._boards.moving(now)
+        ):
             self._report(execution)
             if execution.last:
                 return self._finish(execution)
-        waypoint = execution.due(now)
-        if waypoint is not None and self._commit(execution.plan.actuator_states[waypoint], now):
-            before, self.commanded = self.commanded, execution.plan.solutions[waypoint].configuration
-            switches = 0 if before is None else self._manipulator.switches(before, self.commanded)
-            execution.switched(waypoint, switches, now, self._travel)
+        due = execution.due(now)
+        if due is not None:
+            self._switch(execution, *due, now)
         return None
+
+    def _switch(self, execution: Execution, waypoint: int, stage: int, now: float) -> None:
+        """Switches to a stage of the way to a waypoint, or as near to it as may be.
+
+        Raises:
+            BusBusy: the bus has taken no frame for too long.
+        """
+        first = execution.stage + 1 if waypoint == execution.waypoint else 0
+        before = self.switching.switches
+        reached = self.switching.toward(execution.plan.transitions[waypoint].stages[first : stage + 1], now)
+        switches = self.switching.switches - before
+        if reached is not None or switches:
+            at = first - 1 if reached is None else first + reached
+            execution.switched(waypoint, at, switches, now, self._travel)
 
     def end(self, status: str, code: int, message: str) -> bool:
         """Tells the running goal its result, and follows nothing; returns whether there was a goal."""
         execution, self.execution = self.execution, None
-        self.following = self._busy_since = None
+        self.following = self.switching.busy_since = None
         if execution is None:
             return False
         result = {"id": execution.goal.id, "status": status, "code": code, "message": message}
@@ -137,41 +136,22 @@ class Runner:
         return True
 
     def _pursue(self, wish: Follow, now: float) -> str | None:
-        """Switches to the configuration wished for when the last transition is settled.
+        """Switches to the configuration wished for when the last transition, or its last stage, is settled.
 
         Raises:
             BusBusy: the bus has taken no frame for too long.
         """
+        switching = self.switching
         if now > wish.until:
-            self.following = self._busy_since = None
+            self.following = switching.busy_since = None
             return "holding; the stream of setpoints has stopped"
-        if wish.configuration is None or wish.previous is not self.commanded:  # switched meanwhile
-            self._busy_since = None
-        elif self._settled(now) and self._commit(self._manipulator.actuator_states(wish.configuration), now):
-            self.commanded = wish.configuration
+        if wish.configuration is None or wish.previous is not switching.commanded:  # switched meanwhile
+            switching.busy_since = None
+        elif now >= switching.free_at and not self._boards.moving(now):
+            states = self._manipulator.actuator_states(wish.configuration)
+            if switching.toward(states[None], now) is None:  # but perhaps a stage nearer
+                self.following = replace(wish, previous=switching.commanded)
         return None
-
-    def _settled(self, now: float) -> bool:
-        """Returns whether the last transition has come to its end."""
-        return now >= self.free_at and not self._boards.moving(now)
-
-    def _commit(self, states: NDArray[np.uint8], now: float) -> bool:
-        """Switches the actuators; returns False if the bus took no frame, to be tried again with the next tick."""
-        try:
-            self._boards.commit(states, now)
-        except BusBusy as error:
-            if self._busy_since is None:
-                self._busy_since = now
-            if now - self._busy_since > BUSY_FOR:
-                raise BusBusy(f"no command could be sent for {BUSY_FOR:g} s: {error}") from error
-            return False
-        self._busy_since = None
-        self.free_at = now + self._lead
-        switched = np.flatnonzero(states != self.states)
-        self.switches += len(switched)
-        self._ledger.switched(switched)
-        self.states = states.copy()
-        return True
 
     def _report(self, execution: Execution) -> None:
         """Tells that the waypoint last switched to is settled."""
@@ -181,6 +161,8 @@ class Runner:
             "waypoint": execution.waypoint,
             "waypoints": len(execution.plan.solutions),
             "switches": execution.switches,
+            "stages": execution.commits,
+            "excursion": execution.excursion,
             **self._where(execution),
         }
         self._publish("feedback", payload)

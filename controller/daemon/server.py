@@ -105,6 +105,8 @@ def description(arm: Arm) -> Payload:
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
         "tolerance": {"position": arm.tolerance},
         "travel_time": arm.settings.travel_time,
+        "inrush": arm.settings.inrush,
+        "rest_time": arm.settings.rest_time,
         "method": arm.settings.method,
         "boards": [msgspec.to_builtins(entry) for entry in arm.wiring],
     }

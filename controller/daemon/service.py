@@ -127,7 +127,17 @@ class Daemon:
             )
             closing.callback(telemetry.close)
             travel = arm.settings.travel_time
-            self.loop = ControlLoop(arm.manipulator, boards, travel, outbox.publish, telemetry, book, Notifier())
+            self.loop = ControlLoop(
+                arm.manipulator,
+                boards,
+                travel,
+                outbox.publish,
+                telemetry,
+                book,
+                Notifier(),
+                inrush=arm.settings.inrush,
+                rest=arm.settings.rest_time,
+            )
             closing.callback(self.loop.inbox.close)
             follower = Follower(arm, follower_solver, self.loop)
             planner = Planner(arm, solver, self.loop)

@@ -10,6 +10,7 @@ from controller.daemon.events import Cancel, Follow, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.state import Diagnostics, Snapshot
 from controller.motion.goal import Trajectory
+from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
 from controller.search.solver import Solution
 from drivers.faults import BusBusy, Fault
@@ -56,6 +57,9 @@ class FakeBoards:
     def measured(self) -> np.ndarray:
         self._break("measured")
         return self.states.copy()
+
+    def outputs(self) -> np.ndarray:
+        return np.array(self.commits[-1] if self.commits else np.maximum(self.states, 0), dtype=np.uint8)
 
     def hold(self) -> None:
         self._break("hold")
@@ -123,7 +127,7 @@ class FakeNotifier:
 class Rig:
     """The loop and all it says; `go` lets time pass."""
 
-    def __init__(self) -> None:
+    def __init__(self, inrush: int | None = None, rest: float = 0.0) -> None:
         self.now = 1000.0
         self.boards, self.ledger, self.notifier = FakeBoards(), FakeLedger(), FakeNotifier()
         self.published: list[tuple[str, dict[str, Any]]] = []
@@ -133,7 +137,7 @@ class Rig:
         self._arrival = 0
         self.loop = ControlLoop(
             ARM, self.boards, TRAVEL, lambda key, payload: self.published.append((key, dict(payload))),
-            self, self.ledger, self.notifier, lambda: self.now,
+            self, self.ledger, self.notifier, lambda: self.now, inrush, rest,
         )  # fmt: skip
         self.loop.begin()
         self.settle_start()
@@ -196,5 +200,5 @@ def planned(*configurations: Sequence[int], step: float = 0.2, stamp: float | No
     positions = np.array([tip[:2, 3] for tip in tips]) + np.array([error, 0])
     times = step * np.arange(len(chosen))
     solutions = tuple(Solution(c, tip, error, 1, True, 0.0, 1.0) for c, tip in zip(chosen, tips, strict=True))
-    states = np.array([ARM.actuator_states(configuration) for configuration in chosen])
-    return Plan(Trajectory(stamp, times, positions, 0.002), solutions, states)
+    transitions = tuple(Staged(ARM.actuator_states(configuration)[None], 0.0) for configuration in chosen)
+    return Plan(Trajectory(stamp, times, positions, 0.002), solutions, transitions)

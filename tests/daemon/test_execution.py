@@ -22,23 +22,23 @@ def execution(waypoints: int = 3, step: float = 1.0) -> Execution:
 def test_a_waypoint_is_due_the_lead_before_its_time() -> None:
     it = execution()
     assert it.due(100 - LEAD - 1e-6) is None
-    assert it.due(100 - LEAD + 1e-6) == 0
+    assert it.due(100 - LEAD + 1e-6) == (0, 0)
 
 
 def test_the_latest_is_due_and_nothing_older_after_it() -> None:
     it = execution()
-    assert it.due(101.5) == 1
-    it.switched(1, 4, 101.5, 0.05)
+    assert it.due(101.5) == (1, 0)
+    it.switched(1, 0, 4, 101.5, 0.05)
     assert it.due(101.5) is None
     assert (it.waypoint, it.switches, it.last) == (1, 4, False)
-    assert it.due(1e9) == 2
+    assert it.due(1e9) == (2, 0)
 
 
 def test_settled_at_its_time_or_after_the_travel() -> None:
     it = execution()
-    it.switched(0, 1, 100 - LEAD, 0.05)
+    it.switched(0, 0, 1, 100 - LEAD, 0.05)
     assert it.settled_at == 100
-    it.switched(1, 1, 101.5, 0.05)
+    it.switched(1, 0, 1, 101.5, 0.05)
     assert it.settled_at == pytest.approx(101.55)
 
 
@@ -46,10 +46,10 @@ def test_settled_at_its_time_or_after_the_travel() -> None:
 def test_no_waypoint_twice_and_never_backwards(moments: list[float], waypoints: int, step: float) -> None:
     it, switched = execution(waypoints, step), []
     for now in np.cumsum([95, *moments]):
-        due = it.due(float(now))
+        due, stage = it.due(float(now)) or (None, 0)
         if due is not None:
             assert it.start + due * step <= now + LEAD + 1e-6
-            it.switched(due, 0, float(now), 0.05)
+            it.switched(due, stage, 0, float(now), 0.05)
             switched.append(due)
         later = it.waypoint + 1
         assert later == waypoints or it.start + later * step > now + LEAD - 1e-6, "nothing due is left waiting"

@@ -4,7 +4,7 @@ import pytest
 
 from controller.daemon.events import Cancel, Reset, Started, Stop
 from controller.daemon.loop import PERIOD
-from controller.daemon.runner import BUSY_FOR
+from controller.daemon.switching import BUSY_FOR
 from drivers.faults import Fault
 from tests.daemon.rig import ARM, LOST, A, B, C, Rig, states
 

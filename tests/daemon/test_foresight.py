@@ -7,6 +7,7 @@ import pytest
 
 from controller.daemon.foresight import Foresight
 from controller.motion.goal import Trajectory
+from controller.motion.pacing import Pace
 from controller.motion.plan import plan
 from controller.search.solver import Solver
 
@@ -23,7 +24,7 @@ def first(arm, densities):
 
 def test_the_whole_is_better_and_meets_every_waypoint(first):
     solver, rough = first
-    better = Foresight(solver, rough, 0.06).whole()
+    better = Foresight(solver, rough, Pace(0.06)).whole()
     assert better.switches < rough.switches
     assert all(solution.within_tolerance for solution in better.solutions)
     np.testing.assert_array_equal(better.solutions[0].configuration, rough.solutions[0].configuration)
@@ -41,7 +42,7 @@ def test_no_waypoint_changes_once_it_is_due(first, monkeypatch):
     solver, rough = first
     now = [time.monotonic()]
     monkeypatch.setattr("controller.daemon.foresight.time.monotonic", lambda: now[0])
-    foresight, fixed = Foresight(solver, rough, 0.06), {}
+    foresight, fixed = Foresight(solver, rough, Pace(0.06)), {}
     for k, better in enumerate(foresight.betters(), 1):
         for waypoint, configuration in fixed.items():
             np.testing.assert_array_equal(better.solutions[waypoint].configuration, configuration)
@@ -54,4 +55,4 @@ def test_a_plan_of_one_waypoint_stays(arm, first):
     solver, rough = first
     single = Trajectory(None, np.zeros(1), rough.trajectory.positions[:1], 0.002)
     alone = plan(solver, single, np.zeros(16, dtype=np.int64), "minimum-switch")
-    assert Foresight(solver, alone, 0.06).whole() is alone
+    assert Foresight(solver, alone, Pace(0.06)).whole() is alone

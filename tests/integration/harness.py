@@ -65,9 +65,9 @@ class Observer:
     def feedback(self, goal: str) -> list[Message]:
         return [feedback for feedback in self.heard["feedback"] if feedback["id"] == goal]
 
-    def move(self, *positions: tuple[float, float], goal: str = "move") -> Message:
+    def move(self, *positions: tuple[float, float], goal: str = "move", times: list[float] | None = None) -> Message:
         """Sends a goal that must succeed; returns its result."""
-        answer = self.goal(*positions, id=goal)
+        answer = self.goal(*positions, times=times, id=goal)
         assert answer["accepted"], answer
         result = self.result(goal)
         assert result["status"] == "succeeded", result

@@ -1,0 +1,114 @@
+"""Switching the boards: never more actuators at once than may be, none before it has rested, each switch counted."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.daemon.ledger import Ledger
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.bounded import split, step
+from controller.motion.pacing import Pace
+from drivers.boards import Boards
+from drivers.faults import BusBusy
+
+BUSY_FOR = 0.25  # [s]; a bus that takes no frame for longer is a fault
+
+States = NDArray[np.uint8]
+
+
+class Switching:
+    """What the boards are commanded. The control loop's, called by no other thread.
+
+    Attributes:
+        commanded: configuration of `states`, None before they are known.
+        states: actuator states last committed or adopted, shape (A,).
+        switches: actuators switched since the daemon began.
+        switched_at: when each switched last, shape (A,) [s].
+        free_at: from when on the next stage may begin with the last one settled [s].
+        busy_since: when the bus first took no frame, None if it took the last.
+
+    Args:
+        manipulator: the arm.
+        boards: connected.
+        travel: longest time of an actuator from end-stop to end-stop [s].
+        pace: of the transitions.
+        ledger: counts switches.
+    """
+
+    def __init__(self, manipulator: Manipulator, boards: Boards, travel: float, pace: Pace, ledger: Ledger) -> None:
+        self.commanded: Configuration | None = None
+        self.states: States | None = None
+        self.switches = 0
+        self.switched_at = np.full(len(manipulator.actuators), -np.inf)
+        self.free_at = 0.0
+        self.busy_since: float | None = None
+        self._manipulator, self._boards, self._travel, self._ledger = manipulator, boards, travel, ledger
+        self._pace = pace
+        self._most = len(manipulator.actuators) if pace.inrush is None else pace.inrush
+
+    def forget(self) -> None:
+        """Takes the arm's configuration as unknown."""
+        self.commanded = self.states = None
+
+    def adopt(self, measured: NDArray[np.int8]) -> None:
+        """Takes measured actuator states (A,) as the commanded ones; moves nothing.
+
+        Raises:
+            ValueError: they are no configuration of the arm.
+        """
+        self.commanded = self._manipulator.configuration(measured)
+        self.states = measured.astype(np.uint8)
+
+    def from_here(self, stages: States) -> States:
+        """Returns the stages (k, A) by which a planned transition is carried out from the states as they are."""
+        return split(self._manipulator, self._boards.outputs(), stages, self._most)
+
+    def ready(self, states: States) -> float:
+        """Returns from when on states (A,) may be switched to [s]: the last stage has ended, the actuators rested."""
+        differ, ready = self._boards.outputs() != states, -np.inf
+        if differ.any() and self._pace.inrush is not None:
+            ready = self.switched_at.max() + self._travel
+        if differ.any() and self._pace.rest > 0:
+            ready = max(ready, self.switched_at[differ].max() + self._travel + self._pace.rest)
+        return float(ready)
+
+    def toward(self, stages: States, now: float) -> int | None:
+        """Switches to the last of the stages (k, A) that the bound allows to be reached at once, or on the way there.
+
+        Returns:
+            The stage that has been reached; None: none yet, to be tried again with the next tick.
+
+        Raises:
+            BusBusy: the bus has taken no frame for too long.
+        """
+        wanted = self._next(stages)
+        if now < self.ready(wanted) - 1e-9 or not self._commit(wanted, now):
+            return None
+        reached = np.flatnonzero((stages == wanted).all(axis=1))
+        return int(reached[-1]) if len(reached) else None
+
+    def _next(self, stages: States) -> States:
+        outputs = self._boards.outputs()  # beside `states`, which may have been measured, and one of several buses busy
+        for stage in stages[::-1]:
+            if np.count_nonzero(outputs != stage) <= self._most:
+                return np.asarray(stage, dtype=np.uint8)
+        return step(self._manipulator, outputs, stages[-1], self._most)
+
+    def _commit(self, states: States, now: float) -> bool:
+        """Switches the actuators; returns False if the bus took no frame."""
+        outputs = self._boards.outputs()
+        try:
+            self._boards.commit(states, now)
+        except BusBusy as error:
+            self.switched_at[self._boards.outputs() != outputs] = now
+            if self.busy_since is None:
+                self.busy_since = now
+            if now - self.busy_since > BUSY_FOR:
+                raise BusBusy(f"no command could be sent for {BUSY_FOR:g} s: {error}") from error
+            return False
+        self.busy_since, self.free_at = None, now + self._pace.lead
+        switched = np.flatnonzero(states != self.states)
+        self.switched_at[outputs != states] = now
+        self.switches += len(switched)
+        self._ledger.switched(switched)
+        self.states, self.commanded = states.copy(), self._manipulator.configuration(states)
+        return True

@@ -1,0 +1,77 @@
+"""From any actuator states to others, with a bound on how many switch at once; every module stays in states it has."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Manipulator
+
+States = NDArray[np.uint8]
+
+
+def split(manipulator: Manipulator, states: States, stages: States, most: int) -> States:
+    """Returns the stages by which a transition, planned from other states, is carried out from these.
+
+    What has its last state already does not switch; if the states are those it was planned from, its stages stay.
+
+    Args:
+        manipulator: the arm.
+        states: of a configuration, shape (A,).
+        stages: as planned, shape (k, A).
+        most: actuators that may switch at once.
+    """
+    result: list[States] = []
+    for stage in np.where(states == stages[-1], states, stages):
+        if not possible(manipulator, stage):
+            continue
+        while np.count_nonzero(states != stage) > most:
+            states = step(manipulator, states, stage, most)
+            result.append(states)
+        if (states != stage).any():
+            states = stage
+            result.append(states)
+    return np.array(result or [stages[-1]])
+
+
+def step(manipulator: Manipulator, states: States, wanted: States, most: int) -> States:
+    """Returns the states after one stage on the way between those of two configurations.
+
+    Module by module is switched from the base on; one with more switches than the bound goes on its own.
+    """
+    result, left, start = states.copy(), most, 0
+    for module in manipulator.modules:
+        own = slice(start, start + len(module.actuators))
+        start = own.stop
+        switches = int(np.count_nonzero(states[own] != wanted[own]))
+        if switches > left == most:
+            result[own] = nearer(module.bits, states[own], wanted[own], most)
+            return result
+        if switches <= left:
+            result[own] = wanted[own]
+            left -= switches
+    return result
+
+
+def nearer(codes: States, code: States, wanted: States, most: int) -> States:
+    """Returns the code (a,) after the first of the fewest steps from one of a module's codes (K, a) to another.
+
+    Raises:
+        ValueError: there is no way with at most `most` switches a step.
+    """
+    layer = seen = (codes == wanted).all(axis=1)
+    near = (codes != code).sum(axis=1) <= most
+    while not (layer & near).any():
+        layer = ~seen & ((codes[:, None] != codes[layer]).sum(axis=2) <= most).any(axis=1)
+        if not layer.any():
+            raise ValueError(f"no way from {code.tolist()} to {wanted.tolist()} with {most} actuators at once")
+        seen = seen | layer
+    options = codes[layer & near]
+    return np.asarray(options[np.argmin((options != wanted).sum(axis=1))])
+
+
+def possible(manipulator: Manipulator, states: States) -> bool:
+    """Returns whether actuator states (A,) are a configuration's."""
+    try:
+        manipulator.configuration(states)
+    except ValueError:
+        return False
+    return True

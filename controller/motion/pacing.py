@@ -1,0 +1,112 @@
+"""The pace of transitions: as many stages as there is time for, none above the bound on the inrush."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.excursion import build_transition
+from controller.motion.stages import SKIPPED, order_stages
+
+MOST_STAGES = 8  # of a transition, unless the bound needs more: the tip then strays little less
+
+
+class Unfit(ValueError):
+    """A transition cannot be carried out in the time there is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """A transition as it is carried out.
+
+    Attributes:
+        stages: actuator states that each stage ends in, shape (k, A); k is at least 1, and 1 where nothing switches.
+        excursion: greatest distance of the tip from the straight line; None: not known.
+    """
+
+    stages: NDArray[np.uint8]
+    excursion: float | None
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What bounds the pace of an arm's transitions.
+
+    Attributes:
+        lead: time that one stage needs, from the tick before it to its end [s].
+        inrush: most actuators that may switch at once; None: no bound, and every transition is one stage.
+        rest: time that an actuator rests between two travels [s].
+    """
+
+    lead: float
+    inrush: int | None = None
+    rest: float = 0.0
+
+    @property
+    def shortest(self) -> float:
+        """Least time between two waypoints [s]."""
+        return self.lead + self.rest
+
+    def needed(self, switches: int) -> float:
+        """Returns the least time between two waypoints that are so many switches apart [s]."""
+        return self.rest + self.lead * max(self._fewest(switches), 1)
+
+    def longest(self, available: NDArray[np.float64], actuators: int) -> NDArray[np.float64]:
+        """Returns the most time that transitions of an arm take where so much is available (n,) [s]."""
+        if self.inrush is None:
+            return np.full_like(available, self.lead)
+        return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self._fewest(actuators)))
+
+    def staged(
+        self, manipulator: Manipulator, before: Configuration, after: Configuration, available: float | None = None
+    ) -> Staged:
+        """Returns how a transition is carried out.
+
+        Args:
+            manipulator: the arm.
+            before: configuration, shape (B,).
+            after: configuration, shape (B,).
+            available: time from the waypoint before to the one after [s]; None: as much as wanted.
+
+        Raises:
+            Unfit: that is too little; the message says what is needed.
+        """
+        n = manipulator.switches(before, after)
+        if self.inrush is None or n <= 1:
+            return at_once(manipulator, before, after)
+        fewest = self._fewest(n)
+        room = n if available is None else min(n, int((available - self.rest) / self.lead + 1e-9))
+        if room < fewest:
+            raise Unfit(f"{n} switches, at most {self.inrush} at once, need {self.needed(n):.3g} s")
+        if room == 1:
+            return at_once(manipulator, before, after)
+        for limit in sorted({max(min(room, MOST_STAGES), fewest), room}):
+            try:
+                found = order_stages(manipulator, before, after, self.inrush, limit)
+            except ValueError:  # every order of so few stages would end one in states that a module does not have
+                continue
+            return Staged(rows(manipulator.actuator_states(before), found.actuators), found.excursion)
+        raise Unfit(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
+
+    def _fewest(self, switches: int) -> int:
+        """Returns the fewest stages."""
+        return -(-switches // (self.inrush or max(switches, 1)))
+
+
+def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:
+    """Returns a transition in one stage."""
+    transition = build_transition(manipulator, before, after)
+    everything, excursion = np.arange(len(transition.actuators)), 0.0
+    if len(everything):
+        known = replace(transition, unknown=SKIPPED)
+        excursion = max(known.greatest(known.masks([]), everything), 0.0)
+    return Staged(manipulator.actuator_states(after)[None], excursion)
+
+
+def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDArray[np.uint8]:
+    """Returns the actuator states (k, A) after each of the stages that follow on states (A,)."""
+    result = np.tile(states, (len(stages), 1))
+    for k, stage in enumerate(stages):
+        result[k:, list(stage)] ^= 1
+    return result

@@ -1,0 +1,79 @@
+"""How many stages a transition takes, in the time there is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.motion.excursion import build_transition
+from controller.motion.goal import Trajectory
+from controller.motion.pacing import MOST_STAGES, Pace, Unfit
+from controller.motion.plan import plan
+from tests.arms import paper_arm
+
+LEAD = 0.06
+ARM = paper_arm(4)
+ZERO, FAR = np.zeros(4, dtype=np.int64), np.array([7, 7, 7, 0])  # nine switches apart
+configurations = st.lists(st.integers(0, 7), min_size=4, max_size=4).map(np.array)
+
+
+@given(configurations, configurations, st.integers(1, 12), st.floats(0.0, 1.0), st.floats(0.0, 0.3))
+def test_in_time_within_the_bound_or_refused(before, after, inrush, available, rest):
+    pace, n = Pace(LEAD, inrush, rest), ARM.switches(before, after)
+    if n > 1 and available < pace.needed(n) - 1e-8:
+        with pytest.raises(Unfit, match=f"{n} switches, at most {inrush} at once, need"):
+            pace.staged(ARM, before, after, available)
+    elif available >= pace.shortest:
+        stages = pace.staged(ARM, before, after, available).stages
+        assert len(stages) * LEAD + rest <= available + 1e-6
+        assert len(stages) <= max(MOST_STAGES, -(-n // inrush))
+        every = np.vstack([ARM.actuator_states(before), stages]).astype(int)
+        switched = np.abs(np.diff(every, axis=0))
+        assert (switched.sum(axis=1) <= inrush).all()
+        assert (switched.sum(axis=0) <= 1).all(), "twice in one transition"
+        assert stages[-1].tolist() == ARM.actuator_states(after).tolist()
+
+
+def test_without_a_bound_all_at_once():
+    staged = Pace(LEAD).staged(ARM, ZERO, FAR, 10.0)
+    assert staged.stages.tolist() == [ARM.actuator_states(FAR).tolist()]
+    transition = build_transition(ARM, ZERO, FAR)
+    assert staged.excursion == transition.greatest(transition.masks([]), np.arange(9))
+
+
+def test_more_time_strays_less_and_nothing_to_do_is_one_stage():
+    pace = replace(Pace(LEAD), inrush=3)
+    short, wide = (pace.staged(ARM, ZERO, FAR, t) for t in (3 * LEAD, 8 * LEAD))
+    assert len(short.stages) == 3 < len(wide.stages)
+    assert wide.excursion < short.excursion < Pace(LEAD).staged(ARM, ZERO, FAR).excursion
+    still = pace.staged(ARM, FAR, FAR, LEAD)
+    assert (still.stages.tolist(), still.excursion) == ([ARM.actuator_states(FAR).tolist()], 0.0)
+
+
+def test_a_goal_too_fast_is_refused_naming_the_pair(solver, manipulator):
+    positions = np.array([(0.55, 2.9), (3.0, 0.7)])
+    fast = Trajectory(None, np.array([0.0, 0.1]), positions, 0.002)
+    with pytest.raises(Refusal) as caught:
+        plan(solver, fast, ZERO.repeat(4), "ipop-previous", pace=Pace(LEAD, 1))
+    assert caught.value.code == INVALID_GOAL
+    assert str(caught.value).startswith("waypoints[0] to waypoints[1]: 0.1 s, ")
+    slow = replace(fast, times=np.array([0.0, 5.0]))
+    found = plan(solver, slow, ZERO.repeat(4), "ipop-previous", pace=Pace(LEAD, 1))
+    assert [len(t.stages) for t in found.transitions] == [s.switches for s in found.solutions]
+
+
+def test_better_plans_that_do_not_fit_are_left_out(solver):
+    pace, near, far = Pace(LEAD, 2), ZERO.repeat(4), np.array([7] * 16)
+    tips = solver.manipulator.tips([near] * 3)[:, :2, 3]
+    still = plan(solver, Trajectory(None, np.arange(3) * 0.3, tips, 0.002), near, "minimum-switch", pace=pace)
+    slight = near.copy()
+    slight[0] = 1
+    better = still.improved(solver, pace, 1, [slight, far])
+    assert [s.configuration.tolist() for s in better.solutions] == [c.tolist() for c in (near, slight, near)]
+    assert better.actuator_states.tolist() == [
+        solver.manipulator.actuator_states(s.configuration).tolist() for s in better.solutions
+    ]
+    assert still.improved(solver, pace, 1, [far, far]) is still
