@@ -162,3 +162,15 @@ def test_a_goal_that_was_asked_for_before_the_stream_is_replaced_by_it(rig: Rig)
     rig.go(0.1)
     assert rig.results == [("a", "replaced")]
     assert rig.loop.reason == "following a setpoint"
+
+
+def test_no_more_switch_at_once_than_the_supply_can_take() -> None:
+    rig = Rig(inrush=1)
+    rig.go()
+    stream = rig.arrival()
+    for _ in range(60):
+        rig.follow(stream, B)
+        rig.go()
+    assert rig.boards.commits[-1] == states(B)
+    before = [states((0, 0)), *rig.boards.commits]
+    assert max(sum(x != y for x, y in zip(a, b, strict=True)) for a, b in pairwise(before)) == 1

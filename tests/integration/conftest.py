@@ -68,14 +68,14 @@ class Bench:
         self.stack, self.arm, self.endpoint, self.ledger = stack, arm, endpoint, ledger
         self._densities, self._wiring = densities, wiring
 
-    def daemon(self) -> Daemon:
+    def daemon(self, timing: Timing | None = None) -> Daemon:
         """Builds a daemon that does not run yet."""
         config = session.configuration("peer", listen=self.endpoint)
-        return Daemon(self.arm, self._densities, self._wiring, config, self.ledger)
+        return Daemon(self.arm, self._densities, self._wiring, config, self.ledger, timing)
 
-    def run(self) -> Daemon:
+    def run(self, timing: Timing | None = None) -> Daemon:
         """Runs a daemon until the test's end."""
-        return self.stack.enter_context(running(self.daemon()))
+        return self.stack.enter_context(running(self.daemon(timing)))
 
     def session(self) -> zenoh.Session:
         return self.stack.enter_context(zenoh.open(session.configuration("client", connect=self.endpoint)))

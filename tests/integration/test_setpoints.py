@@ -15,7 +15,9 @@ import pytest
 import zenoh
 
 from controller.config import Arm
+from controller.daemon.service import Daemon, patient
 from drivers.simulation import Simulation
+from drivers.wiring import Timing
 from tests.daemon.waiting import eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
@@ -70,6 +72,12 @@ class Publisher:
         finally:
             over.set()
             thread.join()
+
+
+@pytest.fixture
+def daemon(bench: Bench, boards: Simulation, timing: Timing) -> Daemon:
+    """A daemon that is patient with boards which a loaded machine keeps waiting."""
+    return bench.run(patient(timing))
 
 
 @pytest.fixture
