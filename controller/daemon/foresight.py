@@ -1,7 +1,7 @@
 """Looking ahead while the arm moves: better plans for the waypoints still to come, each in time for its own."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from controller.motion.plan import Plan
 from controller.search.solver import Solver
 
 MARGIN = 0.1  # [s] before a waypoint's actuators switch, at which its configuration is decided
-WHOLE_TIME = 5.0  # [s] for a plan that nobody waits to run
+WHOLE_TIME = 2.0  # [s] for a plan that is only asked for
 
 
 class Foresight:
@@ -46,11 +46,11 @@ class Foresight:
                 told = len(decided)
             yield self._plan
 
-    def whole(self) -> Plan:
-        """Returns the plan bettered to its end, or as far as there is time."""
+    def whole(self, hurry: Callable[[], bool] = lambda: False) -> Plan:
+        """Returns the plan bettered to its end, or as far as there is time and no `hurry`."""
         until = time.perf_counter() + WHOLE_TIME
         self._start = np.inf  # nothing is due
         for better in self.betters():
-            if time.perf_counter() > until:
+            if time.perf_counter() > until or hurry():
                 return better
         return self._plan

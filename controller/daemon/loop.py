@@ -116,6 +116,8 @@ class ControlLoop:
         event = self.inbox.get(self._time.left(self._clock()))
         if event is not None:
             self._guarded(self._handle, event)
+        if isinstance(event, Planned):  # what is due of a fresh goal does not wait for the tick
+            self._guarded(self._advance, self._clock())
         began = self._clock()
         if self._time.left(began) <= 0:
             self._guarded(self._tick, began)
@@ -133,6 +135,13 @@ class ControlLoop:
 
     def _tick(self, now: float) -> None:
         self._boards.tick(now)
+        self._advance(now)
+        if self._notifier.watchdog and now >= self._next_beat:
+            self._notifier.send("WATCHDOG=1")
+            self._next_beat = now + self._notifier.watchdog / 4
+
+    def _advance(self, now: float) -> None:
+        """Goes on with the goal, or with what is followed."""
         while not self._reported.empty():  # before the goal goes on, which they may concern
             self._fail(self._reported.get())
         states = self._runner.switching.states
@@ -144,9 +153,6 @@ class ControlLoop:
         if end is not None:
             self._enter("ready", end)
         self._changed |= states is not self._runner.switching.states
-        if self._notifier.watchdog and now >= self._next_beat:
-            self._notifier.send("WATCHDOG=1")
-            self._next_beat = now + self._notifier.watchdog / 4
 
     def _tell(self, now: float) -> None:
         if self._changed or now >= self._next_state:

@@ -99,7 +99,9 @@ class Planner:
             if ahead is not None:
                 self._improve(question, ahead)
         else:
-            question.reply(self._described(previous, ahead.whole() if ahead is not None else found))
+            if ahead is not None:
+                found = ahead.whole(hurry=lambda: self._closing or not self._queue.empty())
+            question.reply(self._described(previous, found))
 
     def _improve(self, question: Question, ahead: Foresight) -> None:
         """Betters the plan of a goal while it is being run, until it is done or something else is to be planned."""

@@ -128,7 +128,7 @@ def spread(
 
     Of all children of the nodes of one level, those of least cost less `worth` times their measure are kept, as many as
     there is room for. Writes their states to `configurations` (W, B), the goal in frame F_depth to `wanted` (W, 3) and
-    the costs so far to `prices` (W,), the best first; returns their number.
+    the costs so far to `prices` (W,), the best first; returns the number of those within reach.
 
     Args:
         goal: position in frame F_0, shape (3,).
@@ -170,6 +170,9 @@ def spread(
                 born += 1
         order = np.argsort(scores[:born])
         count = min(born, width)
+        if i == depth - 1:  # what is out of reach by the last measure need not be finished
+            while count > 0 and scores[order[count - 1]] >= 1e12:
+                count -= 1
         for n in range(count):
             k = order[n]
             kept[n, :i] = configurations[parents[k], :i]
