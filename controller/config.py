@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
 from numpy.typing import NDArray
@@ -273,8 +272,3 @@ def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[
     if settings.actuators or settings.buses:
         faults += [f"actuators: {label} is not mapped" for label in manipulator.actuators if label not in found]
     return tuple(found[label] for label in manipulator.actuators if label in found)
-
-
-def to_builtins(settings: Struct) -> object:
-    """Returns plain lists and dictionaries, for JSON."""
-    return msgspec.to_builtins(settings)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.config import Arm, WeightSettings, load, to_builtins
+from controller.config import Arm, WeightSettings, load
 from controller.manipulator import frames
 from controller.strict import InputFaults
 
@@ -132,7 +132,7 @@ def test_listed_frames_planar_and_spatial(read):
 
 
 def test_settings_go_back_to_the_same_arm(read, arm):
-    sent = msgspec.json.decode(msgspec.json.encode(to_builtins(arm.settings)))
+    sent = msgspec.json.decode(msgspec.json.encode(msgspec.to_builtins(arm.settings)))
     assert read(sent).settings == arm.settings
 
 
