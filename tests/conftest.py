@@ -15,7 +15,19 @@ from controller.workspace.densities import Densities
 settings.register_profile("hyperbit", derandomize=True, deadline=None)
 settings.load_profile("hyperbit")
 
+BUSES = ("virtual", "socketcan")
 PAPER_ARM = Path(__file__).parents[1] / "deploy" / "planar16.yaml"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--bus", choices=BUSES, help="the only bus for tests that run on several")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Runs what opens a bus on each kind of bus."""
+    if "bus" in metafunc.fixturenames:
+        only = metafunc.config.getoption("bus")
+        metafunc.parametrize("bus", [only] if only else BUSES, indirect=True)
 
 
 @pytest.fixture(scope="session")
