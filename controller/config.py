@@ -1,133 +1,21 @@
-"""An arm's YAML file: what it may say, and every fault in it by the path of the field."""
+"""The arm that a YAML file describes, and every fault in it by the path of the field."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Meta, Struct, field
 from numpy.typing import NDArray
 
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
 from controller.manipulator.vgt import ACTUATORS, Diagonal, vgt
-from controller.search.method import Method
+from controller.settings import ActuatorSettings, ArmSettings, FrameSettings, Legs, TransformsSettings
 from controller.strict import InputFaults, check, read_yaml
 
-# Lengths beyond these bounds are slips of the unit, and would overflow when squared.
-Positive = Annotated[float, Meta(gt=0, le=1e6)]
-Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Pair = tuple[Positive, Positive]
-Count = Annotated[int, Meta(ge=1, le=10_000)]
-Bit = Annotated[int, Meta(ge=0, le=63)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
-Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
-Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
-
 MOST_PIXELS = 2**19
-
-
-class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A frame: planar with an angle [rad], or spatial with a quaternion x, y, z, w."""
-
-    position: Vector
-    orientation: float | Quaternion = 0.0
-
-
-class Legs(Struct, forbid_unknown_fields=True, frozen=True):
-    """Contracted and extended length of each actuator of a truss module."""
-
-    left: Pair
-    diagonal: Pair
-    right: Pair
-
-
-class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=True, frozen=True):
-    """`count` truss modules of section 4, their diagonals alternating from the first's."""
-
-    width: Positive
-    lengths: Pair | Legs
-    count: Count = 1
-    first_diagonal: Diagonal = "BC"
-
-
-class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
-    """`count` modules whose states are the listed frames."""
-
-    states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)]
-    count: Count = 1
-
-
-class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """How near to a goal is good enough, where the goal says nothing."""
-
-    position: Positive
-
-
-class WeightSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """What a switch costs: at the base, as against 1 at the tip, and how much more where the ledger counts most."""
-
-    base: Annotated[float, Meta(gt=0, le=1000)] = 1.0
-    wear: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-
-
-class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Finest pixel (absent: 1/400 of the arm's length), and memory [MiB] that all densities together may take."""
-
-    pixel: Positive | None = None
-    memory: Annotated[float, Meta(gt=0, le=65536)] = 512.0
-
-
-class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """One CAN bus, by the names of python-can."""
-
-    name: Name
-    channel: str
-    interface: Literal["socketcan", "virtual"] = "socketcan"
-    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000
-
-
-class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """What holds for all boards; times in seconds."""
-
-    heartbeat: Annotated[float, Meta(ge=0.01, le=10)] = 0.1
-    heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30)] = 0.35
-    boot_timeout: Annotated[float, Meta(gt=0, le=120)] = 3.0
-    on_loss: Literal["hold", "contract"] = "hold"
-    shared_rpdo: bool = False
-
-
-class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where one actuator is wired; the input bit, where there is an end-stop, reads 1 when extended."""
-
-    module: Annotated[int, Meta(ge=1)]
-    actuator: str
-    bus: str
-    node: Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
-    output: Bit
-    input: Bit | None = None
-    weight: Annotated[float, Meta(gt=0, le=1000)] = 1.0
-
-
-class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """The whole file."""
-
-    name: Name
-    modules: Annotated[list[VgtSettings | TransformsSettings], Meta(min_length=1)]
-    tolerance: ToleranceSettings
-    travel_time: Annotated[float, Meta(gt=0, le=60)] = 0.05
-    rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
-    inrush: Count | None = None
-    base: FrameSettings = FrameSettings([0.0, 0.0])
-    workspace: WorkspaceSettings = WorkspaceSettings()
-    method: Method = "minimum-switch"
-    weights: WeightSettings = WeightSettings()
-    boards: BoardSettings = BoardSettings()
-    buses: list[BusSettings] = field(default_factory=list)
-    actuators: list[ActuatorSettings] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)

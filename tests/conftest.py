@@ -1,8 +1,11 @@
 """The arm of the paper and its densities, for every room's tests."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 from hypothesis import settings
 
 from controller.config import Arm, load
@@ -48,3 +51,19 @@ def densities(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Densities:
 @pytest.fixture(scope="session")
 def solver(manipulator: Manipulator, densities: Densities) -> Solver:
     return Solver(manipulator, densities)
+
+
+@pytest.fixture(scope="session")
+def read(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any], Arm]:
+    """Loads a document by way of a file."""
+    path = tmp_path_factory.mktemp("config") / "arm.yaml"
+
+    class Plain(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    def read(value: Any) -> Arm:
+        path.write_text(yaml.dump(value, Dumper=Plain))
+        return load(path)
+
+    return read
