@@ -8,12 +8,14 @@ from typing import TypeVar
 
 from controller.daemon.bringup import BringUp
 from controller.daemon.events import Cancel, Event, Follow, Improved, Payload, Planned, Quit, Reset, Started, Stop
+from controller.daemon.faultlist import FaultList
 from controller.daemon.inbox import Inbox
 from controller.daemon.ledger import Ledger
 from controller.daemon.messages import done, refused
 from controller.daemon.notify import Notifier
 from controller.daemon.runner import Runner
-from controller.daemon.state import Diagnostics, Mode, Snapshot, Telemetry
+from controller.daemon.state import Mode, Telemetry
+from controller.daemon.telling import Teller
 from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
@@ -26,8 +28,6 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 PERIOD = 0.01  # [s]
-STATE_EVERY = 0.05
-DIAGNOSTICS_EVERY = 1.0
 DEFECT = Fault("internal-error", "daemon", "internal error, see the journal; the arm holds")
 
 
@@ -72,13 +72,13 @@ class ControlLoop:
         self.accept_after = self.follow_after = 0
         self.inbox = Inbox()
         self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
-        self._boards, self._telemetry, self._ledger, self._notifier = boards, telemetry, ledger, notifier
+        self._boards, self._notifier = boards, notifier
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
-        self._faults: dict[tuple[str, str], Fault] = {}
+        self._faults = FaultList()
         self._bring_up = BringUp(boards, self.inbox.put)
-        self._changed = True
+        self._teller = Teller(boards, self._runner, ledger, telemetry)
         self._ended = False
-        self._next_state = self._next_diagnostics = self._next_beat = 0.0
+        self._next_beat = 0.0
         self._clock, self._time = clock, Timekeeper(PERIOD)
         boards.subscribe(self._reported.put)
 
@@ -129,7 +129,7 @@ class ControlLoop:
         try:
             work(argument)
         except Exception:
-            if (DEFECT.code, DEFECT.source) not in self._faults:  # not a hundred times a second
+            if DEFECT not in self._faults:  # not a hundred times a second
                 log.exception("internal error")
             self._fail(DEFECT)
 
@@ -152,34 +152,16 @@ class ControlLoop:
             return
         if end is not None:
             self._enter("ready", end)
-        self._changed |= states is not self._runner.switching.states
+        self._teller.changed |= states is not self._runner.switching.states
 
     def _tell(self, now: float) -> None:
-        if self._changed or now >= self._next_state:
+        if self._teller.state_due(now):
             self._show(now)
-        if now >= self._next_diagnostics:
-            self._next_diagnostics = now + DIAGNOSTICS_EVERY
-            status, hardware, waiting = self._time.take(), self._boards.status(), self.inbox.waiting()
-            diagnostics = Diagnostics(
-                time.time(), status, hardware, waiting, self._runner.switching.switches, self._ledger.fault
-            )
-            self._telemetry.diagnose(diagnostics)
+        if self._teller.diagnostics_due(now):
+            self._teller.diagnose(now, self._time.take(), self.inbox.waiting())
 
     def _show(self, now: float) -> None:
-        self._changed, self._next_state = False, now + STATE_EVERY
-        execution = self._runner.execution
-        self._telemetry.show(
-            Snapshot(
-                stamp=time.time(),
-                mode=self.mode,
-                reason=self.reason,
-                commanded=self._runner.switching.states,
-                measured=self._boards.measured(),
-                goal=execution.goal.id if execution else None,
-                waypoint=execution.waypoint if execution and execution.waypoint >= 0 else None,
-                faults=tuple(self._faults.values()),
-            )
-        )
+        self._teller.show(now, self.mode, self.reason, self._faults.all())
 
     def _handle(self, event: Event) -> None:
         match event:
@@ -245,14 +227,12 @@ class ControlLoop:
         if (mode, reason) != (self.mode, self.reason):
             log.log(logging.WARNING if mode in ("fault", "stopped") else logging.INFO, "%s: %s", mode, reason)
             self._notifier.send(f"STATUS={mode}: {reason}")
-        self.mode, self.reason, self._changed = mode, reason, True
+        self.mode, self.reason, self._teller.changed = mode, reason, True
 
     def _fail(self, fault: Fault) -> None:
         """Holds, aborts the goal, and waits for reset; while boards are brought up, the end of that decides."""
-        if (fault.code, fault.source) not in self._faults:
-            log.error("%s: %s", fault.code, fault.message)
-        self._faults.setdefault((fault.code, fault.source), fault)
-        self._changed = True
+        self._faults.add(fault)
+        self._teller.changed = True
         self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, fault.message)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._bring_up.running):
             self._enter("fault", fault.message)
@@ -272,12 +252,9 @@ class ControlLoop:
         if not self._bring_up.end() or self.mode == "stopped":  # after an emergency stop, reset starts again
             return
         for fault in faults:
-            self._faults.setdefault((fault.code, fault.source), fault)
+            self._faults.add(fault)
         if self._faults:
-            for fault in self._faults.values():
-                log.error("%s: %s", fault.code, fault.message)
-            more = f" (and {len(self._faults) - 1} more)" if len(self._faults) > 1 else ""
-            self._enter("fault", next(iter(self._faults.values())).message + more)
+            self._enter("fault", self._faults.sentence())
             return
         self._boards.hold()
         try:
