@@ -21,6 +21,7 @@ from rich.table import Table
 from controller.search.method import METHODS as PRODUCT_METHODS
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
+from tests.benchmarks.budgets import FIRST, LONGEST, ladder, ladder_table, reached, reached_table
 from tests.benchmarks.figure import plot
 from tests.benchmarks.goals import SETS
 from tests.benchmarks.growth import growth, growth_table
@@ -29,9 +30,8 @@ from tests.benchmarks.methods import METHODS, OPTIMUM, OURS, SLOW, Method, annea
 
 MODULES, PIXEL, LEVEL_PIXELS = 16, 0.01, 1_000_000
 TOLERANCE = 0.002
-PROOFS = 100
+PROOFS, BUDGET_GOALS = 100, 150
 PROOF_SECONDS, PROOF_SHARE = 25.0, 0.08  # for all proofs of one set: at most, and for each goal asked for
-LONGEST = 0.04  # [s] for a goal that annealing is given to come to an equal share within the tolerance
 
 
 @dataclass(frozen=True)
@@ -75,21 +75,6 @@ def measured(method: Method, arm: Arm, goals: Goals, proofs: Proofs) -> Row:
     return row(method.name, trace, arm, ratio(method, problem, arm, goals, proofs), tuple(tables))
 
 
-def annealings(arm: Arm, goals: Goals, proofs: Proofs, reference: Row) -> list[Row]:
-    """Measures annealing in the time of `reference`, and as long as it takes to as great a share within."""
-    rows = [measured(annealed("annealing, equal time", reference.seconds_median), arm, goals, proofs)]
-    seconds, share = reference.seconds_median, rows[0].within
-    while share < reference.within and 2 * seconds <= LONGEST:
-        seconds *= 2
-        method = annealed("annealing, equal share", seconds)
-        trace = traced(method, prepared(method, arm)[0], arm, goals[: method.most])
-        share = float(np.mean(trace.errors <= arm.tolerance))
-    if seconds > reference.seconds_median:
-        name = "annealing, equal share" if share >= reference.within else "annealing, longer"
-        rows.append(measured(annealed(name, seconds), arm, goals, proofs))
-    return rows
-
-
 def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[Row], dict[str, int]]:
     """Measures all methods on a set; returns the rows, and how much of it is proven."""
     draw, most = SETS[name]
@@ -101,8 +86,9 @@ def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[R
     for method in METHODS:
         with console.status(f"{name}: {method.name}"):
             rows.append(measured(method, arm, goals, proofs))
+    equal, first = annealed("annealing, equal time", rows[0].seconds_median), annealed(FIRST, LONGEST, first=True)
     with console.status(f"{name}: annealing"):
-        rows += annealings(arm, goals, proofs, rows[0])
+        rows += [measured(method, arm, goals, proofs) for method in (equal, first)]
     known = proofs.fewest >= 0
     if known.any():
         trace = Trace(proofs.fewest[known], proofs.trace.errors[known], proofs.trace.seconds[known])
@@ -165,6 +151,16 @@ def main() -> None:
             columns = zip(*((r.method, r.seconds_median, r.switches_mean, r.within) for r in rows), strict=True)
             plot(arguments.plot, title, *columns)
         figures["sets"][name] = {"proofs": proofs, "rows": [asdict(r) for r in rows]}
+    draw, most = SETS[arguments.set or "random"]
+    goals = draw(manipulator, densities, TOLERANCE, min(arguments.goals, most, BUDGET_GOALS))
+    with progress.status("annealing and ours in equal times"):
+        rungs, shares = ladder(arm, goals), reached(arm, goals)
+    console.print(ladder_table(rungs, len(goals)), reached_table(shares, len(goals)))
+    figures["budgets"] = {
+        "goals": len(goals),
+        "rungs": [asdict(r) for r in rungs],
+        "reached": [asdict(r) for r in shares],
+    }
     if not arguments.set:
         grown = growth(min(arguments.goals, 100), TOLERANCE)
         console.print(growth_table(grown))

@@ -63,6 +63,13 @@ def run_finish(manipulator, goal, penalties, tolerance):
     return error, configuration
 
 
+def run_nearest(manipulator, goal, penalties, best_penalty, best_square):
+    """Returns row, penalty and squared distance that `nearest` gives without tolerance."""
+    t = build_tail(manipulator)
+    cells = t.points, t.cell, t.corner, t.shape, t.starts, t.order
+    return nearest(*goal, 0.0, best_penalty, best_square, *cells, penalties, manipulator.states, t.depth)
+
+
 def cost(penalties, configurations):
     """Sum of penalties of configurations (n, B)."""
     return penalties[np.arange(len(penalties)), configurations].sum(axis=1)
@@ -108,21 +115,7 @@ def test_finish_does_so_however_the_arm_is_cut(search, most_points, most_branche
 def test_nearest_without_tolerance_is_the_nearest_of_all(search):
     manipulator, goal, penalties, _ = search
     t = build_tail(manipulator)
-    row, _, square = nearest(
-        *goal,
-        0.0,
-        np.inf,
-        np.inf,
-        t.points,
-        t.cell,
-        t.corner,
-        t.shape,
-        t.starts,
-        t.order,
-        penalties,
-        manipulator.states,
-        t.depth,
-    )
+    row, _, square = run_nearest(manipulator, goal, penalties, np.inf, np.inf)
     squares = ((t.points - goal) ** 2).sum(axis=1)
     assert square == pytest.approx(squares.min(), abs=1e-12)
     assert squares[row] == square
@@ -134,9 +127,8 @@ def test_nearest_finds_nothing_better_than_the_best(search):
     t = build_tail(manipulator)
     best = ((t.points - goal) ** 2).sum(axis=1).min()
     assume(best > 0)  # an exact hit is within any tolerance
-    cells = (t.points, t.cell, t.corner, t.shape, t.starts, t.order, penalties, manipulator.states, t.depth)
-    assert nearest(*goal, 0.0, np.inf, best * 0.999, *cells)[0] == -1
-    assert nearest(*goal, 0.0, -1.0, np.inf, *cells)[0] == -1
+    assert run_nearest(manipulator, goal, penalties, np.inf, best * 0.999)[0] == -1
+    assert run_nearest(manipulator, goal, penalties, -1.0, np.inf)[0] == -1
 
 
 @given(arms)

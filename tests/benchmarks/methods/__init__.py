@@ -61,6 +61,12 @@ METHODS = (
 )
 
 
-def annealed(name: str, seconds: float) -> Method:
-    """Returns annealing that takes so long for a goal."""
-    return Method(name, partial(annealing.prepare, seconds=seconds), annealing.solve, most=SLOW)
+def annealed(name: str, seconds: float, first: bool = False) -> Method:
+    """Returns annealing that takes so long for a goal, or ends with the first configuration within the tolerance."""
+    return Method(name, partial(annealing.prepare, seconds=seconds, first=first), annealing.solve)
+
+
+def ours(name: str, seconds: float) -> Method:
+    """Returns our own search for fewest switches with a deadline."""
+    prepare = partial(product.prepare, method=OURS, deadline=seconds)
+    return Method(name, prepare, product.solve, mapped=True)

@@ -5,6 +5,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tests.benchmarks.methods.halves import Half
+from tests.benchmarks.methods.matching import Table
 from tests.benchmarks.methods.planar import Array
 
 CELLS = 1 << 20
@@ -17,6 +18,12 @@ class Cells:
         self._half = half
         self.starts, self.rows = np.empty(CELLS + 1, dtype=np.int32), np.empty(len(half.points), dtype=np.int32)
         self.low, self.cell, self.width, self.height = np.empty(2), 0.0, 0, 0
+
+    @property
+    def table(self) -> Table:
+        """What the kernels that ask it take."""
+        half = self._half
+        return half.points, half.prices, self.starts, self.rows, self.low, self.cell, self.width, self.height
 
     def fill(self, tolerance: float) -> None:
         """Sorts the rows that the half has now."""
@@ -63,45 +70,3 @@ def sort(
         c = int((points[n, 1] - low[1]) / cell) * width + int((points[n, 0] - low[0]) / cell)
         starts[c] -= 1
         rows[starts[c]] = n
-
-
-@njit(
-    "UniTuple(i8, 2)(f8, f8, i8, f8[:,::1], i1[::1], i4[::1], i4[::1], f8[::1], f8, i8, i8, f8, i8)",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    inline="always",
-)
-def cheapest(
-    x: float,
-    y: float,
-    price: int,
-    points: Array,
-    prices: NDArray[np.int8],
-    starts: NDArray[np.int32],
-    rows: NDArray[np.int32],
-    low: Array,
-    cell: float,
-    width: int,
-    height: int,
-    tolerance: float,
-    best: int,
-) -> tuple[int, int]:
-    """Returns the row near (x, y) that costs least and the sum with `price`, if below `best`; else (-1, best)."""
-    # A disc of the tolerance touches four cells at most, as they are two tolerances wide.
-    found = -1
-    fx, fy = (x - low[0]) / cell - 0.5, (y - low[1]) / cell - 0.5
-    if not (-1 <= fx < width and -1 <= fy < height):
-        return found, best
-    cx, cy = int(np.floor(fx)), int(np.floor(fy))
-    for iy in range(max(cy, 0), min(cy + 2, height)):
-        for ix in range(max(cx, 0), min(cx + 2, width)):
-            c = iy * width + ix
-            for k in range(starts[c], starts[c + 1]):
-                row = rows[k]
-                if price + prices[row] >= best:
-                    break
-                dx, dy = points[row, 0] - x, points[row, 1] - y
-                if dx * dx + dy * dy <= tolerance * tolerance:
-                    found, best = row, price + prices[row]
-    return found, best

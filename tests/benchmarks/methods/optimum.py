@@ -10,23 +10,22 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
 from tests.benchmarks.methods import meeting
-from tests.benchmarks.methods.cells import Cells, cheapest
+from tests.benchmarks.methods.cells import Cells
 from tests.benchmarks.methods.halves import Half
+from tests.benchmarks.methods.matching import go_through
 from tests.benchmarks.methods.meeting import NONE
-from tests.benchmarks.methods.planar import Array, Index, moved
+from tests.benchmarks.methods.planar import Array, Index
 
 SECONDS = 2.0
 FIRST, DEEPEST = 4, 5  # so that twelve switches can be proven to be the fewest
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Tables:
     halves: meeting.Problem
     lower_cells: Cells
 
@@ -36,12 +35,12 @@ class Problem:
     """Tables by the switches they go to, allocated once needed."""
 
     manipulator: Manipulator
-    depths: dict[int, Table] = field(default_factory=dict)
+    depths: dict[int, Tables] = field(default_factory=dict)
 
-    def table(self, depth: int) -> Table:
+    def table(self, depth: int) -> Tables:
         if depth not in self.depths:
             halves = meeting.prepare(self.manipulator, None, depth)
-            self.depths[depth] = Table(halves, Cells(halves.lower))
+            self.depths[depth] = Tables(halves, Cells(halves.lower))
         return self.depths[depth]
 
 
@@ -65,7 +64,7 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
         downwards = halves.upper, (0.0, 0.0), halves.lower, table.lower_cells
         for asking, start, answering, cells in (upwards, downwards):
             most = min(fewest - 1, 2 * depth + 1)
-            code, row, fewest = ask(asking, start, costs, most, depth, answering, cells, tolerance, fewest)
+            code, row, fewest = ask(asking, start, costs, most, depth, cells, tolerance, fewest)
             if row >= 0:
                 best = np.empty(len(previous), dtype=np.int64)
                 asking.write(code, best)
@@ -83,68 +82,10 @@ def ask(
     costs: Index,
     most: int,
     listed: int,
-    answering: Half,
     cells: Cells,
     tolerance: float,
     best: int,
 ) -> tuple[int, int, int]:
     """Returns the best pair of a row of more than `listed` switches, up to `most`, and one of the other's table."""
     own = np.ascontiguousarray(costs[asking.modules])
-    c = cells
-    table = (answering.points, answering.prices, c.starts, c.rows, c.low, c.cell, c.width, c.height)
-    return go_through(*start, asking.motions, own, asking.states, most, listed, *table, tolerance, best)
-
-
-@njit(
-    "UniTuple(i8, 3)(f8, f8, f8[:,:,::1], i8[:,::1], i8[::1], i8, i8, f8[:,::1], i1[::1], i4[::1], i4[::1], f8[::1],"
-    " f8, i8, i8, f8, i8)",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def go_through(
-    x: float,
-    y: float,
-    motions: Array,
-    costs: Index,
-    states: Index,
-    most: int,
-    listed: int,
-    points: Array,
-    prices: NDArray[np.int8],
-    starts: NDArray[np.int32],
-    rows: NDArray[np.int32],
-    low: Array,
-    cell: float,
-    width: int,
-    height: int,
-    tolerance: float,
-    best: int,
-) -> tuple[int, int, int]:
-    """Returns code, row and switches of the best pair; (-1, -1, best) if none is below `best`."""
-    last = len(states) - 1
-    found_code, found_row = -1, -1
-    xs, ys = np.empty(last + 1), np.empty(last + 1)
-    spent, codes = np.zeros(last + 1, dtype=np.int64), np.zeros(last + 1, dtype=np.int64)
-    state = np.full(last + 1, -1)
-    xs[0], ys[0], i = x, y, 0
-    while i >= 0:
-        state[i] += 1
-        j = state[i]
-        if j == states[i]:
-            state[i] = -1
-            i -= 1
-            continue
-        price = spent[i] + costs[i, j]
-        if price > most or price >= best:
-            continue
-        px, py = moved(motions[i, j], xs[i], ys[i])
-        code = codes[i] * states[i] + j
-        if i < last:
-            i += 1
-            xs[i], ys[i], spent[i], codes[i] = px, py, price, code
-        elif price > listed:
-            row, best = cheapest(px, py, price, points, prices, starts, rows, low, cell, width, height, tolerance, best)
-            if row >= 0:
-                found_code, found_row = code, row
-    return found_code, found_row, best
+    return go_through(*start, asking.motions, own, asking.states, most, listed, cells.table, tolerance, best)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.method import Method
-from controller.search.solver import Solution, Solver
+from controller.search.solver import DEADLINE, Solution, Solver
 from controller.workspace.densities import Densities
 from tests.benchmarks.methods.planar import Array
 
@@ -13,13 +13,14 @@ from tests.benchmarks.methods.planar import Array
 class Problem:
     solver: Solver
     method: Method
+    deadline: float
 
 
-def prepare(manipulator: Manipulator, densities: Densities, method: Method) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities, method: Method, deadline: float = DEADLINE) -> Problem:
     solver = Solver(manipulator, densities)
     if method == "minimum-switch":
         solver.prepare()
-    return Problem(solver, method)
+    return Problem(solver, method, deadline)
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
@@ -28,4 +29,4 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 def solution(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Solution:
     """Returns all that the solver says, for what it claims to have proven."""
-    return problem.solver.solve(goal, previous, tolerance, problem.method)
+    return problem.solver.solve(goal, previous, tolerance, problem.method, problem.deadline)

@@ -1,0 +1,107 @@
+"""Ours and annealing in equal times, and the time by which each has brought a share of the goals within the tolerance.
+
+Annealing is given ten times as long again and again until it brings as great a share within the tolerance with as few
+switches as ours does with the deadline that it has by itself, or LONGEST for each goal.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich.table import Table
+
+from controller.search.solver import DEADLINE
+from tests.benchmarks.measuring import Arm, Goals, Trace, prepared, traced
+from tests.benchmarks.methods import METHODS, OURS, Method, annealed, ours
+
+BUDGETS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # [s] for a goal
+LONGEST = BUDGETS[-1]
+MOST_TIME = 250.0  # [s] for all goals of one rung, so that a short comparison stays one
+SHARES = (0.5, 0.9, 0.99, 1.0)
+FIRST = "annealing, first found"
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What one method came to in a time for each goal: share within the tolerance, switches, and times taken [s]."""
+
+    method: str
+    budget: float
+    within: float
+    switches_mean: float
+    switches_worst: int
+    seconds_mean: float
+    seconds_median: float
+
+
+@dataclass(frozen=True)
+class Reached:
+    """By which time [s] a method has answered these SHARES of the goals within the tolerance, None where never."""
+
+    method: str
+    seconds: tuple[float | None, ...]
+    switches_mean: float
+
+
+def ladder(arm: Arm, goals: Goals) -> list[Rung]:
+    """Measures ours and annealing at growing budgets."""
+    own = rung(ours(OURS, DEADLINE), DEADLINE, arm, goals)
+    rungs = [own]
+    for budget in BUDGETS:
+        if budget * len(goals) > MOST_TIME:
+            break
+        if budget < DEADLINE:
+            rungs.append(rung(ours(OURS, budget), budget, arm, goals))
+        rungs.append(rung(annealed("annealing", budget), budget, arm, goals))
+        if rungs[-1].within >= own.within and rungs[-1].switches_mean <= own.switches_mean:
+            break
+    return rungs
+
+
+def rung(method: Method, budget: float, arm: Arm, goals: Goals) -> Rung:
+    """Measures one method."""
+    trace = traced(method, prepared(method, arm)[0], arm, goals)
+    within, switches, seconds = share(trace, arm), trace.switches, trace.seconds
+    times = float(seconds.mean()), float(np.median(seconds))
+    return Rung(method.name, budget, within, float(switches.mean()), int(switches.max()), *times)
+
+
+def share(trace: Trace, arm: Arm) -> float:
+    """Returns the share of goals within the tolerance."""
+    return float(np.mean(trace.errors <= arm.tolerance))
+
+
+def reached(arm: Arm, goals: Goals) -> list[Reached]:
+    """Measures how soon our methods, and annealing that ends with the first it finds, are within the tolerance."""
+    result = []
+    for method in (*METHODS[:2], annealed(FIRST, LONGEST, first=True)):
+        trace = traced(method, prepared(method, arm)[0], arm, goals)
+        times = np.sort(np.where(trace.errors <= arm.tolerance, trace.seconds, np.inf))
+        by = [float(times[int(np.ceil(q * len(times))) - 1]) for q in SHARES]
+        result.append(
+            Reached(method.name, tuple(t if np.isfinite(t) else None for t in by), float(trace.switches.mean()))
+        )
+    return result
+
+
+def ladder_table(rungs: list[Rung], number: int) -> Table:
+    """Returns the table of the budgets."""
+    table = Table("method", title=f"equal times: {number} goals, annealing in restarted runs, the best of all kept")
+    for header in ("budget\nms", "within", "switches", "worst", "mean\nms", "median\nms"):
+        table.add_column(header, justify="right")
+    for r in rungs:
+        times = (f"{1e3 * t:.3g}" for t in (r.seconds_mean, r.seconds_median))
+        figures = f"{1e3 * r.budget:g}", f"{r.within:.1%}", f"{r.switches_mean:.2f}", f"{r.switches_worst}"
+        table.add_row(r.method, *figures, *times)
+    return table
+
+
+def reached_table(rows: list[Reached], number: int) -> Table:
+    """Returns the table of the times to a share."""
+    table = Table("method", title=f"time by which a share of {number} goals is answered within the tolerance")
+    for q in SHARES:
+        table.add_column(f"{q:.0%}\nms", justify="right")
+    table.add_column("switches", justify="right")
+    for r in rows:
+        times = ("never" if t is None else f"{1e3 * t:.3g}" for t in r.seconds)
+        table.add_row(r.method, *times, f"{r.switches_mean:.2f}")
+    return table
