@@ -69,7 +69,7 @@ class ControlLoop:
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
-        self.accept_after = self.follow_after = 0
+        self.accept_after = self.follow_after = self._taken = 0
         self.inbox = Inbox()
         self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
         self._boards, self._notifier = boards, notifier
@@ -91,6 +91,13 @@ class ControlLoop:
     def free_at(self) -> float:
         """From when on the next transition may begin with the last one settled [s on the loop's clock]."""
         return self._runner.switching.free_at
+
+    def may_run(self, arrival: int) -> bool:
+        """Returns whether the goal of an arrival is being run, or waits to be; from any thread."""
+        if arrival > self._taken:  # read first: a goal is begun before it counts as taken
+            return True
+        execution = self._runner.execution
+        return execution is not None and execution.goal.arrival == arrival
 
     # --- the loop
 
@@ -167,6 +174,7 @@ class ControlLoop:
         match event:
             case Planned():
                 self._take(event)
+                self._taken = event.arrival
             case Follow():
                 self._follow(event)
             case Cancel():

@@ -104,7 +104,7 @@ class Planner:
             question.reply(self._described(previous, found))
 
     def _improve(self, question: Question, ahead: Foresight) -> None:
-        """Betters the plan of a goal while it is being run, until it is done or something else is to be planned."""
+        """Betters the plan of a goal until that is done, or the goal has ended, or something else is to be planned."""
         told = None
         try:
             for better in ahead.betters():
@@ -112,7 +112,7 @@ class Planner:
                     self._loop.inbox.put(Improved(question.arrival, better))
                     told = better
                 self._proceed(question)
-                if not self._queue.empty() or self._loop.mode not in ("ready", "executing"):
+                if not self._queue.empty() or not self._loop.may_run(question.arrival):
                     return
         except Refusal:  # canceled or stopped: the goal has had its answer
             return

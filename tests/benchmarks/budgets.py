@@ -1,7 +1,7 @@
 """Ours and annealing in equal times, and the time by which each has brought a share of the goals within the tolerance.
 
-Annealing is given ten times as long again and again until it brings as great a share within the tolerance with as few
-switches as ours does with the deadline that it has by itself, or LONGEST for each goal.
+Annealing is given longer and longer until it brings as great a share within the tolerance with as few switches as ours
+does by its own deadline, or LONGEST for each goal.
 """
 
 from dataclasses import dataclass

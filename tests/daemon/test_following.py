@@ -174,3 +174,18 @@ def test_no_more_switch_at_once_than_the_supply_can_take() -> None:
     assert rig.boards.commits[-1] == states(B)
     before = [states((0, 0)), *rig.boards.commits]
     assert max(sum(x != y for x, y in zip(a, b, strict=True)) for a, b in pairwise(before)) == 1
+
+
+def test_a_goal_may_run_until_it_has_ended_or_is_refused(rig: Rig) -> None:
+    replaced, refused = rig.goal("a", A), rig.goal("b", B)
+    assert rig.loop.may_run(replaced.arrival)
+    rig.loop.inbox.hand_over(replaced)
+    rig.go()
+    assert rig.loop.may_run(replaced.arrival)
+    rig.follow(rig.arrival(), C)
+    rig.go()
+    assert not rig.loop.may_run(replaced.arrival)
+    rig.request(Stop)
+    rig.loop.inbox.hand_over(refused)
+    rig.go(2 * PERIOD)
+    assert not rig.loop.may_run(refused.arrival)

@@ -27,6 +27,10 @@ class FakeLoop:
         self.inbox = Inbox()
         self.mode, self.reason, self.accept_after = "ready", "holding", 0
         self.commanded: Any = [0] * 16
+        self.ended: set[int] = set()
+
+    def may_run(self, arrival: int) -> bool:
+        return arrival not in self.ended
 
 
 class Desk:
@@ -124,6 +128,28 @@ def test_a_cancel_ends_the_planning_at_once(desk: Desk) -> None:
     assert desk.loop.inbox.waiting() == 0
     desk.ask()
     assert isinstance(handed_over(desk), Planned)
+
+
+def test_a_goal_that_has_ended_is_bettered_no_more(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    left = threading.Event()
+
+    class Endless:
+        def __init__(self, *_: Any) -> None:
+            pass
+
+        def betters(self) -> Iterator[Any]:
+            try:
+                while True:
+                    yield None
+            finally:
+                left.set()
+
+    monkeypatch.setattr(module, "Foresight", Endless)
+    desk.ask()
+    assert isinstance(handed_over(desk), Planned)
+    assert not left.is_set()
+    desk.loop.ended.add(1)
+    assert left.wait(PATIENCE)
 
 
 def test_too_many_and_too_large_are_refused_at_once(desk: Desk) -> None:
