@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from controller.daemon.execution import start
+from controller.manipulator.manipulator import Configuration
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
 from controller.search.solver import Solver
 
-MARGIN = 0.1  # [s] before a waypoint's actuators switch, at which its configuration is decided
+MARGIN = 0.1  # [s] before a waypoint's actuators switch, at which its configuration is handed over at the latest
+BATCH = 4  # waypoints staged at a time: each may take some hundredths of a second, and the next is due soonest
 WHOLE_TIME = 2.0  # [s] for a plan that is only asked for
 
 
@@ -28,23 +30,40 @@ class Foresight:
         self._solver, self._plan, self._pace = solver, plan, pace
         before = pace.lead * len(plan.transitions[0].stages)
         self._start = start(plan.trajectory, before, time.monotonic(), time.time())
+        self._longest = 0.0  # time that leading on to a waypoint and staging took [s], in which nothing is decided
 
     def betters(self) -> Iterator[Plan]:
-        """Gives a better plan whenever more is decided, and the same again in between, to let others have a say."""
+        """Gives a better plan whenever more is decided, and the same again in between, to let others have a say.
+
+        A waypoint is decided when the time that was needed so far for the next one, and MARGIN, are left before its
+        actuators switch. Should the next one take longer, the waypoint may be reached by the plan of before: as near,
+        with more switches.
+        """
         trajectory, told = self._plan.trajectory, 0
         ahead = LookAhead(self._solver, self._plan.solutions[0].configuration, trajectory.tolerance)
         between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
         earliest = trajectory.times - self._pace.longest(between, actuators)
         for k, goal in enumerate(trajectory.positions[1:], 1):
+            began = time.perf_counter()
             ahead.extend(goal)
-            soon = time.monotonic() + MARGIN - self._start
+            extended = time.perf_counter() - began
+            soon = time.monotonic() + MARGIN + max(self._longest, extended) - self._start
             due = int(np.searchsorted(earliest, soon)) - 1
             ahead.decide(k if k == len(trajectory.times) - 1 else min(due, k))
             decided = ahead.decided()
-            if len(decided) > told:
-                self._plan = self._plan.improved(self._solver, self._pace, told + 1, decided[told:])
-                told = len(decided)
-            yield self._plan
+            while True:
+                began = time.perf_counter()
+                self._better(told + 1, decided[told : told + BATCH])
+                self._longest = max(self._longest, extended + time.perf_counter() - began)
+                told = min(told + BATCH, len(decided))
+                yield self._plan
+                if told == len(decided):
+                    break
+
+    def _better(self, first: int, configurations: list[Configuration]) -> None:
+        """Takes configurations from waypoint `first` on, if there are any."""
+        if configurations:
+            self._plan = self._plan.improved(self._solver, self._pace, first, configurations)
 
     def whole(self, hurry: Callable[[], bool] = lambda: False) -> Plan:
         """Returns the plan bettered to its end, or as far as there is time and no `hurry`."""

@@ -9,8 +9,9 @@ import numpy as np
 from numba import njit
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import COUNTED, Array, Index, Transition, build_transition
+from controller.motion.excursion import Array, Index, Transition, build_transition
 
+EXACT = 11  # most switches of which every order is weighed: 9 ms, at 12 they would take 24
 WINDOW = 8  # most of a window of stages that are put in the best order
 ROUNDS = 20  # most changes made
 TRIES = 100  # most changes tried for each
@@ -43,9 +44,10 @@ def order_stages(
 ) -> Stages:
     """Returns the stages that take the tip from `start` to `end` with the smallest excursion found, and so the fewest.
 
-    For up to COUNTED switches it is the smallest there is. For more, orders found by beam search, from base to tip and
-    from tip to base are cut into stages as well as can be, the best is taken and its worst stages are improved; then
-    `at_once`, and `excursion` if a stage has more than COUNTED actuators, are found by ascent and may be too low.
+    For up to EXACT switches it is the smallest there is. For more, orders found by beam search, from base to tip and
+    from tip to base are cut into stages as well as can be, the best is taken and its worst stages are improved: it may
+    not be the smallest. Excursions of more actuators at once than excursion.COUNTED, in `at_once` or in a stage, are
+    found by ascent and may be too low.
 
     Each stage ends in actuator states that every module has a state for. Others in between are avoided if the bounds
     allow it, whatever the excursion, and otherwise left out of it: where the tip then is, nobody knows.
@@ -74,7 +76,7 @@ def order_stages(
     everything, before = np.arange(n), transition.masks([])
     skipping = replace(transition, unknown=SKIPPED)
     for t in (transition, skipping):
-        found = best_stages(t, before, everything, most, limit) if n <= COUNTED else good_stages(t, most, limit)
+        found = best_stages(t, before, everything, most, limit) if n <= EXACT else good_stages(t, most, limit)
         if found and (excursion := max(peaks(t, before, found))) < np.inf:
             at_once = max(excursion, skipping.greatest(before, everything))
             return Stages(tuple(tuple(sorted(t.actuators[k].tolist())) for k in found), excursion, at_once)

@@ -7,6 +7,7 @@ import pytest
 
 from controller.daemon.foresight import Foresight
 from controller.motion.goal import Trajectory
+from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import plan
 from controller.search.solver import Solver
@@ -49,6 +50,28 @@ def test_no_waypoint_changes_once_it_is_due(first, monkeypatch):
         fixed = {waypoint: better.solutions[waypoint].configuration for waypoint in range(k)}
         now[0] += 1.0
     assert len(fixed) == 11
+
+
+def test_the_time_that_the_next_waypoint_takes_is_reserved(first, monkeypatch):
+    """Leading on takes most of the time between two waypoints: none may change after its actuators were to switch."""
+    solver, rough = first
+    now = [100.0]
+
+    class Slow(LookAhead):
+        def extend(self, goal):
+            super().extend(goal)
+            now[0] += 0.7
+
+    for clock in ("monotonic", "perf_counter"):
+        monkeypatch.setattr(f"controller.daemon.foresight.time.{clock}", lambda: now[0])
+    monkeypatch.setattr("controller.daemon.foresight.LookAhead", Slow)
+    last = rough
+    for better in Foresight(solver, rough, Pace(0.06)).betters():
+        begun = rough.trajectory.times + 100.0 < now[0]
+        for before, after in zip(np.array(last.solutions)[begun], np.array(better.solutions)[begun], strict=True):
+            np.testing.assert_array_equal(before.configuration, after.configuration)
+        last = better
+    assert last.switches < rough.switches
 
 
 def test_a_plan_of_one_waypoint_stays(arm, first):
