@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.frames import Frame
@@ -34,7 +35,7 @@ class Manipulator:
         if not modules:
             raise ValueError("a manipulator needs at least one module, got none")
         self.modules = tuple(modules)
-        self.base = np.eye(4) if base is None else np.array(base, dtype=float)
+        self.base = np.eye(4) if base is None else np.array(base, dtype=float, order="C")
         self.planar = all(m.planar for m in self.modules) and bool(np.allclose(self.base[2], [0, 0, 1, 0]))
         self.states = np.array([len(m.frames) for m in self.modules])
         self.frames = np.tile(np.eye(4), (len(self.modules), self.states.max(), 1, 1))
@@ -72,7 +73,7 @@ class Manipulator:
 
     def tip(self, configuration: ArrayLike) -> Frame:
         """Returns the tip frame (4, 4) of one configuration (B,)."""
-        return np.asarray(self.tips(np.asarray(configuration)[None])[0])
+        return np.asarray(tip(self.base, self.frames, np.asarray(configuration, dtype=np.int64)))
 
     def chain(self, configuration: ArrayLike) -> Frame:
         """Returns the frames F_0 to F_B (B+1, 4, 4) of one configuration (B,)."""
@@ -125,3 +126,18 @@ class Manipulator:
         """Returns how many actuators differ between two configurations (B,)."""
         module = np.arange(len(self.modules))
         return int((self.bits[module, np.asarray(first)] != self.bits[module, np.asarray(second)]).sum())
+
+
+@njit("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", cache=True, nogil=True, boundscheck=True)
+def tip(base: Frame, frames: Frame, configuration: Configuration) -> Frame:
+    """Returns the tip frame (4, 4) of one configuration (B,) of an arm with these frames (B, Kmax, 4, 4)."""
+    frame, following = base.copy(), np.empty((4, 4))
+    for i in range(len(frames)):
+        for a in range(4):
+            for b in range(4):
+                total = 0.0
+                for c in range(4):
+                    total += frame[a, c] * frames[i, configuration[i], c, b]
+                following[a, b] = total
+        frame, following = following, frame
+    return frame

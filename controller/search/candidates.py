@@ -5,9 +5,10 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
+from controller.search.found import CLOSE
+from controller.search.halves import middle
 from controller.search.meeting import seen
-from controller.search.minimum_switch import CLOSE, middle
-from controller.search.segment import Storage, build_segment, write_rows
+from controller.search.segment import Storage, build_segment, coordinates, motions, write_rows
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,10 @@ class Candidates:
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._m = manipulator
         self._half = middle(manipulator, 0, len(manipulator.modules))
-        self._lower, self._upper = Storage(ROWS + 1), Storage(ROWS + 1)
-        self._cells, self._asking = Cells(ROWS + 1), np.empty((ROWS + 1, 3))
+        self._motions = motions(manipulator)
+        size, width = coordinates(self._motions), self._motions.shape[1]
+        self._lower, self._upper = Storage(ROWS + 1, width), Storage(ROWS + 1, width)
+        self._cells, self._asking = Cells(ROWS + 1, size), np.empty((ROWS + 1, size))
         self._pairs, self._costs = np.empty((most, 2), dtype=np.int64), np.empty(most)
 
     def find(
@@ -41,11 +44,11 @@ class Candidates:
             tolerance: of the tip's distance from the goal.
         """
         count = len(self._m.modules)
-        lower = build_segment(self._m, self._lower, centre, costs, costs, 0, self._half)
-        upper = build_segment(self._m, self._upper, centre, costs, costs, self._half, count)
-        self._cells.fill(upper.positions, upper.costs, tolerance * CLOSE)
+        lower = build_segment(self._motions, self._m.states, self._lower, centre, costs, costs, 0, self._half)
+        upper = build_segment(self._motions, self._m.states, self._upper, centre, costs, costs, self._half, count)
+        self._cells.fill(upper.frames, upper.costs, tolerance * CLOSE)
         asking = self._asking[: len(lower.costs)]
-        seen(goal, lower.rotations, lower.positions, asking)
+        seen(goal, lower.frames, asking)
         found = self._cells.collect(asking, lower.costs, self._pairs, self._costs)
         configurations = np.tile(centre, (found, 1))
         for segment, rows in zip((lower, upper), self._pairs[:found].T, strict=True):

@@ -3,54 +3,76 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.search.meeting import CELLS, collect, match, sort_into_cells
+from controller.search.meeting import CELLS, collect, match, put_into_cells, sort_into_cells
 
 Array = NDArray[np.float64]
 
 
 class Cells:
-    """Points sorted into cells."""
+    """Points in the order of the cells they lie in.
 
-    def __init__(self, most: int) -> None:
-        """Allocates for at most `most` points."""
-        self._starts, self._order = np.empty(CELLS + 1, dtype=np.int32), np.empty(most, dtype=np.int32)
-        self._corner, self._shape = np.empty(3), np.empty(3, dtype=np.int64)
-        self._points, self._costs, self._cell, self._tolerance = np.empty((0, 3)), np.empty(0), 0.0, 0.0
+    Args:
+        most: room for so many points.
+        size: their coordinates, 2 or 3.
+    """
 
-    def fill(self, points: Array, costs: Array, tolerance: float) -> None:
-        """Takes points (n, 3) and their costs (n,)."""
-        self._points, self._costs, self._tolerance = points, costs, tolerance
-        self._cell, _ = sort_into_cells(points, tolerance, self._starts, self._order, self._corner, self._shape)
+    def __init__(self, most: int, size: int) -> None:
+        self._starts, self._cells = np.empty(CELLS + 1, dtype=np.int32), np.empty(most, dtype=np.int32)
+        self._order, self._points, self._prices = np.empty(most, dtype=np.int32), np.empty((most, size)), np.empty(most)
+        self._grid, self._count, self._tolerance = np.empty(7), 0, 0.0
 
-    def match(self, asking: Array, costs: Array, best: float, best_square: float) -> tuple[int, int, float, float]:
-        """Returns the cheapest pair of an asking row and a point, see meeting.match."""
-        return match(
-            asking,
-            costs,
-            self._points,
-            self._costs,
+    def claim(self) -> None:
+        """Has the system hand out the memory now, not in the middle of a search."""
+        for array in (self._starts, self._cells, self._order, self._points, self._prices):
+            array.fill(0)
+
+    def fill(self, rows: Array, costs: Array, tolerance: float) -> None:
+        """Takes points, the first numbers of rows (n, ...), and their costs (n,)."""
+        n, self._tolerance = len(rows), tolerance
+        self._count = n
+        sort_into_cells(rows, self._points.shape[1], tolerance, self._starts, self._cells, self._grid)
+        put_into_cells(rows, costs, self._starts, self._cells, self._order, self._points[:n], self._prices[:n])
+
+    def match(
+        self,
+        targets: Array,
+        target_costs: Array,
+        frames: Array,
+        frame_costs: Array,
+        best: float,
+        best_square: float,
+        *,
+        carried: bool = False,
+    ) -> tuple[int, int, int, float, float]:
+        """Returns the best target, frame and row, see meeting.match; targets are seen from the frames, or carried."""
+        n = self._count
+        target, frame, k, cost, square = match(
+            targets,
+            target_costs,
+            frames,
+            frame_costs,
+            not carried,
+            self._points[:n],
+            self._prices[:n],
             self._starts,
-            self._order,
-            self._corner,
-            self._shape,
-            self._cell,
+            self._grid,
             self._tolerance,
             best,
             best_square,
         )
+        return target, frame, int(self._order[k]) if k >= 0 else -1, cost, square
 
     def collect(self, asking: Array, costs: Array, pairs: NDArray[np.int64], pair_costs: Array) -> int:
-        """Writes the cheapest pairs of asking rows and points, see meeting.collect; returns their number."""
+        """Writes the cheapest pairs of asking points and rows, see meeting.collect; returns their number."""
+        n = self._count
         return collect(
             asking,
             costs,
-            self._points,
-            self._costs,
+            self._points[:n],
+            self._prices[:n],
             self._starts,
             self._order,
-            self._corner,
-            self._shape,
-            self._cell,
+            self._grid,
             self._tolerance,
             pairs,
             pair_costs,

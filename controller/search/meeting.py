@@ -2,7 +2,7 @@
 
 Rigid motions keep distances. So with the arm cut in two, the tip of a pair of rows is as far from the goal as the upper
 row's tip is from the goal seen from the top of the lower row, R^T (goal - b). One side's points are sorted into cells;
-the other side asks for what is near.
+the other side asks for what is near. Frames are rows of numbers, see segment.
 """
 
 import numpy as np
@@ -14,134 +14,199 @@ Index = NDArray[np.int64]
 Index32 = NDArray[np.int32]
 
 CELLS = 1 << 17
+POINTS_A_CELL = 0.5  # at least, on the average
 
 
-@njit("void(f8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
-def seen(goal: Array, rotations: Array, positions: Array, out: Array) -> None:
-    """Writes the goal as seen from each frame, R^T (goal - b), to `out` (n, 3)."""
-    for n in range(len(positions)):
-        r, b = rotations[n], positions[n]
-        x, y, z = goal[0] - b[0], goal[1] - b[1], goal[2] - b[2]
-        out[n, 0] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
-        out[n, 1] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-        out[n, 2] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+@njit("void(f8[::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
+def seen(point: Array, frames: Array, out: Array) -> None:
+    """Writes a point as seen from each frame, R^T (point - b), to `out` (n, 2) or (n, 3)."""
+    x, y, z = point[0], point[1], point[2]
+    for n in range(len(frames)):
+        f = frames[n]
+        if len(f) == 4:
+            dx, dy = x - f[0], y - f[1]
+            out[n, 0], out[n, 1] = f[2] * dx + f[3] * dy, f[2] * dy - f[3] * dx
+        else:
+            dx, dy, dz = x - f[0], y - f[1], z - f[2]
+            for a in range(3):
+                out[n, a] = f[3 + a] * dx + f[6 + a] * dy + f[9 + a] * dz
 
 
-@njit("void(f8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
-def carried(point: Array, rotations: Array, positions: Array, out: Array) -> None:
-    """Writes where each frame carries a point, b + R point, to `out` (n, 3)."""
-    for n in range(len(positions)):
-        r, b = rotations[n], positions[n]
-        for a in range(3):
-            out[n, a] = b[a] + r[a, 0] * point[0] + r[a, 1] * point[1] + r[a, 2] * point[2]
+@njit("i8(f8[:,::1], i8, f8, i4[::1], i4[::1], f8[::1])", cache=True, nogil=True, error_model="numpy")
+def sort_into_cells(rows: Array, size: int, tolerance: float, starts: Index32, cells: Index32, grid: Array) -> int:
+    """Counts points into cells at least two tolerances wide; returns the cells' number.
 
-
-@njit("i8(f8[::1], f8[::1], f8, i8[::1])", cache=True, nogil=True, error_model="numpy", inline="always")
-def place(point: Array, corner: Array, cell: float, shape: Index) -> int:
-    """Returns the cell a point lies in."""
-    x, y, z = (point[0] - corner[0]) / cell, (point[1] - corner[1]) / cell, (point[2] - corner[2]) / cell
-    return int((int(z) * shape[1] + int(y)) * shape[0] + int(x))
-
-
-@njit("Tuple((f8, i8))(f8[:,::1], f8, i4[::1], i4[::1], f8[::1], i8[::1])", cache=True, nogil=True, error_model="numpy")
-def sort_into_cells(
-    points: Array, tolerance: float, starts: Index32, order: Index32, corner: Array, shape: Index
-) -> tuple[float, int]:
-    """Sorts points (n, 3) into cells at least two tolerances wide; returns the cells' side and number.
-
-    Writes `starts` (cells + 1,), `order` (n,), `corner` (3,) and `shape` (3,).
+    Args:
+        rows: each begins with a point's coordinates, shape (n, ...).
+        size: how many they are, 2 or 3.
+        tolerance: of the questions to come.
+        starts: written: where each cell's points end, shape (cells + 1,).
+        cells: written: the cell of each point, shape (n,).
+        grid: written: the least corner (3,), cells per unit of length, cells along x, y and z.
     """
-    high = np.full(3, -np.inf)
-    corner[:] = np.inf
-    for n in range(len(points)):
-        for a in range(3):
-            corner[a] = min(corner[a], points[n, a])
-            high[a] = max(high[a], points[n, a])
-    most = min(len(starts) - 1, 8 * len(points) + 64)
-    cell = 2.0 * tolerance
+    low, high, shape = np.zeros(3), np.zeros(3), np.ones(3)
+    low[:size], high[:size] = np.inf, -np.inf
+    for n in range(len(rows)):
+        for a in range(size):
+            low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
+    most = min(len(starts) - 1, len(rows) / POINTS_A_CELL + 64)
+    side = 2.0 * tolerance * (1 + 1e-9)  # with room for rounding
     while True:
-        cells = 1.0
-        for a in range(3):
-            corner_cells = np.floor((high[a] - corner[a]) / cell) + 1.0
-            shape[a] = np.int64(min(corner_cells, 1e9))
-            cells *= corner_cells
-        if cells <= most:
+        for a in range(size):
+            shape[a] = np.floor((high[a] - low[a]) / side) + 1.0
+        if shape[0] * shape[1] * shape[2] <= most:
             break
-        cell *= 1.25
-    count = shape[0] * shape[1] * shape[2]
+        side *= 1.25
+    per = 1.0 / side
+    grid[:3], grid[3], grid[4:] = low, per, shape
+    nx, ny = int(shape[0]), int(shape[1])
+    count = nx * ny * int(shape[2])
     starts[: count + 1] = 0
-    for n in range(len(points)):
-        starts[place(points[n], corner, cell, shape) + 1] += 1
+    for n in range(len(rows)):
+        # Rounding may put the outermost just outside.
+        ix = min(int((rows[n, 0] - low[0]) * per), nx - 1)
+        iy = min(int((rows[n, 1] - low[1]) * per), ny - 1)
+        iz = min(int((rows[n, 2] - low[2]) * per), int(shape[2]) - 1) if size == 3 else 0
+        c = (iz * ny + iy) * nx + ix
+        cells[n] = c
+        starts[c] += 1
     for c in range(count):
         starts[c + 1] += starts[c]
-    for n in range(len(points)):  # each cell's start runs to its end, which is the next one's start
-        c = place(points[n], corner, cell, shape)
-        order[starts[c]] = n
-        starts[c] += 1
-    for c in range(count, 0, -1):
-        starts[c] = starts[c - 1]
-    starts[0] = 0
-    return cell, count
+    return count
 
 
 @njit(
-    "Tuple((i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], i8[::1], f8, f8, f8,"
-    " f8)",
+    "void(f8[:,::1], f8[::1], i4[::1], i4[::1], i4[::1], f8[:,::1], f8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def match(
-    asking: Array,
-    asking_costs: Array,
-    points: Array,
-    point_costs: Array,
-    starts: Index32,
-    order: Index32,
-    corner: Array,
-    shape: Index,
-    cell: float,
-    tolerance: float,
-    best: float,
-    best_square: float,
-) -> tuple[int, int, float, float]:
-    """Returns the pair, asking row and point, of least cost within the tolerance, the nearer between equals.
+def put_into_cells(
+    rows: Array, costs: Array, starts: Index32, cells: Index32, order: Index32, points: Array, prices: Array
+) -> None:
+    """Copies points and costs in the order of their cells, after sort_into_cells; `starts` are then starts.
 
-    Only pairs better than cost `best` and squared distance `best_square` count; (-1, -1) if there is none. Returned
-    too are the best pair's cost and squared distance.
+    Args:
+        rows: see sort_into_cells.
+        costs: of the rows, shape (n,).
+        starts: see sort_into_cells.
+        cells: see sort_into_cells.
+        order: written: the row of each point, shape (n,).
+        points: written, shape (n, 2) or (n, 3).
+        prices: written, shape (n,).
     """
-    least = np.inf
-    for n in range(len(points)):
-        least = min(least, point_costs[n])
-    first, second = -1, -1
-    limit = tolerance * tolerance
-    for q in range(len(asking)):
-        if asking_costs[q] + least > best:
-            continue
-        ux = (asking[q, 0] - corner[0]) / cell - 0.5
-        uy = (asking[q, 1] - corner[1]) / cell - 0.5
-        uz = (asking[q, 2] - corner[2]) / cell - 0.5
-        if not (-1.0 <= ux < shape[0] and -1.0 <= uy < shape[1] and -1.0 <= uz < shape[2]):
-            continue
-        cx, cy, cz = int(np.floor(ux)), int(np.floor(uy)), int(np.floor(uz))
-        for iz in range(max(cz, 0), min(cz + 2, shape[2])):
-            for iy in range(max(cy, 0), min(cy + 2, shape[1])):
-                row = (iz * shape[1] + iy) * shape[0]
-                # Cells of a row lie one after the other, so their points do.
-                for k in range(starts[row + max(cx, 0)], starts[row + min(cx + 2, shape[0])]):
-                    n = order[k]
-                    cost = asking_costs[q] + point_costs[n]
-                    if cost > best:
-                        continue
-                    dx, dy, dz = asking[q, 0] - points[n, 0], asking[q, 1] - points[n, 1], asking[q, 2] - points[n, 2]
-                    square = dx * dx + dy * dy + dz * dz
-                    if square <= limit and (cost < best or square < best_square):
-                        first, second, best, best_square = q, n, cost, square
-    return first, second, best, best_square
+    for n in range(len(rows) - 1, -1, -1):
+        c = cells[n]
+        starts[c] -= 1
+        at = starts[c]
+        order[at], prices[at] = n, costs[n]
+        for a in range(points.shape[1]):
+            points[at, a] = rows[n, a]
 
 
 @njit(
-    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], i8[::1], f8, f8, i8[:,::1], f8[::1])",
+    "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], f8[::1], f8,"
+    " f8, f8)",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    fastmath={"contract"},
+)
+def match(
+    targets: Array,
+    target_costs: Array,
+    frames: Array,
+    frame_costs: Array,
+    away: bool,
+    points: Array,
+    prices: Array,
+    starts: Index32,
+    grid: Array,
+    tolerance: float,
+    best: float,
+    best_square: float,
+) -> tuple[int, int, int, float, float]:
+    """Returns the target, frame and point of least cost together that fit, the nearer between equals.
+
+    They fit where the point is within the tolerance of the target as seen from the frame, or as carried by it.
+
+    Args:
+        targets: shape (t, 3), z of no meaning in the plane.
+        target_costs: shape (t,).
+        frames: shape (n, 4) or (n, 12).
+        frame_costs: shape (n,).
+        away: whether targets are seen from the frames, R^T (target - b), or carried by them, b + R target.
+        points: and the next three: see Cells.
+        prices: see Cells.
+        starts: see Cells.
+        grid: see Cells.
+        tolerance: of the distance.
+        best: cost to be bettered, or equalled by what is nearer.
+        best_square: square of its distance.
+
+    Returns:
+        Rows of target, frame and point, (-1, -1, -1) if none is better; the best's cost and squared distance.
+    """
+    least = np.inf
+    for k in range(len(prices)):
+        least = min(least, prices[k])
+    first, second, third = -1, -1, -1
+    limit, flat = tolerance * tolerance, frames.shape[1] == 4
+    nx, ny, nz = int(grid[4]), int(grid[5]), int(grid[6])
+    dz = 0.0
+    for t in range(len(targets)):
+        x, y, z = targets[t, 0], targets[t, 1], targets[t, 2]
+        for q in range(len(frames)):
+            price = target_costs[t] + frame_costs[q]
+            if price + least > best:
+                continue
+            f = frames[q]
+            pz = 0.0
+            if flat and away:
+                dx, dy = x - f[0], y - f[1]
+                px, py = f[2] * dx + f[3] * dy, f[2] * dy - f[3] * dx
+            elif flat:
+                px, py = f[0] + f[2] * x - f[3] * y, f[1] + f[3] * x + f[2] * y
+            elif away:
+                dx, dy, dz = x - f[0], y - f[1], z - f[2]
+                px = f[3] * dx + f[6] * dy + f[9] * dz
+                py = f[4] * dx + f[7] * dy + f[10] * dz
+                pz = f[5] * dx + f[8] * dy + f[11] * dz
+            else:
+                px = f[0] + f[3] * x + f[4] * y + f[5] * z
+                py = f[1] + f[6] * x + f[7] * y + f[8] * z
+                pz = f[2] + f[9] * x + f[10] * y + f[11] * z
+            ux, uy = (px - grid[0]) * grid[3] - 0.5, (py - grid[1]) * grid[3] - 0.5
+            if not (-1.0 <= ux < nx and -1.0 <= uy < ny):
+                continue
+            cx, cy, z0, z1 = int(np.floor(ux)), int(np.floor(uy)), 0, 1
+            if not flat:
+                uz = (pz - grid[2]) * grid[3] - 0.5
+                if not -1.0 <= uz < nz:
+                    continue
+                cz = int(np.floor(uz))
+                z0, z1 = max(cz, 0), min(cz + 2, nz)
+            x0, x1 = max(cx, 0), min(cx + 2, nx)
+            for iz in range(z0, z1):
+                for iy in range(max(cy, 0), min(cy + 2, ny)):
+                    row = (iz * ny + iy) * nx
+                    # Cells of a row lie one after the other, so their points do.
+                    for k in range(starts[row + x0], starts[row + x1]):
+                        dx, dy = px - points[k, 0], py - points[k, 1]
+                        square = dx * dx + dy * dy
+                        if not flat:
+                            dz = pz - points[k, 2]
+                            square += dz * dz
+                        if square > limit:
+                            continue
+                        cost = price + prices[k]
+                        if cost < best or (cost == best and square < best_square):
+                            first, second, third, best, best_square = t, q, k, cost, square
+    return first, second, third, best, best_square
+
+
+@njit(
+    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8, i8[:,::1], f8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -150,47 +215,47 @@ def collect(
     asking: Array,
     asking_costs: Array,
     points: Array,
-    point_costs: Array,
+    prices: Array,
     starts: Index32,
     order: Index32,
-    corner: Array,
-    shape: Index,
-    cell: float,
+    grid: Array,
     tolerance: float,
     pairs: Index,
     pair_costs: Array,
 ) -> int:
-    """Writes the cheapest pairs within the tolerance, and their costs, as many as there is room for.
+    """Writes the cheapest pairs of an asking point (n, 2 or 3) and a row within the tolerance, as many as find room.
 
-    Returns their number; `pairs` is of shape (n, 2), `pair_costs` of shape (n,).
+    Returns their number; `pairs` is of shape (n, 2), their costs `pair_costs` of shape (n,). The rest: see Cells.
     """
     count, room, worst, limit = 0, len(pair_costs), np.inf, tolerance * tolerance
+    flat = asking.shape[1] == 2
+    nx, ny, nz = int(grid[4]), int(grid[5]), int(grid[6])
     for q in range(len(asking)):
         if asking_costs[q] > worst:
             continue
-        ux = (asking[q, 0] - corner[0]) / cell - 0.5
-        uy = (asking[q, 1] - corner[1]) / cell - 0.5
-        uz = (asking[q, 2] - corner[2]) / cell - 0.5
-        if not (-1.0 <= ux < shape[0] and -1.0 <= uy < shape[1] and -1.0 <= uz < shape[2]):
+        ux, uy = (asking[q, 0] - grid[0]) * grid[3] - 0.5, (asking[q, 1] - grid[1]) * grid[3] - 0.5
+        uz = -0.5 if flat else (asking[q, 2] - grid[2]) * grid[3] - 0.5
+        if not (-1.0 <= ux < nx and -1.0 <= uy < ny and -1.0 <= uz < nz):
             continue
         cx, cy, cz = int(np.floor(ux)), int(np.floor(uy)), int(np.floor(uz))
-        for iz in range(max(cz, 0), min(cz + 2, shape[2])):
-            for iy in range(max(cy, 0), min(cy + 2, shape[1])):
-                row = (iz * shape[1] + iy) * shape[0]
-                for k in range(starts[row + max(cx, 0)], starts[row + min(cx + 2, shape[0])]):
-                    n = order[k]
-                    cost = asking_costs[q] + point_costs[n]
+        for iz in range(max(cz, 0), min(cz + 2, nz)):
+            for iy in range(max(cy, 0), min(cy + 2, ny)):
+                row = (iz * ny + iy) * nx
+                for k in range(starts[row + max(cx, 0)], starts[row + min(cx + 2, nx)]):
+                    cost = asking_costs[q] + prices[k]
                     if cost > worst or (count == room and cost == worst):
                         continue
-                    dx, dy, dz = asking[q, 0] - points[n, 0], asking[q, 1] - points[n, 1], asking[q, 2] - points[n, 2]
-                    if dx * dx + dy * dy + dz * dz > limit:
+                    square = 0.0
+                    for a in range(asking.shape[1]):
+                        square += (asking[q, a] - points[k, a]) ** 2
+                    if square > limit:
                         continue
                     at = count
                     if count == room:  # the dearest gives way
                         at = int(np.argmax(pair_costs))
                     else:
                         count += 1
-                    pairs[at, 0], pairs[at, 1], pair_costs[at] = q, n, cost
+                    pairs[at, 0], pairs[at, 1], pair_costs[at] = q, order[k], cost
                     if count == room:
                         worst = pair_costs.max()
     return count

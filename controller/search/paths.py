@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
 from controller.search.descent import descend, spread
+from controller.search.found import Found
 from controller.search.method import PaperMethod
-from controller.search.minimum_switch import Found
 from controller.search.tail import build_tail, finish
 from controller.workspace.densities import Densities
 
@@ -29,6 +29,7 @@ class Paths:
         self.manipulator = manipulator
         self.densities = densities
         self._tail = build_tail(manipulator)
+        self._edge = edge(densities)
 
     def follow(self, goal: Vector, previous: Configuration, tolerance: float, method: PaperMethod) -> Configuration:
         """Returns the first configuration within the tolerance as the threshold rises, else the nearest seen.
@@ -98,16 +99,14 @@ class Paths:
         return best
 
     def _towards(self, goal: Vector) -> Vector:
-        """Returns `goal`, or, where it is outside the box of W_0, the centre of the nearest pixel that has points.
+        """Returns `goal`, or, where it is outside the box of W_0, the centre (3,) of the nearest pixel that has points.
 
         Every density is as good as zero out there: distances to their boxes would lead the descent astray.
         """
         low, high = self.densities.box(0)
         if np.all((low <= goal) & (goal <= high)):
             return goal
-        z, y, x = np.nonzero(self.densities.level(0) >= 0)
-        centres = self.densities.references[0] + self.densities.pixels[0] * np.column_stack((x, y, z))
-        return np.asarray(centres[np.argmin(np.linalg.norm(centres - goal, axis=1))])
+        return np.asarray(self._edge[np.argmin(((self._edge - goal) ** 2).sum(axis=1))])
 
     def _descend(
         self, goal: Vector, tolerance: float, penalties: criteria.Penalties, enough: float
@@ -170,3 +169,14 @@ class Paths:
         ball = math.pi * tolerance**2 if self.manipulator.planar else 4 / 3 * math.pi * tolerance**3
         volumes = self.densities.pixels**self.manipulator.dimension
         return np.log(np.maximum(enough * volumes / ball, 1.0))
+
+
+def edge(densities: Densities) -> NDArray[np.float64]:
+    """Returns the centres (n, 3) of the pixels of W_0 that have points but not all around."""
+    some = np.pad(densities.level(0) >= 0, 1)
+    inside = some.copy()
+    for axis in range(3):
+        if densities.level(0).shape[axis] > 1:
+            inside &= np.roll(some, 1, axis) & np.roll(some, -1, axis)
+    z, y, x = np.nonzero((some & ~inside)[1:-1, 1:-1, 1:-1])
+    return np.asarray(densities.references[0] + densities.pixels[0] * np.column_stack((x, y, z)))

@@ -1,4 +1,7 @@
-"""Configurations of one segment of the arm near a given one, the nearest first to be counted in, with their frames."""
+"""Configurations of one segment of the arm near a given one, the nearest first to be counted in, with their frames.
+
+A frame is a row of numbers: (x, y, cos, sin) while the arm stays in the plane, (x, y, z, R row by row) elsewhere.
+"""
 
 from dataclasses import dataclass
 
@@ -10,6 +13,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Index32 = NDArray[np.int32]
 
 BINS = 512
 
@@ -27,20 +31,23 @@ class Segment:
         modules: module in which it differs from its parent, counted from 0, shape (n,).
         choices: that module's state, shape (n,).
         costs: sum over the segment's modules of what their states cost, shape (n,).
-        rotations: of frame F_last in frame F_first, shape (n, 3, 3).
-        positions: likewise, shape (n, 3).
+        frames: F_last in F_first, shape (n, 4) or (n, 12).
         beyond: least distance of a configuration that is left out; infinite if none is.
     """
 
     first: int
     last: int
-    parents: Index
-    modules: Index
-    choices: Index
+    parents: Index32
+    modules: Index32
+    choices: Index32
     costs: Array
-    rotations: Array
-    positions: Array
+    frames: Array
     beyond: float
+
+    @property
+    def positions(self) -> Array:
+        """Of F_last in F_first, shape (n, 2) or (n, 3)."""
+        return self.frames[:, : coordinates(self.frames)]
 
     def write(self, row: int, configuration: Configuration) -> None:
         """Puts a row's states in a configuration (B,) that has the centre's."""
@@ -49,14 +56,16 @@ class Segment:
             row = int(self.parents[row])
 
 
-@njit("void(i8[::1], i8[::1], i8[::1], i8[::1], i8[:,::1])", cache=True, nogil=True)
-def write_rows(rows: Index, parents: Index, modules: Index, choices: Index, configurations: Index) -> None:
-    """Puts the states of rows (n,) in configurations (n, B) that have the centre's."""
-    for n in range(len(rows)):
-        row = rows[n]
-        while row > 0:
-            configurations[n, modules[row]] = choices[row]
-            row = parents[row]
+def motions(manipulator: Manipulator) -> Array:
+    """Returns the frames of every module's states as rows, module by module, shape (B * Kmax, 4) or (B * Kmax, 12)."""
+    r, b = manipulator.rotations.reshape(-1, 3, 3), manipulator.translations.reshape(-1, 3)
+    parts = (b[:, :2], r[:, :2, 0]) if manipulator.planar else (b, r.reshape(-1, 9))
+    return np.concatenate(parts, axis=1)
+
+
+def coordinates(frames: Array) -> int:
+    """Returns how many coordinates a position has where frames are rows like these (..., 4 or 12)."""
+    return 2 if frames.shape[-1] == 4 else 3
 
 
 class Storage:
@@ -64,14 +73,14 @@ class Storage:
 
     Args:
         rows: most rows.
+        width: numbers of a frame, 4 or 12.
     """
 
-    def __init__(self, rows: int) -> None:
+    def __init__(self, rows: int, width: int) -> None:
         self.rows = rows
-        self.parents, self.modules, self.choices = (np.empty(rows, dtype=np.int64) for _ in range(3))
+        self.parents, self.modules, self.choices = (np.empty(rows, dtype=np.int32) for _ in range(3))
         self.lengths, self.costs = np.empty(rows), np.empty(rows)
-        self.rotations, self.positions = np.empty((rows, 3, 3)), np.empty((rows, 3))
-        self.head_rotations, self.head_positions = np.empty((rows, 3, 3)), np.empty((rows, 3))
+        self.frames = np.empty((rows, width))
 
     def claim(self) -> None:
         """Has the system hand out the memory now, not in the middle of a search."""
@@ -81,51 +90,53 @@ class Storage:
 
 
 def build_segment(
-    manipulator: Manipulator,
+    motions: Array,
+    states: Index,
     storage: Storage,
     centre: Configuration,
     distances: Array,
     costs: Array,
     first: int,
     last: int,
+    most: int | None = None,
 ) -> Segment:
-    """Returns the configurations nearest to the centre, whole distances at a time, as many as the storage holds.
+    """Returns the configurations nearest to the centre, whole distances at a time.
 
     Args:
-        manipulator: the arm.
+        motions: frames of every module's states as rows, shape (B * Kmax, 4) or (B * Kmax, 12).
+        states: K_i, shape (B,).
         storage: overwritten; the segment lives in it.
         centre: configuration, shape (B,).
         distances: of each module's states from the centre's, which is at 0; shape (B, Kmax).
         costs: of each module's states, shape (B, Kmax).
         first: modules below the segment.
         last: modules up to its end.
+        most: configurations besides the centre, at most; as many as the storage holds if absent.
     """
-    m, s = manipulator, storage
+    s = storage
+    rows = s.rows if most is None else min(most + 1, s.rows)
     # Distances are counted in eighths of the least, which serves equal weights exactly and others well.
-    unit = min(step(distances, m.states, first, last), 1e300) / 8
-    budget = reach(distances, m.states, first, last, unit, s.rows - 1)
+    unit = min(step(distances, states, first, last), 1e300) / 8
+    budget = reach(distances, states, first, last, unit, rows - 1)
     while True:
         count, beyond = grow(
-            m.rotations,
-            m.translations,
-            m.states,
+            motions,
+            states,
             centre,
             distances,
             costs,
             first,
             last,
             budget + 1e-9 * unit,
+            rows,
             s.parents,
             s.modules,
             s.choices,
             s.lengths,
             s.costs,
-            s.rotations,
-            s.positions,
-            s.head_rotations,
-            s.head_positions,
+            s.frames,
         )
-        if count < s.rows:
+        if count < rows:
             break
         budget -= unit  # distances that are no multiples of the unit were counted too low
     return Segment(
@@ -135,19 +146,50 @@ def build_segment(
         s.modules[:count],
         s.choices[:count],
         s.costs[:count],
-        s.rotations[:count],
-        s.positions[:count],
+        s.frames[:count],
         beyond,
     )
 
 
-@njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
-def compose(r: Array, b: Array, s: Array, c: Array, out_r: Array, out_b: Array) -> None:
-    """Writes the frame (R S, b + R c)."""
-    for i in range(3):
-        for j in range(3):
-            out_r[i, j] = r[i, 0] * s[0, j] + r[i, 1] * s[1, j] + r[i, 2] * s[2, j]
-        out_b[i] = b[i] + r[i, 0] * c[0] + r[i, 1] * c[1] + r[i, 2] * c[2]
+@njit("void(i8[::1], i4[::1], i4[::1], i4[::1], i8[:,::1])", cache=True, nogil=True)
+def write_rows(rows: Index, parents: Index32, modules: Index32, choices: Index32, configurations: Index) -> None:
+    """Puts the states of rows (n,) in configurations (n, B) that have the centre's."""
+    for n in range(len(rows)):
+        row = rows[n]
+        while row > 0:
+            configurations[n, modules[row]] = choices[row]
+            row = parents[row]
+
+
+# Rows are named by array and number in the two kernels that follow: slices would be counted references.
+@njit("void(f8[:,::1], i8, f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+def compose(a: Array, i: int, b: Array, j: int, out: Array, k: int) -> None:
+    """Writes frame b[j] carried by frame a[i] to out[k], which is neither."""
+    if out.shape[1] == 4:
+        x, y, c, s = a[i, 0], a[i, 1], a[i, 2], a[i, 3]
+        out[k, 0] = x + c * b[j, 0] - s * b[j, 1]
+        out[k, 1] = y + s * b[j, 0] + c * b[j, 1]
+        out[k, 2] = c * b[j, 2] - s * b[j, 3]
+        out[k, 3] = s * b[j, 2] + c * b[j, 3]
+    else:
+        for m in range(3):
+            p, q, r = a[i, 3 + 3 * m], a[i, 4 + 3 * m], a[i, 5 + 3 * m]
+            out[k, m] = a[i, m] + p * b[j, 0] + q * b[j, 1] + r * b[j, 2]
+            for n in range(3):
+                out[k, 3 + 3 * m + n] = p * b[j, 3 + n] + q * b[j, 6 + n] + r * b[j, 9 + n]
+
+
+@njit("void(f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+def invert(a: Array, i: int, out: Array, k: int) -> None:
+    """Writes the frame that leads back from a[i] to out[k], another."""
+    if out.shape[1] == 4:
+        x, y, c, s = a[i, 0], a[i, 1], a[i, 2], a[i, 3]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = -c * x - s * y, s * x - c * y, c, -s
+    else:
+        for m in range(3):
+            out[k, m] = -a[i, 3 + m] * a[i, 0] - a[i, 6 + m] * a[i, 1] - a[i, 9 + m] * a[i, 2]
+            for n in range(3):
+                out[k, 3 + 3 * m + n] = a[i, 3 + 3 * n + m]
 
 
 @njit("f8(f8[:,::1], i8[::1], i8, i8)", cache=True, nogil=True)
@@ -182,16 +224,15 @@ def reach(distances: Array, states: Index, first: int, last: int, unit: float, m
 
 
 @njit(
-    "Tuple((i8, f8))(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1], f8[:,::1], f8[:,::1], i8, i8, f8,"
-    " i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1])",
+    "Tuple((i8, f8))(f8[:,::1], i8[::1], i8[::1], f8[:,::1], f8[:,::1], i8, i8, f8, i8,"
+    " i4[::1], i4[::1], i4[::1], f8[::1], f8[::1], f8[:,::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
     fastmath={"contract"},
 )
 def grow(
-    rotations: Array,
-    translations: Array,
+    motions: Array,
     states: Index,
     centre: Index,
     distances: Array,
@@ -199,65 +240,72 @@ def grow(
     first: int,
     last: int,
     budget: float,
-    parents: Index,
-    modules: Index,
-    choices: Index,
+    rows: int,
+    parents: Index32,
+    modules: Index32,
+    choices: Index32,
     lengths: Array,
     prices: Array,
-    out_rotations: Array,
-    out_positions: Array,
-    head_r: Array,
-    head_b: Array,
+    frames: Array,
 ) -> tuple[int, float]:
     """Fills the rows; returns their number (all that fit if there are more) and the least distance left out."""
-    rows = len(parents)
-    # Frames from each module's top to the segment's end while the modules between stay at the centre.
-    rest_r, rest_b = np.empty((last - first + 1, 3, 3)), np.empty((last - first + 1, 3))
-    rest_r[-1], rest_b[-1] = np.eye(3), np.zeros(3)
-    # Frames of each module's states, and on to the segment's end.
-    most = rotations.shape[1]
-    via_r, via_b = np.empty((last - first, most, 3, 3)), np.empty((last - first, most, 3))
+    size, most, width = last - first, distances.shape[1], frames.shape[1]
+    # From each module's bottom to the segment's end and back, while the modules between stay at the centre.
+    rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
+    if width == 4:
+        rest[size, 2] = 1.0
+    else:
+        rest[size, 3] = rest[size, 7] = rest[size, 11] = 1.0
+    # Each module's states but the centre's, the nearest first: how far, what more they cost, and on to the end.
+    ranked, away = np.empty((size, most), dtype=np.int32), np.full((size, most), np.inf)
+    dearer, via = np.empty((size, most)), np.empty((size * most, width))
+    nearest = np.full(size + 1, np.inf)  # least distance of a change in this module or one after it
     price = 0.0
-    for i in range(last - 1, first - 1, -1):
-        k = i - first
+    for k in range(size - 1, -1, -1):
+        i, count = first + k, 0
         for j in range(states[i]):
-            compose(rotations[i, j], translations[i, j], rest_r[k + 1], rest_b[k + 1], via_r[k, j], via_b[k, j])
-        rest_r[k], rest_b[k] = via_r[k, centre[i]], via_b[k, centre[i]]
+            if j == centre[i]:
+                continue
+            at = count
+            while at > 0 and away[k, at - 1] > distances[i, j]:
+                ranked[k, at], away[k, at] = ranked[k, at - 1], away[k, at - 1]
+                at -= 1
+            ranked[k, at], away[k, at] = j, distances[i, j]
+            count += 1
+        for a in range(count):
+            j = ranked[k, a]
+            dearer[k, a] = costs[i, j] - costs[i, centre[i]]
+            compose(motions, i * most + j, rest, k + 1, via, k * most + a)
+        compose(motions, i * most + centre[i], rest, k + 1, rest, k)
+        nearest[k] = min(nearest[k + 1], away[k, 0])
         price += costs[i, centre[i]]
-    # The heads are the frames on top of the module that differs last, kept for rows that may go on.
-    head_r[0], head_b[0] = np.eye(3), np.zeros(3)
+    for k in range(size + 1):
+        invert(rest, k, back, k)
     parents[0], modules[0], choices[0], lengths[0], prices[0] = 0, first - 1, 0, 0.0, price
-    out_rotations[0], out_positions[0] = rest_r[0], rest_b[0]
-    nearest = np.full(last - first + 1, np.inf)  # least distance of a change in this module or one after it
-    for i in range(last - 1, first - 1, -1):
-        nearest[i - first] = min(nearest[i - first + 1], step(distances, states, i, i + 1))
-    run_r, run_b, next_r, next_b = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    frames[0] = rest[0]
+    run, now = np.empty((2, width)), 0
     count, row, beyond = 1, 0, np.inf
     while row < count:
-        following = lengths[row] + nearest[modules[row] + 1 - first]
-        if following > budget:
-            beyond = min(beyond, following)
+        length, begin = lengths[row], modules[row] + 1 - first
+        if length + nearest[begin] > budget:
+            beyond = min(beyond, length + nearest[begin])
             row += 1
             continue
-        run_r[:], run_b[:] = head_r[row], head_b[row]
-        for i in range(modules[row] + 1, last):
-            for j in range(states[i]):
-                if j == centre[i]:
-                    continue
-                length = lengths[row] + distances[i, j]
-                if length > budget:
-                    beyond = min(beyond, length)
-                    continue
+        compose(frames, row, back, begin, run, now)
+        for k in range(begin, size):
+            i = first + k
+            for a in range(states[i] - 1):
+                total = length + away[k, a]
+                if total > budget:
+                    beyond = min(beyond, total)
+                    break
                 if count == rows:
                     return rows, 0.0
-                if length + nearest[i + 1 - first] <= budget:
-                    compose(run_r, run_b, rotations[i, j], translations[i, j], head_r[count], head_b[count])
-                k = i - first
-                compose(run_r, run_b, via_r[k, j], via_b[k, j], out_rotations[count], out_positions[count])
-                parents[count], modules[count], choices[count], lengths[count] = row, i, j, length
-                prices[count] = prices[row] - costs[i, centre[i]] + costs[i, j]
+                compose(run, now, via, k * most + a, frames, count)
+                parents[count], modules[count], choices[count], lengths[count] = row, i, ranked[k, a], total
+                prices[count] = prices[row] + dearer[k, a]
                 count += 1
-            compose(run_r, run_b, rotations[i, centre[i]], translations[i, centre[i]], next_r, next_b)
-            run_r, run_b, next_r, next_b = next_r, next_b, run_r, run_b
+            compose(run, now, motions, i * most + centre[i], run, 1 - now)
+            now = 1 - now
         row += 1
     return count, beyond

@@ -11,9 +11,11 @@ from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
 from controller.search.candidates import Candidates
+from controller.search.found import Found
 from controller.search.method import Method
-from controller.search.minimum_switch import Found, MinimumSwitch
+from controller.search.minimum_switch import MinimumSwitch
 from controller.search.paths import Paths
+from controller.search.reach import Reach
 from controller.workspace.densities import Densities
 
 Vector = NDArray[np.float64]
@@ -73,6 +75,7 @@ class Solver:
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
         self._paths = Paths(manipulator, densities)
+        self._reach = Reach(manipulator)
         self._to_base = inverse(manipulator.base)
         self._candidates: tuple[int, Candidates] | None = None
 
@@ -99,13 +102,13 @@ class Solver:
         """
         began = time.perf_counter()
         chosen = np.asarray(previous, dtype=np.int64)
-        local, world = self._local(goal)
+        world = self._world(goal)
+        local = self._local(world)
         bound = 0.0
         if method in ("minimum-switch", "ipop-previous") and self._error(chosen, world) <= tolerance:
             best = chosen.copy()
         elif method == "minimum-switch":
-            first = self._paths.follow(local, chosen, tolerance, "ipop-previous")
-            best, bound = self._fewest(local, world, chosen, tolerance, first, began + deadline)
+            best, bound = self._fewest(local, world, chosen, tolerance, began + deadline)
         else:
             best = self._paths.follow(local, chosen, tolerance, method)
         return self.described(best, goal, chosen, tolerance, time.perf_counter() - began, bound)
@@ -120,10 +123,11 @@ class Solver:
         bound: float = 0.0,
     ) -> Solution:
         """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
-        error = self._error(configuration, self._local(goal)[1])
+        tip = self.manipulator.tip(configuration)
+        error = float(np.linalg.norm(tip[:3, 3] - self._world(goal)))
         return Solution(
             configuration=configuration,
-            tip=self.manipulator.tip(configuration),
+            tip=tip,
             error=error,
             switches=self.manipulator.switches(configuration, previous),
             within_tolerance=error <= tolerance,
@@ -142,13 +146,17 @@ class Solver:
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
         costs = criteria.switching(self.manipulator, previous, self._weights)
-        return self._candidates[1].find(self._local(goal)[0], previous, costs, tolerance)
+        return self._candidates[1].find(self._local(self._world(goal)), previous, costs, tolerance)
 
-    def _local(self, goal: ArrayLike) -> tuple[Vector, Vector]:
-        """Returns a goal in frame F_0 and in the world, shape (3,) each."""
-        world = np.zeros(3)
-        world[: len(np.asarray(goal))] = goal
-        return self._to_base[:3, :3] @ world + self._to_base[:3, 3], world
+    def _world(self, goal: ArrayLike) -> Vector:
+        """Returns a goal of two or three coordinates with three."""
+        given, world = np.asarray(goal, dtype=float), np.zeros(3)
+        world[: len(given)] = given
+        return world
+
+    def _local(self, world: Vector) -> Vector:
+        """Returns a point in the world (3,) in frame F_0."""
+        return np.asarray(self._to_base[:3, :3] @ world + self._to_base[:3, 3])
 
     def _error(self, configuration: Configuration, world: Vector) -> float:
         """Returns the distance of a configuration's tip from a point in the world."""
@@ -161,20 +169,24 @@ class Solver:
         return float(((own != new) * self._weights).sum())
 
     def _fewest(
-        self, goal: Vector, world: Vector, previous: Configuration, tolerance: float, first: Configuration, until: float
+        self, goal: Vector, world: Vector, previous: Configuration, tolerance: float, until: float
     ) -> tuple[Configuration, float]:
-        """Returns the cheapest configuration found from a first answer, and the bound proven."""
-        error = self._error(first, world)
-        cost = self._cost(first, previous) if error <= tolerance else np.inf
+        """Returns the cheapest configuration found, and the bound proven."""
         costs = criteria.switching(self.manipulator, previous, self._weights)
         worth = float(self._weights.sum() / len(self.manipulator.actuators))
+
+        def first() -> Found:
+            configuration = self._paths.follow(goal, previous, tolerance, "ipop-previous")
+            error = self._error(configuration, world)
+            cost = self._cost(configuration, previous) if error <= tolerance else np.inf
+            return Found(configuration, cost, error**2)
 
         def widen(best: Found, width: int) -> Found:
             return self._paths.spread(goal, costs, tolerance, worth, width, best)
 
-        found = self._minimum.improve(goal, previous, costs, tolerance, Found(first, cost, error**2), widen, until)
-        return found.configuration, found.bound
+        found = self._minimum.improve(goal, previous, costs, tolerance, first, widen, until)
+        return found.configuration, min(found.bound, found.cost)
 
     @cached_property
     def _minimum(self) -> MinimumSwitch:
-        return MinimumSwitch(self.manipulator)
+        return MinimumSwitch(self.manipulator, self._reach)

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controller.manipulator.frames import planar
 from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.module import transforms
 from controller.manipulator.vgt import vgt
-from controller.search.minimum_switch import middle
-from controller.search.segment import Storage, build_segment
+from controller.search.halves import middle
+from controller.search.segment import Storage, build_segment, motions
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
@@ -54,20 +56,33 @@ def test_brute_force_agrees(arm, seed, tolerance, weighted):
         assert found.lower_bound == np.inf
 
 
+def all_tips(arm: Manipulator) -> np.ndarray:
+    """All tips (n, 3), in the order of the mixed-radix number that the states write, first module most significant."""
+    points = np.zeros((1, 3))
+    for i in reversed(range(len(arm.states))):
+        k = arm.states[i]
+        points = (points @ arm.rotations[i, :k].transpose(0, 2, 1) + arm.translations[i, :k, None]).reshape(-1, 3)
+    return points
+
+
 @pytest.mark.parametrize("weighted", [False, True])
-def test_brute_force_agrees_on_200_goals_of_18_actuators(weighted):
-    arm = paper_arm(6)
+def test_brute_force_agrees_on_200_goals_of_20_actuators(weighted):
+    bend = [planar(x, 0.2, -3 * x) for x in (-0.1, -0.03, 0.04, 0.1)]
+    arm = Manipulator([*paper_arm(6).modules, transforms(bend, planar=True)])
+    assert len(arm.actuators) == 20
     rng = np.random.default_rng(6)
-    weights = rng.uniform(1.0, 3.0, 18) if weighted else np.ones(18)
+    weights = rng.uniform(1.0, 3.0, 20) if weighted else np.ones(20)
     solver = solver_of(arm, weights)
-    everything = every_configuration(arm)
-    tips = arm.tips(everything)[:, :3, 3]
-    states = np.concatenate([arm.bits[i][everything[:, i]] for i in range(6)], axis=1)
-    previous = np.zeros(6, dtype=np.int64)
+    tips = all_tips(arm)
+    previous = np.zeros(7, dtype=np.int64)
     for goal in tips[rng.integers(0, len(tips), 200)]:
-        costs = (states != arm.actuator_states(previous)) @ weights
-        least = costs[np.linalg.norm(tips - goal, axis=1) <= 0.005].min()
-        found = solver.solve(goal, previous, 0.005)
+        x, y, _ = np.abs(tips - goal).T
+        near = np.flatnonzero((x <= 0.005) & (y <= 0.005))
+        near = near[np.linalg.norm(tips[near] - goal, axis=1) <= 0.005]
+        within = np.column_stack(np.unravel_index(near, tuple(arm.states)))
+        states = np.concatenate([arm.bits[i, within[:, i], : len(m.actuators)] for i, m in enumerate(arm.modules)], 1)
+        least = ((states != arm.actuator_states(previous)) @ weights).min()
+        found = solver.solve(goal, previous, 0.005, deadline=10.0)
         assert found.cost == pytest.approx(least)
         assert found.optimal
         previous = found.configuration
@@ -143,13 +158,17 @@ def test_a_segment_lists_all_that_is_nearer_than_what_it_leaves_out(chain, seed,
     weights = arm.per_module(rng.uniform(0.5, 2.0, len(arm.actuators)))
     own = arm.bits[np.arange(len(chain)), centre]
     distances = ((arm.bits != own[:, None]) * weights[:, None]).sum(axis=2).astype(float)
-    segment = build_segment(arm, Storage(rows + 1), centre, distances, distances, 0, len(chain))
+    frames = motions(arm)
+    storage = Storage(rows + 1, frames.shape[1])
+    segment = build_segment(frames, arm.states, storage, centre, distances, distances, 0, len(chain))
     listed = np.tile(centre, (len(segment.costs), 1))
     for row, configuration in enumerate(listed):
         segment.write(row, configuration)
     assert len(np.unique(listed, axis=0)) == len(listed) <= max(rows, 1)
-    np.testing.assert_allclose(arm.tips(listed)[:, :3, 3], segment.positions, atol=1e-9)
-    np.testing.assert_allclose(arm.tips(listed)[:, :3, :3], segment.rotations, atol=1e-9)
+    d = arm.dimension
+    np.testing.assert_allclose(arm.tips(listed)[:, :d, 3], segment.frames[:, :d], atol=1e-9)
+    axes = arm.tips(listed)[:, :d, 0] if arm.planar else arm.tips(listed)[:, :3, :3].reshape(-1, 9)
+    np.testing.assert_allclose(axes, segment.frames[:, d:], atol=1e-9)
     module = np.arange(len(chain))
     np.testing.assert_allclose(distances[module, listed].sum(axis=1), segment.costs, atol=1e-9)
     if np.prod(arm.states.astype(float)) <= 2000:

@@ -1,0 +1,87 @@
+"""The nearest configuration, where none is known within the tolerance: cost plays no part."""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Manipulator
+from controller.search.found import Found
+from controller.search.halves import Halves, rows
+from controller.search.segment import Storage, build_segment, motions
+
+Array = NDArray[np.float64]
+
+ROWS = 1 << 14
+GRID = {2: 256, 3: 32}  # pairs are looked for as near as the points' extent over so many
+
+
+class Nearest:
+    """Brings the tip nearer from a configuration on, by changes of few actuators at a time.
+
+    Args:
+        manipulator: the arm.
+        halves: memory that may be overwritten.
+    """
+
+    def __init__(self, manipulator: Manipulator, halves: Halves) -> None:
+        self._m, self._motions, self._halves = manipulator, motions(manipulator), halves
+        self._free = np.zeros(manipulator.bits.shape[:2])
+        self._storage = Storage(rows(manipulator, 0, len(manipulator.modules), ROWS), self._motions.shape[1])
+
+    def claim(self) -> None:
+        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+        self._storage.claim()
+
+    def improve(self, goal: Array, best: Found, until: float) -> Found:
+        """Returns the nearest configuration found; of infinite cost, as the one given.
+
+        Args:
+            goal: in frame F_0, shape (3,).
+            best: to begin with.
+            until: `time.perf_counter()` at which to be done, nearly.
+        """
+        seconds = 0.0
+        while (began := time.perf_counter()) + 1.5 * seconds < until:
+            better = self._paired(goal, self._changed(goal, best))
+            seconds = time.perf_counter() - began
+            if better.square >= best.square * (1 - 1e-9):
+                break
+            best = better
+        return best
+
+    def _distances(self, best: Found) -> Array:
+        own = self._m.bits[np.arange(len(best.configuration)), best.configuration]
+        return np.asarray((self._m.bits != own[:, None]).sum(axis=2), dtype=float)
+
+    def _changed(self, goal: Array, best: Found) -> Found:
+        """Returns the nearest of all that differ in few actuators, wherever they are."""
+        size = self._m.dimension
+        segment = build_segment(
+            self._motions,
+            self._m.states,
+            self._storage,
+            best.configuration,
+            self._distances(best),
+            self._free,
+            0,
+            len(self._m.modules),
+        )
+        squares = ((segment.frames[:, :size] - goal[:size]) ** 2).sum(axis=1)
+        row = int(squares.argmin())
+        if squares[row] >= best.square:
+            return best
+        configuration = best.configuration.copy()
+        segment.write(row, configuration)
+        return Found(configuration, np.inf, float(squares[row]))
+
+    def _paired(self, goal: Array, best: Found) -> Found:
+        """Returns the nearest of all that differ in few actuators of either half, if it is very near."""
+        halves, size = self._halves, self._m.dimension
+        halves.list(best.configuration, self._distances(best), self._free, ROWS)
+        extent = float(np.ptp(halves.upper.frames[:, :size], axis=0).max())
+        within = min(float(np.sqrt(best.square)), extent / GRID[size])
+        if within == 0.0:
+            return best
+        found = halves.meet(goal, within, Found(best.configuration, 0.0, best.square))
+        return Found(found.configuration, np.inf, found.square)
