@@ -18,9 +18,9 @@ class InputFaults(ValueError):
     """All that is wrong with one file."""
 
     def __init__(self, path: Path, faults: list[str]) -> None:
-        """Keeps the faults; the message is one line for each."""
-        self.faults = tuple(faults)
-        super().__init__("\n".join(f"{path}: {fault}" for fault in faults))
+        """Keeps the faults, made printable; the message is one line for each."""
+        self.faults = tuple(fault.encode("utf-8", "backslashreplace").decode() for fault in faults)
+        super().__init__("\n".join(f"{path}: {fault}" for fault in self.faults))
 
 
 class Loader(yaml.SafeLoader):
@@ -101,6 +101,8 @@ def walk(value: Any, kind: Any, path: str, faults: list[str]) -> None:
         text, _, inner = str(error).partition(" - at `$")
         inner = inner.rstrip("`") if inner else ""
         faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)})")
+    except UnicodeEncodeError:  # half a surrogate pair, which JSON and YAML can write
+        faults.append(f"{path.lstrip('.') or 'file'}: half a surrogate pair is no text (given: {shown(value)})")
 
 
 def chosen(value: Any, kind: Any) -> Any:

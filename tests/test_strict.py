@@ -156,6 +156,10 @@ def test_a_right_value_becomes_the_struct():
             f"note: Expected `str | null`, got `array` (given: ['{'x' * 55}...)",
         ),
         (
+            {"inner": {"size": "\ud800"}},
+            "inner.size: half a surrogate pair is no text (given: '\\ud800')",
+        ),
+        (
             {"inner": {"size": 1}, "note": 1 << 20_000},
             "note: Expected `str | null`, got `int` (given: a number of thousands of digits)",
         ),
@@ -173,6 +177,11 @@ def test_every_fault_is_told_at_once():
 
 def test_lists_of_faults_end():
     assert len(faults_of({"inner": {"size": 1}, "pets": [{"kind": "dog"}] * 150})) == MOST_FAULTS
+
+
+def test_faults_are_made_printable():
+    error = InputFaults(Path("arm.yaml"), ["\ud800: unknown field"])
+    assert str(error) == "arm.yaml: \\ud800: unknown field"
 
 
 def test_the_message_has_a_line_for_each_fault():

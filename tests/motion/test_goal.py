@@ -61,6 +61,7 @@ REFUSED = {
     "empty id": (goal(id=""), "id: "),
     "line break in the id": (goal(id="a\nMAINPID=1"), "id: "),
     "half a surrogate pair in the id": (b'{"waypoints": [{"position": [1, 2]}], "id": "\\udc80"}', "id: "),
+    "half a surrogate pair within a number": (raw(b'"\\ud800"'), r"position\[1\]: half a surrogate pair is no text"),
     "long id": (goal(id="x" * 129), "id: "),
     "negative time": (one(t=-1), r"waypoints\[0\]\.t: Expected `float` >= 0"),
     "negative stamp": (goal(stamp=-1), "stamp: Expected `float` >= 0"),

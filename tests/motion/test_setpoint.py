@@ -37,6 +37,7 @@ REFUSED = {
     "five unknown": (setpoint(a=1, b=1, c=1, d=1, e=1), r"a: unknown.*; c: unknown.*\(and 2 more faults\)"),
     "field twice": (b'{"position": [1, 2], "position": [3, 4]}', "setpoint is not JSON: 'position' stands twice"),
     "field with no UTF-8": (b'{"\\ud800": 1}', r"\\ud800: unknown field"),
+    "number with no UTF-8": (b'{"position": [1, "\\ud800"]}', r"position\[1\]: half a surrogate pair is no text"),
     "long field": (setpoint(**{"x" * 5_000: 1}), r"^x{1000}\.\.\.$"),
     "text for a number": (setpoint(position=["1", 2]), r"position\[0\]: Expected `float`, got `str` \(given: '1'\)"),
     "truth for a number": (setpoint(position=[1, True]), r"position\[1\]: Expected `float`, got `bool`"),
