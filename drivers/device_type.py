@@ -15,7 +15,7 @@ def check_type(board: Board, sdo: Sdo) -> int:
     Raises:
         BoardError: it has not the digital outputs, or inputs, that are wired; or it does not answer.
     """
-    kind = sdo.read(0x1000, 0)
+    kind = sdo.read(0x1000, 0, size=4)
     needs = _HAS_OUTPUTS | (_HAS_INPUTS if board.inputs else 0)
     if kind & 0xFFFF != _IO_PROFILE or kind & needs != needs:
         what = "outputs and inputs" if board.inputs else "outputs"

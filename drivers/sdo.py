@@ -21,6 +21,7 @@ _T = TypeVar("_T")
 
 _TIMEOUT = 0.5  # [s] for one answer
 _TRIES = 2
+_MOST_ANSWERS = 8  # frames in one transfer; a number takes one, or three in segments
 _NO_OBJECT, _NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 
 # An absent optional object is no error, and what is one is told as a fault: the library's own log would say it twice.
@@ -70,16 +71,17 @@ class Sdo:
         self._client.RESPONSE_TIMEOUT = _TIMEOUT
         self._client.network = network
         network.bus = bus  # type: ignore[assignment]  # of a bus, canopen uses nothing but send()
-        network.subscribe(answer, self._client.on_response)
+        network.subscribe(answer, self._hear)
+        self._awaited = 0
 
-    def read(self, index: int, sub: int) -> int:
-        """Reads an unsigned value.
+    def read(self, index: int, sub: int, size: int = 1) -> int:
+        """Reads an unsigned value of `size` bytes.
 
         Raises:
-            BoardError: the board refuses, does not answer, or the bus is busy.
+            BoardError: the board refuses, does not answer or not in that size, or the bus is busy.
         """
         try:
-            return self._upload(index, sub)
+            return self._upload(index, sub, size)
         except SdoAbortedError as error:
             raise self._refused(f"to tell {index:04X}h sub {sub}", error) from error
 
@@ -101,23 +103,36 @@ class Sdo:
         """Whether the board has this value already; an optional object that is absent counts as right.
 
         Raises:
-            BoardError: the board does not answer, or the bus is busy.
+            BoardError: the board does not answer or not in the right size, or the bus is busy.
         """
         try:
-            return self._upload(entry.index, entry.sub) == entry.value
+            return self._upload(entry.index, entry.sub, entry.size) == entry.value
         except SdoAbortedError as error:
             return _absent(entry, error)
 
-    def _upload(self, index: int, sub: int) -> int:
-        return int.from_bytes(self._insist(index, sub, lambda: self._client.upload(index, sub)), "little")
+    def _hear(self, cob_id: int, data: bytearray, timestamp: float) -> None:
+        """Hands an answer over while one is awaited: the client would keep what nobody asked for, and without end."""
+        if self._awaited > 0:
+            self._awaited -= 1
+            self._client.on_response(cob_id, data, timestamp)  # type: ignore[no-untyped-call]
+
+    def _upload(self, index: int, sub: int, size: int) -> int:
+        data = self._insist(index, sub, lambda: self._client.upload(index, sub))
+        if len(data) not in (size, 4):  # some boards send four bytes, whatever the number's size
+            text = f"board {self._board.name} answers {len(data)} bytes to {index:04X}h sub {sub}; {size} are needed"
+            raise BoardError(Fault("wrong-device", self._board.name, text))
+        return int.from_bytes(data[:size], "little")
 
     def _insist(self, index: int, sub: int, transfer: Callable[[], _T]) -> _T:
         """Tries again when there is no answer, or a late one to an earlier question."""
         for _ in range(_TRIES):
+            self._awaited = _MOST_ANSWERS
             try:
                 return transfer()
             except (SdoCommunicationError, BusBusy, struct.error) as error:
                 why = error
+            finally:
+                self._awaited = 0
         message = f"board {self._board.name} does not answer to {index:04X}h sub {sub}: {why}"
         raise BoardError(Fault("board-missing", self._board.name, message)) from why
 

@@ -78,7 +78,7 @@ class Startup:
             self._order(Command.PRE_OPERATIONAL, node, bus)
         check_type(node.board, sdo)
         self._learn_state(node, sdo)
-        no_remote = sdo.read(0x1800, 1) & cia301.NO_REMOTE if board.inputs else 0
+        no_remote = sdo.read(0x1800, 1, size=4) & cia301.NO_REMOTE if board.inputs else 0
         entries = configuration.communication(board, self._timing, action, no_remote)
         loss = configuration.on_loss(board, action)
         if node.state is State.OPERATIONAL and all(sdo.holds(e) for e in configuration.final(entries) + loss):
@@ -95,7 +95,7 @@ class Startup:
 
     def _learn_state(self, node: Node, sdo: Sdo) -> None:
         """Waits for a heartbeat of a board that has only answered so far, if it sends any."""
-        period = 0.0 if node.state is not None else sdo.read(0x1017, 0) / 1000
+        period = 0.0 if node.state is not None else sdo.read(0x1017, 0, size=2) / 1000
         self._wait(lambda: node.state is not None, min(2 * period, self._timing.boot_timeout))
 
     def _finish(self, node: Node, bus: CanBus, sdo: Sdo) -> None:
