@@ -53,6 +53,7 @@ class CanBus:
         self._reader: threading.Thread | None = None
         self._tx_frames = self._rx_frames = self._tx_bits = self._rx_bits = 0
         self._tx_errors = self._rx_errors = self._dropped = self._ignored = 0
+        self._defect_told = False
         self._load = 0.0
         self._load_since: tuple[float, int] | None = None
 
@@ -187,8 +188,9 @@ class CanBus:
             standard = not (message.is_remote_frame or message.is_extended_id or message.is_fd)
             understood = standard and self._on_frame(message)
         except Exception:  # a frame nobody thought of must not end the reading
-            _logger.exception("%s: cannot handle %s", self.name, message)
-            understood = False
+            if not self._defect_told:  # not once for each of thousands of frames
+                _logger.exception("%s: cannot handle %s", self.name, message)
+            self._defect_told, understood = True, False
         self._ignored += not understood
 
     def _receive_error(self, message: can.Message) -> None:

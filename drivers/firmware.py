@@ -16,6 +16,7 @@ from drivers.objects import Objects
 
 _BYTES = range(1, 9)  # sub-indices of 6000h and 6200h
 _TOO_SHORT, _TOO_LONG, _MASTER_LOST = 0x8210, 0x8220, 0x8130
+_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # bytes written in segments, and the abort code beyond
 
 
 class Wired(NamedTuple):
@@ -139,6 +140,9 @@ class SimulatedBoard:
                 self._sdo.on_request(cob_id, data, self._now)  # type: ignore[no-untyped-call]
             except (struct.error, TypeError):  # the server fails on a segment of a transfer that never began
                 self.ignored += 1
+            if len(self._sdo._buffer or b"") > _MOST_SEGMENTS:
+                self._sdo._buffer = bytearray()  # type: ignore[assignment]
+                self._sdo.abort(_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
 
     def _obey(self, order: int) -> None:
         if order == Command.START:

@@ -56,7 +56,9 @@ class Node:
             fault = self._receive_state(state)
         elif function == cia301.EMERGENCY and len(data) >= 2:
             fault = self._receive_emergency(int.from_bytes(data[:2], "little"))
-        elif function == cia301.TPDO1 and self.inputs.size and len(data) == self.inputs.size:
+        elif function == cia301.TPDO1 and self.inputs.size:
+            if len(data) != self.inputs.size:
+                return False, self._refuse_inputs(len(data))
             self.inputs[:] = np.frombuffer(data, np.uint8)
             self.input_frames += 1
         elif function != cia301.SDO_ANSWER:
@@ -110,6 +112,13 @@ class Node:
             return None
         self._emergency = cia301.emergency_words(code)
         return self._fault("emergency", f"it reports {self._emergency}")
+
+    def _refuse_inputs(self, given: int) -> Fault | None:
+        """While it starts, a board may still send what it was made to send; later it must not."""
+        if not self.ready:
+            return None
+        what = f"its inputs came in {given} bytes, not in {self.inputs.size}: does another device send its TPDO?"
+        return self._fault("wrong-length", what)
 
     def _fault(self, code: str, what: str) -> Fault:
         return Fault(code, self.board.name, f"board {self.board.name}: {what}")

@@ -251,3 +251,39 @@ def test_boards_left_by_their_master_hold_or_contract(make_rig, patient, wait, o
     assert rig.boards.start() == []
     assert rig.simulation.positions().tolist() == states
     assert rig.boards.measured().tolist() == states
+
+
+@pytest.mark.parametrize("data", [b"", b"\x03\x03", bytes(8)])
+def test_inputs_of_a_wrong_length_are_a_fault_and_no_state(make_rig, wait, data):
+    rig = make_rig().up()
+    rig.say(0x185, data)
+    wait(lambda: rig.codes() == ["wrong-length"])
+    assert rig.faults[0].source == "can0/5"
+    assert f"its inputs came in {len(data)} bytes, not in 1" in rig.faults[0].message
+    assert rig.boards.measured().tolist() == [0, 0]
+    assert rig.boards.start() == []
+    rig.commit(1, 0)
+    rig.arrive(1, 0)
+
+
+def test_a_storm_of_emergencies_is_one_fault(make_rig, wait):
+    rig = make_rig().up()
+    for code in range(0x2300, 0x2400):
+        rig.say(0x085, code.to_bytes(2, "little") + bytes(6))
+    wait(lambda: rig.boards.status().boards[0].emergency == "current at the output side (23FFh)")
+    assert [fault.message for fault in rig.faults] == ["board can0/5: it reports current at the output side (2300h)"]
+
+
+def test_a_defect_is_written_to_the_journal_once(make_rig, wait, monkeypatch, caplog):
+    rig = make_rig().up()
+    bus = rig.boards._buses["can0"]
+
+    def fail(message):
+        raise RuntimeError("nobody thought of it")
+
+    monkeypatch.setattr(bus, "_on_frame", fail)
+    before = bus.status().ignored
+    for _ in range(100):
+        rig.say(0x300)
+    wait(lambda: bus.status().ignored >= before + 100)
+    assert [record.message.split(" Timestamp")[0] for record in caplog.records] == ["can0: cannot handle"]

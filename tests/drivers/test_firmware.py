@@ -257,3 +257,12 @@ def test_eds_is_complete(caplog):
     assert len([i for i in od if 0x6000 <= i <= 0x6FFF]) == 6
     for index in (0x6000, 0x6200):
         assert all(od[index][sub].pdo_mappable for sub in range(1, 9))
+
+
+def test_segments_without_end_are_aborted(bench):
+    bench.say(0x605, b"\x21\x00\x62\x01\0\0\0\0")
+    answers = [bench.say(0x605, bytes([0x10 * (k % 2), *range(7)])) for k in range(10)]
+    assert (0x585, "80 00 62 01 05 00 04 05") in answers[-1]
+    for k in range(1000):
+        bench.say(0x605, bytes([0x10 * (k % 2), *range(7)]))
+    assert len(bench.board._sdo._buffer) <= 64

@@ -81,6 +81,7 @@ def test_driver_survives_any_frame_and_moves_nothing(make_rig, wait):
         "emergency",
         "board-rebooted",
         "board-stopped",
+        "wrong-length",
         "bus-off",
     }
     bus._bus.queue.put(can.Message(arbitration_id=0x100, is_error_frame=True))
