@@ -72,7 +72,7 @@ def test_a_value_without_its_size_is_cut_to_what_is_needed():
     ids=["two bytes", "six bytes in a segment"],
 )
 def test_a_value_of_another_size_is_another_device(answers):
-    with pytest.raises(BoardError, match="answers . bytes to 6200h sub 1; 1 are needed") as caught:
+    with pytest.raises(BoardError, match=r"answers . bytes to 6200h sub 1; 1 are needed") as caught:
         Line(*([answer] for answer in answers)).sdo.read(0x6200, 1)
     assert caught.value.fault.code == "wrong-device"
 
