@@ -141,7 +141,7 @@ class SimulatedBoard:
             except (struct.error, TypeError):  # the server fails on a segment of a transfer that never began
                 self.ignored += 1
             if len(self._sdo._buffer or b"") > _MOST_SEGMENTS:
-                self._sdo._buffer = bytearray()  # type: ignore[assignment]
+                self._sdo._buffer = bytearray()
                 self._sdo.abort(_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
 
     def _obey(self, order: int) -> None:
