@@ -26,6 +26,7 @@ from controller.search.solver import Solver
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 16
+IDLE = 0.02  # [s] without a question, after which the planner prepares for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Planner:
         self._thread.join(timeout)
 
     def _run(self) -> None:
-        while (question := self._queue.get()) is not None:
+        while (question := self._next()) is not None:
             goal = None
             try:
                 self._proceed(question)
@@ -84,6 +85,23 @@ class Planner:
             except Exception:
                 log.exception("planning failed")
                 question.reply(refused(codes.INVALID_GOAL, "internal error while planning, see the journal", goal))
+
+    def _next(self) -> Question | None:
+        """Waits for what is to be planned next; meanwhile prepares for a goal from where the arm is."""
+        while True:
+            try:
+                return self._queue.get(timeout=IDLE)
+            except queue.Empty:
+                self._expect()
+
+    def _expect(self) -> None:
+        """Prepares, step by step so that nobody waits for it."""
+        previous = self._loop.commanded
+        if previous is None or self._arm.settings.method != "minimum-switch":
+            return
+        for _ in self._solver.expect(previous, self._arm.tolerance):
+            if not self._queue.empty():
+                return
 
     def _serve(self, question: Question, message: GoalMessage, goal: str) -> None:
         manipulator, settings = self._arm.manipulator, self._arm.settings

@@ -6,7 +6,7 @@ costs more than was listed, so the other costs little, and for each of those few
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -45,6 +45,16 @@ class MinimumSwitch:
         self._wide.claim()
         self._quarters.claim()
         self._nearest.claim()
+
+    def expect(self, centre: Configuration, costs: Array, tolerance: float) -> Iterator[None]:
+        """Lists and sorts, step by step, what the search of a goal begins with; what is so already costs nothing."""
+        self._near.list(centre, costs, costs)
+        yield
+        self._near.sort(tolerance * CLOSE)
+        yield
+        self._quarters.list(centre, costs)
+        yield
+        self._quarters.sort(tolerance * CLOSE)
 
     def improve(
         self,

@@ -1,6 +1,7 @@
 """Inverse kinematics of one goal, by any method."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -82,6 +83,17 @@ class Solver:
     def prepare(self) -> None:
         """Claims the memory of the search for fewest switches, which the first searches would else wait for."""
         self._minimum.claim()
+
+    def expect(self, previous: ArrayLike, tolerance: float) -> Iterator[None]:
+        """Prepares the search for fewest switches from a configuration, step by step, before its goal is known.
+
+        Args:
+            previous: shape (B,).
+            tolerance: that the goal is likely to have.
+        """
+        centre = np.asarray(previous, dtype=np.int64)
+        costs = criteria.switching(self.manipulator, centre, self._weights)
+        return self._minimum.expect(centre, costs, tolerance)
 
     def solve(
         self,

@@ -50,6 +50,8 @@ class Desk:
 
         held = copy.copy(solver)
         held.solve = solve
+        self.expected: list[Any] = []
+        held.expect = lambda previous, tolerance: self.expected.append(list(previous)) or iter(())
         self.planner = Planner(arm, held, self.loop)
 
     def ask(self, payload: str | bytes = GOAL, *, run: bool = True) -> None:
@@ -202,3 +204,11 @@ def test_an_inbox_that_is_full_answers_for_the_goal(desk: Desk) -> None:
         desk.loop.inbox.hand_over(Cancel(k, reply))
     desk.ask()
     assert "busy" in answered(desk)[0]["message"]
+
+
+def test_while_nobody_asks_the_search_is_prepared_for_where_the_arm_is(desk):
+    assert eventually(lambda: desk.expected)[-1] == [0] * 16
+    desk.loop.commanded = [1] * 16
+    assert eventually(lambda: [1] * 16 in desk.expected)
+    desk.ask()
+    assert isinstance(handed_over(desk), Planned)

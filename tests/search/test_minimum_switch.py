@@ -104,6 +104,22 @@ def test_goals_in_sequence_are_met_proven_and_cheaper_than_ipop(arm, densities):
     assert proven >= 54
 
 
+def test_what_was_expected_changes_nothing_but_the_time(arm, densities):
+    """Whether from this configuration or another, whole or interrupted, for this tolerance or another."""
+    plain, expecting = (Solver(arm.manipulator, densities) for _ in range(2))
+    rng = np.random.default_rng(5)
+    previous = np.zeros(16, dtype=np.int64)
+    for k, goal in enumerate(arm.manipulator.tips(rng.integers(0, 8, (24, 16)))[:, :2, 3]):
+        centre = previous if k % 2 else rng.integers(0, 8, 16)
+        for step, _ in enumerate(expecting.expect(centre, (0.002, 0.005)[k % 3 == 0])):
+            if step == k % 5:
+                break
+        found, same = (s.solve(goal, previous, 0.002, deadline=10.0) for s in (plain, expecting))
+        assert same.configuration.tolist() == found.configuration.tolist()
+        assert same.lower_bound == found.lower_bound
+        previous = found.configuration
+
+
 def test_no_time_at_all_still_gives_ipops_answer_or_better(arm, densities):
     solver = Solver(arm.manipulator, densities)
     previous = np.zeros(16, dtype=np.int64)
