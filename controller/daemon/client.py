@@ -35,7 +35,7 @@ class Client:
         """Returns the daemon's answer on `key`: goal, cancel, stop, reset, plan or arm.
 
         Raises:
-            Unanswered: none came within `timeout` seconds.
+            Unanswered: none came within `timeout` seconds, or the daemon lets this client not ask.
         """
         data = encode(payload or {})
         replies = self._session.get(
@@ -44,6 +44,8 @@ class Client:
         for reply in replies:
             if reply.ok is not None:
                 return decoded(reply.ok)
+        if self.alive():
+            raise Unanswered(f"the daemon of arm {self._arm!r} took no {key} of ours: not allowed, or sent too often")
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key} within {timeout:g} s")
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:

@@ -6,6 +6,11 @@ from pathlib import Path
 import zenoh
 
 ENDPOINT = "tcp/127.0.0.1:7447"
+TLS = "transport/link/tls"
+TLS_FILES = (
+    *("root_ca_certificate", "listen_certificate", "listen_private_key"),
+    *("connect_certificate", "connect_private_key"),
+)
 
 
 def configuration(mode: str, *, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
@@ -32,12 +37,21 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
 
 
 def from_file(path: Path) -> zenoh.Config:
-    """Returns the configuration in a Zenoh file.
+    """Returns the configuration in a Zenoh file; relative paths of certificates and keys in it are beside the file.
 
     Raises:
-        ValueError: it is missing, or no Zenoh configuration.
+        ValueError: it is missing, or no Zenoh configuration, or a certificate or key cannot be read.
     """
     try:
-        return zenoh.Config.from_file(str(path))
+        config = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
         raise ValueError(f"{path}: no Zenoh configuration: {error}") from None
+    for name, value in json.loads(config.get_json(TLS)).items():
+        if name in TLS_FILES and value is not None:
+            file = path.parent / value
+            try:
+                file.open().close()
+            except OSError as error:
+                raise ValueError(f"{path}: {name}: {file}: {error.strerror}") from None
+            config.insert_json5(f"{TLS}/{name}", json.dumps(str(file.absolute())))
+    return config
