@@ -11,10 +11,10 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import zenoh
 from numpy.typing import NDArray
 
 from controller.config import Arm
+from controller.daemon.arrivals import Arrivals
 from controller.daemon.events import Follow, Payload
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.manipulator.manipulator import Configuration
@@ -24,8 +24,6 @@ from controller.motion.tracking import GoalTracker, Tracking
 from controller.search.solver import Solution, Solver
 
 log = logging.getLogger(__name__)
-
-Arrivals = Callable[[], int]
 
 SEARCH_TIME = 0.01  # [s] for one search; it is never worse than IPOP
 POLL, IDLE_POLL = 0.005, 0.02  # [s] between two looks for a setpoint
@@ -75,11 +73,9 @@ class Follower:
 
     # --- the thread
 
-    def listen(self, session: zenoh.Session, prefix: str, arrival: Arrivals) -> None:
-        """Starts the thread on "<prefix>/setpoint"; `arrival` counts all requests."""
-        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # the latest wins, none waits
-        subscriber = session.declare_subscriber(f"{prefix}/setpoint", ring)
-        self._thread = threading.Thread(target=self._run, args=(subscriber, arrival), name="follower", daemon=True)
+    def listen(self, arrivals: Arrivals) -> None:
+        """Starts the thread that takes the setpoints."""
+        self._thread = threading.Thread(target=self._run, args=(arrivals,), name="follower", daemon=True)
         self._thread.start()
 
     def close(self, timeout: float = 2.0) -> None:
@@ -88,16 +84,16 @@ class Follower:
         if self._thread is not None:
             self._thread.join(timeout)
 
-    def _run(self, subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]], arrival: Arrivals) -> None:
+    def _run(self, arrivals: Arrivals) -> None:
         while not self._closing.wait(POLL if self._alive(self._heard) else IDLE_POLL):
             try:
-                sample = subscriber.try_recv()
-                if sample is not None and str(sample.key_expr).endswith("/setpoint"):  # wildcards move nothing
-                    self.take(sample.payload.to_bytes(), arrival())
+                if (arrived := arrivals.setpoint()) is not None:
+                    sample, arrival = arrived
+                    if str(sample.key_expr).endswith("/setpoint"):  # wildcards move nothing
+                        self.take(sample.payload.to_bytes(), arrival)
                 self.consider()
             except Exception:
                 self._give_up()
-        subscriber.undeclare()  # type: ignore[no-untyped-call]
 
     def _give_up(self) -> None:
         """Follows the stream no more after a defect, told once."""

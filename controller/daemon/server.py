@@ -1,6 +1,5 @@
 """Requests over Zenoh. Callbacks only hand over; every answer leaves through the outbox."""
 
-import itertools
 import time
 from collections.abc import Callable
 
@@ -8,6 +7,7 @@ import msgspec
 import zenoh
 
 from controller.config import Arm
+from controller.daemon.arrivals import Arrivals
 from controller.daemon.events import Cancel, Payload, Reply, Reset, Stop
 from controller.daemon.loop import ControlLoop
 from controller.daemon.messages import refused
@@ -27,17 +27,25 @@ class Server:
     keys that only tell something; those that act must be named, so that a look around (`hyperbit/**`) resets no arm.
     """
 
-    def __init__(self, session: zenoh.Session, arm: Arm, loop: ControlLoop, planner: Planner, outbox: Outbox) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        arm: Arm,
+        loop: ControlLoop,
+        planner: Planner,
+        outbox: Outbox,
+        arrivals: Arrivals,
+    ) -> None:
         """Declares queryables, subscribers and the liveliness token."""
         self._session, self._planner, self._outbox = session, planner, outbox
         self._prefix = f"hyperbit/{arm.settings.name}"
-        self._arrivals = itertools.count(1)
+        self._arrivals = arrivals
         described = description(arm)
         self._declared: list[Declared] = []
         self._act("goal", lambda payload, reply: self._question(payload, reply, run=True))
-        self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(self.arrival(), reply)))
-        self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(self.arrival(), reply)))
-        self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(self.arrival(), reply)))
+        self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(arrivals.request(), reply)))
+        self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(arrivals.request(), reply)))
+        self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(arrivals.request(), reply)))
         self._answer("plan", lambda payload, reply: self._question(payload, reply, run=False))
         self._answer("arm", lambda _, reply: reply(described))
         self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
@@ -79,11 +87,7 @@ class Server:
             self._outbox.publish("result", {"id": None, "status": "refused", **answer})
 
     def _question(self, payload: bytes, reply: Reply, *, run: bool) -> None:
-        self._planner.submit(Question(self.arrival(), reply, payload, time.time(), run))
-
-    def arrival(self) -> int:
-        """Returns the place among all requests of one that comes now; from any thread."""
-        return next(self._arrivals)
+        self._planner.submit(Question(self._arrivals.request(), reply, payload, time.time(), run))
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

@@ -12,6 +12,7 @@ from pathlib import Path
 import zenoh
 
 from controller.config import Arm
+from controller.daemon.arrivals import Arrivals
 from controller.daemon.events import Quit
 from controller.daemon.follower import Follower
 from controller.daemon.ledger import Ledger, counted
@@ -142,9 +143,14 @@ class Daemon:
             follower = Follower(arm, follower_solver, self.loop)
             planner = Planner(arm, solver, self.loop)
             closing.callback(planner.close)
-            server = Server(session, arm, self.loop, planner, outbox)
+            ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(
+                1
+            )  # the latest wins, none waits
+            setpoints = closing.enter_context(session.declare_subscriber(f"{prefix}/setpoint", ring))
+            arrivals = Arrivals(setpoints.try_recv)
+            server = Server(session, arm, self.loop, planner, outbox, arrivals)
             closing.callback(server.close)
-            follower.listen(session, prefix, server.arrival)
+            follower.listen(arrivals)
             closing.callback(follower.close)
             self._closing = closing.pop_all()
 

@@ -47,6 +47,9 @@ class Publisher:
     def put(self, payload: dict[str, Any] | bytes) -> None:
         self._session.put(self._key, payload if isinstance(payload, bytes) else json.dumps(payload))
 
+    def cancel(self) -> None:
+        self._session.put(self._key.replace("/setpoint", "/cancel"), b"")
+
     def stream(self, seconds: float, ended: Callable[[], bool] = lambda: False, bad: bool = False) -> None:
         """Streams for so long, with something bad after every setpoint if told to."""
         began = time.monotonic()
@@ -177,6 +180,18 @@ def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
     with publisher.streaming():
         client.wait_now("executing", "following a setpoint")
     client.wait_now("ready", "has stopped")
+
+
+def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
+    client: Observer, publisher: Publisher, listener: can.BusABC
+) -> None:
+    drain(listener)
+    for k in range(1, 6):
+        publisher.put({"position": LEFT})
+        publisher.cancel()
+        eventually(lambda k=k: setpoint(client)["received"] >= k and setpoint(client)["rate"] == 0)
+    assert syncs(drain(listener)) == []
+    assert all(state["mode"] == "ready" for state in client.heard["state"][-20:])
 
 
 def test_nothing_is_switched_after_a_stop(client: Observer, publisher: Publisher, listener: can.BusABC) -> None:
