@@ -15,6 +15,7 @@ from drivers.bus import CanBus
 from drivers.cia301 import State
 from drivers.faults import BusBusy, BusError, Fault, FaultLog
 from drivers.layout import lay_out
+from drivers.load import worst_case
 from drivers.node import Node
 from drivers.outputs import Outputs
 from drivers.sdo import Sdo
@@ -50,6 +51,7 @@ class Boards:
         for settings in wiring.buses:
             self._buses[settings.name] = CanBus(settings, self._receiver(settings.name), self._lose_bus)
         self._sdos = [Sdo(n.board, self._buses[n.board.bus], self._networks[n.board.bus]) for n in self._nodes]
+        self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._last_tick: float | None = None
         self._next_heartbeat: dict[str, float] = {}
 
@@ -177,7 +179,7 @@ class Boards:
     def status(self) -> Status:
         """For diagnostics."""
         return Status(
-            buses=tuple(bus.status() for bus in self._buses.values()),
+            buses=tuple(bus.status(self._worst_case[name]) for name, bus in self._buses.items()),
             boards=tuple(node.status() for node in self._nodes),
         )
 

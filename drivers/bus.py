@@ -11,7 +11,7 @@ import can
 
 from drivers import cia301
 from drivers.faults import BusBusy, BusError, Fault
-from drivers.status import BusStatus
+from drivers.status import BusStatus, Traffic
 from drivers.wiring import BusSettings
 
 _logger = logging.getLogger(__name__)
@@ -54,8 +54,8 @@ class CanBus:
         self._tx_frames = self._rx_frames = self._tx_bits = self._rx_bits = 0
         self._tx_errors = self._rx_errors = self._dropped = self._ignored = 0
         self._defect_told = False
-        self._load = 0.0
-        self._load_since: tuple[float, int] | None = None
+        self._rates = 0.0, 0.0  # frames and bits a second
+        self._counted: tuple[float, int, int] | None = None
 
     @property
     def name(self) -> str:
@@ -113,17 +113,18 @@ class CanBus:
             self._tx_bits += cia301.frame_bits(message)
 
     def tick(self, now: float) -> None:
-        """Renews the load figure once a second; `now` in [s]."""
-        bits = self._tx_bits + self._rx_bits
-        if self._load_since is None:
-            self._load_since = now, bits
-        elif now - self._load_since[0] >= 1.0:
-            since, before = self._load_since
-            self._load = min(1.0, (bits - before) / (self.settings.bitrate * (now - since)))
-            self._load_since = now, bits
+        """Renews the load figures once a second; `now` in [s]."""
+        frames, bits = self._tx_frames + self._rx_frames, self._tx_bits + self._rx_bits
+        if self._counted is None:
+            self._counted = now, frames, bits
+        elif now - self._counted[0] >= 1.0:
+            since, frames_before, bits_before = self._counted
+            self._rates = (frames - frames_before) / (now - since), (bits - bits_before) / (now - since)
+            self._counted = now, frames, bits
 
-    def status(self) -> BusStatus:
-        """State and counters."""
+    def status(self, worst_case: Traffic) -> BusStatus:
+        """State and counters, beside the computed worst case."""
+        frames, bits = self._rates
         return BusStatus(
             name=self.name,
             state=self.state,
@@ -133,7 +134,10 @@ class CanBus:
             rx_errors=self._rx_errors,
             dropped=self._dropped,
             ignored=self._ignored,
-            load=self._load,
+            frames_per_second=frames,
+            bits_per_second=bits,
+            load=min(1.0, bits / self.settings.bitrate),
+            worst_case=worst_case,
         )
 
     def close(self) -> None:

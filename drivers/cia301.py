@@ -76,10 +76,19 @@ def mapping(index: int, sub: int, bits: int = 8) -> int:
 
 
 def frame_bits(message: can.Message) -> int:
-    """Bits a data frame takes on the wire at worst, with all stuff bits and the 3 bits between frames."""
-    payload = 8 * min(message.dlc, 8) * (not message.is_remote_frame)
-    header = 54 if message.is_extended_id else 34
-    return header + 13 + payload + (header - 1 + payload) // 4
+    """Bits a frame takes on the wire at worst."""
+    return wire_bits(0 if message.is_remote_frame else min(message.dlc, 8), message.is_extended_id)
+
+
+def wire_bits(size: int, extended: bool = False) -> int:
+    """Bits a data frame of so many bytes takes on the wire at worst.
+
+    All stuff bits that there can be are counted, and the 3 bits between frames: 8 n + 47 + (34 + 8 n - 1) // 4 with an
+    identifier of 11 bits, from Davis, Burns, Bril and Lukkien 2007, "Controller Area Network (CAN) schedulability
+    analysis: Refuted, revisited and revised".
+    """
+    stuffed = (54 if extended else 34) + 8 * size
+    return stuffed + 13 + (stuffed - 1) // 4
 
 
 # CiA 301, 7.2.7.1 and the codes CiA 401 adds. A code not listed is named by its group, the first digits.

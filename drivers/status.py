@@ -6,6 +6,25 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Traffic:
+    """What an arm's own frames come to on one bus at worst, see `load.worst_case`.
+
+    Attributes:
+        heartbeats: of the boards and the master [bit/s].
+        sync: of the master [bit/s].
+        rpdos: commands [bit/s].
+        tpdos: end-stops [bit/s].
+        load: all of them, as a share of the bit rate; above 1 the bus cannot keep up.
+    """
+
+    heartbeats: float
+    sync: float
+    rpdos: float
+    tpdos: float
+    load: float
+
+
+@dataclass(frozen=True)
 class BusStatus:
     """One bus.
 
@@ -18,7 +37,10 @@ class BusStatus:
         rx_errors: receive error counter, likewise.
         dropped: frames that could not be queued.
         ignored: frames received that mean nothing here (remote, extended, too short).
-        load: share of the bit rate in use over about the last second, 0..1, at worst-case stuffing.
+        frames_per_second: sent and received, by anybody, over about the last second.
+        bits_per_second: of those frames, stuff bits not seen but taken as many as there can be.
+        load: these bits as a share of the bit rate, 0..1.
+        worst_case: computed, of the arm's own traffic.
     """
 
     name: str
@@ -29,7 +51,10 @@ class BusStatus:
     rx_errors: int
     dropped: int
     ignored: int
+    frames_per_second: float
+    bits_per_second: float
     load: float
+    worst_case: Traffic
 
 
 @dataclass(frozen=True)

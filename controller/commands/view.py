@@ -56,12 +56,13 @@ class View:
         return text
 
     def _hardware(self, diagnostics: dict[str, Any]) -> RenderableType:
-        buses = Table("bus", "state", "load", "sent", "received", "dropped", "errors tx/rx")
+        buses = Table("bus", "state", "load", "at worst", "sent", "received", "dropped", "errors tx/rx")
         for bus in diagnostics["buses"]:
             buses.add_row(
                 bus["name"],
                 bus["state"],
                 f"{bus['load']:.0%}",
+                f"{bus['worst_case']['load']:.0%}",
                 str(bus["tx_frames"]),
                 str(bus["rx_frames"]),
                 str(bus["dropped"]),

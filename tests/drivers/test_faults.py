@@ -234,6 +234,8 @@ def test_status_counts_frames_and_load(make_rig, wait):
     after = rig.boards.status().buses[0]
     assert after.rx_frames >= before.rx_frames + 1000
     assert 0.135 <= after.load < 0.2  # 1,000 frames of 135 bits in a second of 1 Mbit/s
+    assert after.bits_per_second == pytest.approx(1e6 * after.load)
+    assert 1000 / 1.1 < after.frames_per_second < after.bits_per_second / 55
     assert rig.boards.status().boards[0].state == "operational"
     assert rig.boards.status().boards[0].heartbeat_age < 1.1
 
@@ -282,8 +284,8 @@ def test_a_defect_is_written_to_the_journal_once(make_rig, wait, monkeypatch, ca
         raise RuntimeError("nobody thought of it")
 
     monkeypatch.setattr(bus, "_on_frame", fail)
-    before = bus.status().ignored
+    before = rig.boards.status().buses[0].ignored
     for _ in range(100):
         rig.say(0x300)
-    wait(lambda: bus.status().ignored >= before + 100)
+    wait(lambda: rig.boards.status().buses[0].ignored >= before + 100)
     assert [record.message.split(" Timestamp")[0] for record in caplog.records] == ["can0: cannot handle"]
