@@ -54,6 +54,7 @@ def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer) -> Non
     assert it["loop"]["ticks"] > 0
     assert it["buses"][0]["name"] == "can0"
     assert it["buses"][0]["tx_frames"] > 0
+    assert 0 < it["buses"][0]["worst_case"]["load"] < 0.1, "the paper's arm leaves nine tenths of 1 Mbit/s"
     assert [board["state"] for board in it["boards"]] == ["operational"] * 16
     assert it["switches"] > 0
     assert set(it["queues"]) == {"inbox", "outbox", "planning"}
