@@ -1,4 +1,4 @@
-"""One goal being run: which stage of which waypoint is due when. It only reckons; the runner acts."""
+"""One goal being run: which stage of which point is due when. It only reckons; the runner acts."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from controller.daemon.events import Planned
-from controller.motion.goal import Trajectory
 from controller.motion.plan import Plan
+from controller.motion.trajectory import Trajectory
 
 
 @dataclass(eq=False)
@@ -17,12 +17,13 @@ class Execution:
     Attributes:
         goal: as it was handed over.
         start: t = 0 of its trajectory on the loop's clock.
-        lead: time that one stage needs; before a waypoint's time there are that of all its stages [s].
-        waypoint: the one last switched to, -1 before the first.
+        lead: time that one stage needs; before a point's time there are that of all its stages [s].
+        point: the one last switched to, -1 before the first.
         stage: of the way there, the one last reached, -1 before the first.
         commits: stages that it has taken so far.
-        settled_at: when that waypoint's actuators are settled; infinite before its last stage.
-        reported: waypoints up to this one have been reported settled, or were left out.
+        stages: taken since the waypoint before.
+        settled_at: when that point's actuators are settled; infinite before its last stage.
+        checked: points up to this one have been seen settled, or were left out.
         switches: actuators switched so far.
         plan: the goal's, or a better one that came later.
     """
@@ -30,57 +31,78 @@ class Execution:
     goal: Planned
     start: float
     lead: float
-    waypoint: int = -1
+    point: int = -1
     stage: int = -1
     commits: int = 0
+    stages: int = 0
     settled_at: float = np.inf
-    reported: int = -1
+    checked: int = -1
     switches: int = 0
     plan: Plan = field(init=False)
+    _strayed: float | None = field(init=False, default=0.0)  # on the ways to the points since the waypoint before
 
     def __post_init__(self) -> None:
         self.plan = self.goal.plan
 
     @property
+    def waypoint(self) -> int:
+        """Number of the waypoint last switched to, -1 before the first."""
+        return self.plan.trajectory.last(self.point)
+
+    @property
     def last(self) -> bool:
-        """Whether the waypoint last switched to is the trajectory's last."""
-        return self.waypoint == len(self.plan.trajectory.times) - 1
+        """Whether the point last switched to is the trajectory's last."""
+        return self.point == len(self.plan.trajectory.times) - 1
 
     @property
     def excursion(self) -> float | None:
-        """Of the transition to the waypoint last switched to; None if it is not known."""
-        transition = self.plan.transitions[self.waypoint]
-        return transition.excursion if self.commits in (0, len(transition.stages)) else None
+        """Greatest since the waypoint before; None if it is not known."""
+        transition = self.plan.transitions[self.point]
+        own = transition.excursion if self.commits in (0, len(transition.stages)) else None
+        return None if own is None or self._strayed is None else max(own, self._strayed)
 
     def due(self, now: float) -> tuple[int, int] | None:
-        """Returns waypoint and stage to switch to now, the latest whose time has come: nothing old is made up for."""
+        """Returns point and stage to switch to now, the latest whose time has come: nothing old is made up for."""
         times, transitions, since = self.plan.trajectory.times, self.plan.transitions, now - self.start
-        waypoint = int(np.searchsorted(times, since + self.lead, side="right")) - 1
-        stage = len(transitions[waypoint].stages) - 1
-        if waypoint < len(times) - 1:  # there is time for one transition only between two waypoints
-            left = float(times[waypoint + 1]) - since
-            following = math.floor(len(transitions[waypoint + 1].stages) - left / self.lead + 1e-9)
+        point = int(np.searchsorted(times, since + self.lead, side="right")) - 1
+        stage = len(transitions[point].stages) - 1
+        if point < len(times) - 1:  # there is time for one transition only between two points
+            left = float(times[point + 1]) - since
+            following = math.floor(len(transitions[point + 1].stages) - left / self.lead + 1e-9)
             if following >= 0:
-                waypoint, stage = waypoint + 1, following
-        return (waypoint, stage) if waypoint >= 0 and (waypoint, stage) > (self.waypoint, self.stage) else None
+                point, stage = point + 1, following
+        if point < 0 or (point, stage) <= (self.point, self.stage) or self._holds(point):
+            return None
+        return point, stage
 
-    def switched(self, waypoint: int, stage: int, switches: int, now: float, travel: float) -> None:
+    def _holds(self, point: int) -> bool:
+        """Returns whether nothing is to be done for a point, between waypoints and with the states there are."""
+        transitions, reached = self.plan.transitions, self.settled_at < np.inf
+        same = reached and np.array_equal(transitions[point].stages[-1], transitions[self.point].stages[-1])
+        return same and self.plan.trajectory.between(point)
+
+    def switched(self, point: int, stage: int, switches: int, now: float, travel: float) -> None:
         """Notes what was switched, and the stage reached, -1 for none yet.
 
-        A waypoint counts as settled at its time, or after the travel of its last stage.
+        A point counts as settled at its time, or after the travel of its last stage.
         """
-        if waypoint != self.waypoint:
+        trajectory = self.plan.trajectory
+        if point != self.point:
+            self._strayed = self.excursion if self.point >= 0 else 0.0
+            if self.point < 0 or trajectory.next(point) != trajectory.next(self.point):
+                self.stages, self._strayed = 0, 0.0
             self.commits = 0
-        self.waypoint, self.stage = waypoint, stage
+        self.point, self.stage = point, stage
         self.commits += switches > 0
+        self.stages += switches > 0
         self.switches += switches
-        last = stage == len(self.plan.transitions[waypoint].stages) - 1
-        settled = max(self.start + float(self.plan.trajectory.times[waypoint]), now + travel)
+        last = stage == len(self.plan.transitions[point].stages) - 1
+        settled = max(self.start + float(trajectory.times[point]), now + travel)
         self.settled_at = settled if last else np.inf
 
     def improve(self, plan: Plan) -> None:
         """Takes a better plan for what is not begun."""
-        begun = max(self.waypoint, 0) + 1  # the first may have been staged anew
+        begun = max(self.point, 0) + 1  # the first may have been staged anew
         transitions = self.plan.transitions[:begun] + plan.transitions[begun:]
         self.plan = replace(plan, transitions=transitions)
 

@@ -1,4 +1,4 @@
-"""Looking ahead while the arm moves: better plans for the waypoints still to come, each in time for its own."""
+"""Looking ahead while the arm moves: better plans for the points still to come, each in time for its own."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -12,13 +12,13 @@ from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
 from controller.search.solver import Solver
 
-MARGIN = 0.1  # [s] before a waypoint's actuators switch, at which its configuration is handed over at the latest
-BATCH = 4  # waypoints staged at a time: each may take some hundredths of a second, and the next is due soonest
+MARGIN = 0.1  # [s] before a point's actuators switch, at which its configuration is handed over at the latest
+BATCH = 4  # points staged at a time: each may take some hundredths of a second, and the next is due soonest
 WHOLE_TIME = 2.0  # [s] for a plan that is only asked for
 
 
 class Foresight:
-    """Betters a plan from its second waypoint on; the first is on its way already.
+    """Betters a plan from its second point on; the first is on its way already.
 
     Args:
         solver: of the arm.
@@ -30,22 +30,23 @@ class Foresight:
         self._solver, self._plan, self._pace = solver, plan, pace
         before = pace.lead * len(plan.transitions[0].stages)
         self._start = start(plan.trajectory, before, time.monotonic(), time.time())
-        self._longest = 0.0  # time that leading on to a waypoint and staging took [s], in which nothing is decided
+        self._longest = 0.0  # time that leading on to a point and staging took [s], in which nothing is decided
 
     def betters(self) -> Iterator[Plan]:
         """Gives a better plan whenever more is decided, and the same again in between, to let others have a say.
 
-        A waypoint is decided when the time that was needed so far for the next one, and MARGIN, are left before its
-        actuators switch. Should the next one take longer, the waypoint may be reached by the plan of before: as near,
-        with more switches.
+        A point is decided when the time that was needed so far for the next one, and MARGIN, are left before its
+        actuators switch. Should the next one take longer, the point may be reached by the plan of before: as near, with
+        more switches.
         """
         trajectory, told = self._plan.trajectory, 0
-        ahead = LookAhead(self._solver, self._plan.solutions[0].configuration, trajectory.tolerance)
+        first = self._plan.solutions[0].configuration
+        ahead = LookAhead(self._solver, first, trajectory.positions[1:], trajectory.tolerances[1:])
         between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
         earliest = trajectory.times - self._pace.longest(between, actuators)
-        for k, goal in enumerate(trajectory.positions[1:], 1):
+        for k in range(1, len(trajectory.times)):
             began = time.perf_counter()
-            ahead.extend(goal)
+            ahead.extend()
             extended = time.perf_counter() - began
             soon = time.monotonic() + MARGIN + max(self._longest, extended) - self._start
             due = int(np.searchsorted(earliest, soon)) - 1
@@ -61,7 +62,7 @@ class Foresight:
                     break
 
     def _better(self, first: int, configurations: list[Configuration]) -> None:
-        """Takes configurations from waypoint `first` on, if there are any."""
+        """Takes configurations from point `first` on, if there are any."""
         if configurations:
             self._plan = self._plan.improved(self._solver, self._pace, first, configurations)
 

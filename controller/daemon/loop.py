@@ -211,7 +211,7 @@ class ControlLoop:
         self.follow_after = max(goal.arrival, self.follow_after)
         self._runner.begin(goal, self._clock())
         self._enter("executing", f"goal {goal.id}")
-        message = f"accepted, {len(goal.plan.solutions)} waypoints, {goal.plan.switches} switches planned"
+        message = f"accepted, {len(goal.plan.trajectory.waypoints)} waypoints, {goal.plan.switches} switches planned"
         goal.reply({**done(message), "id": goal.id})
 
     def _follow(self, wish: Follow) -> None:

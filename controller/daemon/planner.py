@@ -106,7 +106,7 @@ class Planner:
     def _serve(self, question: Question, message: GoalMessage, goal: str) -> None:
         manipulator, settings = self._arm.manipulator, self._arm.settings
         pace = Pace(settings.travel_time + PERIOD, settings.inrush, settings.rest_time)
-        trajectory = schedule(message, manipulator.dimension, self._arm.tolerance, pace.shortest, question.received)
+        trajectory = schedule(message, manipulator.dimension, self._arm.tolerance, pace, question.received)
         previous, mode, reason = self._loop.commanded, self._loop.mode, self._loop.reason
         if previous is None or (question.run and mode not in ("ready", "executing")):
             raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
@@ -155,10 +155,11 @@ class Planner:
             changes = np.diff(np.vstack([before, transition.stages]).astype(int), axis=0)
             stages.append([[manipulator.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()])
             before = transition.stages[-1]
-        waypoints = [
+        points = [
             {
                 "t": t,
                 "goal": goal,
+                "between": trajectory.between(k),
                 "configuration": format_configuration(manipulator, solution.configuration),
                 **pose(manipulator, solution.tip),
                 "error": solution.error,
@@ -167,9 +168,11 @@ class Planner:
                 "excursion": transition.excursion,
                 "seconds": solution.seconds,
             }
-            for t, goal, solution, labels, transition in zip(
-                trajectory.times, trajectory.positions, found.solutions, stages, found.transitions, strict=True
+            for k, (t, goal, solution, labels, transition) in enumerate(
+                zip(trajectory.times, trajectory.positions, found.solutions, stages, found.transitions, strict=True)
             )
         ]
-        message = f"{len(waypoints)} waypoints, {found.switches} switches"
-        return {**done(message), "waypoints": waypoints, "switches": found.switches}
+        between = len(points) - len(trajectory.waypoints)
+        along = f", {between} points between them" if between else ""
+        message = f"{len(trajectory.waypoints)} waypoints{along}, {found.switches} switches"
+        return {**done(message), "waypoints": points, "switches": found.switches}

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class Runner:
-    """Switches the boards to the waypoints of the running goal. The control loop's, called by no other thread.
+    """Switches the boards to the points of the running goal. The control loop's, called by no other thread.
 
     Attributes:
         switching: of the boards.
@@ -73,7 +73,7 @@ class Runner:
         if not np.array_equal(stages, first.stages):
             self.execution.plan = replace(goal.plan, transitions=(Staged(stages, None), *others))
         self._accepted += 1
-        self._ledger.accepted(self._accepted, goal.id, len(goal.plan.solutions))
+        self._ledger.accepted(self._accepted, goal.id, len(goal.plan.trajectory.waypoints))
 
     def improve(self, arrival: int, plan: Plan) -> None:
         """Takes a better plan for what is left of the goal of this arrival, if that is the running one."""
@@ -97,32 +97,28 @@ class Runner:
         execution = self.execution
         if execution is None:
             return None
-        if (
-            execution.reported < execution.waypoint
-            and now >= execution.settled_at - 1e-9
-            and not self._boards.moving(now)
-        ):
-            self._report(execution)
-            if execution.last:
-                return self._finish(execution)
+        if execution.checked < execution.point and now >= execution.settled_at - 1e-9 and not self._boards.moving(now):
+            end = self._check(execution)
+            if end is not None:
+                return end
         due = execution.due(now)
         if due is not None:
             self._switch(execution, *due, now)
         return None
 
-    def _switch(self, execution: Execution, waypoint: int, stage: int, now: float) -> None:
-        """Switches to a stage of the way to a waypoint, or as near to it as may be.
+    def _switch(self, execution: Execution, point: int, stage: int, now: float) -> None:
+        """Switches to a stage of the way to a point, or as near to it as may be.
 
         Raises:
             BusBusy: the bus has taken no frame for too long.
         """
-        first = execution.stage + 1 if waypoint == execution.waypoint else 0
+        first = execution.stage + 1 if point == execution.point else 0
         before = self.switching.switches
-        reached = self.switching.toward(execution.plan.transitions[waypoint].stages[first : stage + 1], now)
+        reached = self.switching.toward(execution.plan.transitions[point].stages[first : stage + 1], now)
         switches = self.switching.switches - before
         if reached is not None or switches:
             at = first - 1 if reached is None else first + reached
-            execution.switched(waypoint, at, switches, now, self._travel)
+            execution.switched(point, at, switches, now, self._travel)
 
     def end(self, status: str, code: int, message: str) -> bool:
         """Tells the running goal its result, and follows nothing; returns whether there was a goal."""
@@ -153,33 +149,55 @@ class Runner:
                 self.following = replace(wish, previous=switching.commanded)
         return None
 
-    def _report(self, execution: Execution) -> None:
+    def _check(self, execution: Execution) -> str | None:
+        """Sees to the point last switched to, now that it is settled; returns a sentence if that ends the goal."""
+        execution.checked = execution.point
+        where = self._where(execution)
+        if not execution.plan.trajectory.between(execution.point):
+            self._report(execution, where)
+        return self._finish(execution, where) if execution.last else self._keep(execution, where)
+
+    def _report(self, execution: Execution, where: Payload) -> None:
         """Tells that the waypoint last switched to is settled."""
-        execution.reported = execution.waypoint
         payload = {
             "id": execution.goal.id,
             "waypoint": execution.waypoint,
-            "waypoints": len(execution.plan.solutions),
+            "waypoints": len(execution.plan.trajectory.waypoints),
             "switches": execution.switches,
-            "stages": execution.commits,
+            "stages": execution.stages,
             "excursion": execution.excursion,
-            **self._where(execution),
+            **where,
         }
         self._publish("feedback", payload)
 
-    def _finish(self, execution: Execution) -> str:
+    def _finish(self, execution: Execution, where: Payload) -> str:
         """Ends a goal whose last waypoint is settled, by what the boards measured there."""
-        error, tolerance = self._where(execution)["error"], execution.plan.trajectory.tolerance
+        error, tolerance = where["error"], float(execution.plan.trajectory.tolerances[-1])
         if error is not None and error <= tolerance:
             self.end("succeeded", codes.SUCCESSFUL, "reached")
             return f"holding; goal {execution.goal.id} was reached"
-        where = "unknown" if error is None else f"{error:.4f} from the last waypoint"
-        message = f"the measured tip is {where}, tolerance {tolerance:g}"
+        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
+        message = f"the measured tip is {away}, tolerance {tolerance:g}"
         self.end("aborted", codes.GOAL_TOLERANCE_VIOLATED, message)
         return f"holding; goal {execution.goal.id} was missed: {message}"
 
+    def _keep(self, execution: Execution, where: Payload) -> str | None:
+        """Ends a goal that follows lines if what the boards measured has left them."""
+        trajectory, error = execution.plan.trajectory, where["error"]
+        if trajectory.path_tolerance is None:
+            return None
+        between = trajectory.between(execution.point)
+        tolerance = trajectory.tolerances[execution.point] if between else trajectory.path_tolerance
+        if error is not None and error <= tolerance:
+            return None
+        away = "unknown" if error is None else f"{error:.4f} from the line's point"
+        at = f"after waypoints[{execution.waypoint}] the measured tip is {away}"
+        message = f"{at}, path_tolerance {trajectory.path_tolerance:g}"
+        self.end("aborted", codes.PATH_TOLERANCE_VIOLATED, message)
+        return f"holding; goal {execution.goal.id} left its path: {message}"
+
     def _where(self, execution: Execution) -> Payload:
-        """Returns the measured configuration and pose, and its error from the waypoint last switched to."""
+        """Returns the measured configuration and pose, and its error from the point last switched to."""
         try:
             measured = self._boards.measured()
             tip = measured_tip(self._manipulator, measured)
@@ -188,7 +206,7 @@ class Runner:
             tip = None
         if tip is None:
             return {"configuration": None, "position": None, "orientation": None, "error": None}
-        wanted = execution.plan.trajectory.positions[max(execution.waypoint, 0)]
+        wanted = execution.plan.trajectory.positions[max(execution.point, 0)]
         error = float(np.linalg.norm(tip[: len(wanted), 3] - wanted))
         configuration = written(self._manipulator, measured)
         return {"configuration": configuration, **pose(self._manipulator, tip), "error": error}

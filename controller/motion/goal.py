@@ -1,9 +1,10 @@
 """Goals as they come over the network: strict decoding into a message, and that into a trajectory."""
 
+from __future__ import annotations
+
 import json
 import sys
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
@@ -11,10 +12,13 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
 from controller.strict import check
 
+if TYPE_CHECKING:  # its kernels take a second to import: who only reads messages does not wait for it
+    from controller.motion.pacing import Pace
+
 MOST_BYTES = 1_000_000
-MOST_WAYPOINTS = 10_000
 LONGEST_SENTENCE = 1_000
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
@@ -41,29 +45,16 @@ class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of a goal; `stamp` is UNIX seconds of t = 0, 0 meaning now."""
+    """The payload of a goal; `stamp` is UNIX seconds of t = 0, 0 meaning now.
+
+    With a `path_tolerance` the tip follows the straight lines between the waypoints.
+    """
 
     waypoints: list[Waypoint]
     id: Id | None = None
     stamp: Time = 0.0
     tolerance: Tolerance = Tolerance()
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """A goal that has passed all checks.
-
-    Attributes:
-        stamp: UNIX seconds of t = 0, None: when it is taken.
-        times: t at which the tip is to be settled, shape (n,), increasing [s].
-        positions: of the tip in the world, shape (n, dimension).
-        tolerance: greatest distance of the tip from a waypoint.
-    """
-
-    stamp: float | None
-    times: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    tolerance: float
+    path_tolerance: Tolerable | None = None
 
 
 def parse(payload: bytes) -> GoalMessage:
@@ -81,8 +72,8 @@ def parse(payload: bytes) -> GoalMessage:
         raise refusal(f"goal is not JSON: {error}") from None
     if not isinstance(value, dict):
         raise refusal("goal: an object with `waypoints` is needed")
-    if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_WAYPOINTS:
-        raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_WAYPOINTS} are taken")
+    if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_POINTS:
+        raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_POINTS} are taken")
     try:
         return msgspec.convert(value, GoalMessage)
     except (
@@ -135,14 +126,14 @@ def refusal(message: str) -> Refusal:
     return Refusal(INVALID_GOAL, message.encode("utf-8", "backslashreplace").decode())
 
 
-def schedule(message: GoalMessage, dimension: int, tolerance: float, shortest: float, now: float) -> Trajectory:
+def schedule(message: GoalMessage, dimension: int, tolerance: float, pace: Pace, now: float) -> Trajectory:
     """Returns the trajectory that a message asks for.
 
     Args:
         message: a goal.
         dimension: number of coordinates of a position, 2 or 3.
         tolerance: of the position, where the goal has none.
-        shortest: least time between two waypoints that the actuators can keep [s].
+        pace: of the actuators.
         now: time of arrival, UNIX seconds.
 
     Raises:
@@ -157,13 +148,12 @@ def schedule(message: GoalMessage, dimension: int, tolerance: float, shortest: f
         if waypoint.orientation is not None:
             raise refusal(f"waypoints[{k}].orientation: this arm takes positions only, leave it out")
     times = np.array([waypoint.t for waypoint in message.waypoints])
-    check_times(times, message.stamp, shortest, now)
-    return Trajectory(
-        stamp=message.stamp or None,
-        times=times,
-        positions=np.array([waypoint.position for waypoint in message.waypoints]),
-        tolerance=message.tolerance.position or tolerance,
-    )
+    check_times(times, message.stamp, pace.shortest, now)
+    positions = np.array([waypoint.position for waypoint in message.waypoints])
+    own, stamp = message.tolerance.position or tolerance, message.stamp or None
+    if message.path_tolerance is None:
+        return through(times, positions, own, stamp)
+    return along(times, positions, own, message.path_tolerance, pace, stamp)
 
 
 def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: float) -> None:

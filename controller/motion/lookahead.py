@@ -1,7 +1,7 @@
 """Looking ahead: the sequence of configurations along a trajectory that switches least in all.
 
-Many configurations are kept for each waypoint, each with its cheapest way there, and the cheapest of the ways to the
-next waypoint are kept in turn. Ways that lead on soon have their beginning in common: that much is decided.
+Many configurations are kept for each point, each with its cheapest way there, and the cheapest of the ways to the
+next point are kept in turn. Ways that lead on soon have their beginning in common: that much is decided.
 """
 
 from __future__ import annotations
@@ -9,65 +9,95 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.search.solver import Solver
 
 WIDTH = 64  # ways kept
 MOST = 32  # configurations looked at from each way
+FARTHEST = 64  # points ahead, for which it is seen whether a configuration serves
 SPREAD = 1.0  # how much dearer than a way's cheapest continuation another may be, in least weights
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """A sequence of configurations up to one waypoint.
+    """A sequence of configurations up to one point.
 
     Attributes:
         cost: weighted switches from the first configuration on.
         configuration: at its end, shape (B,).
-        before: the way to the waypoint before; None at the first.
+        until: the first point after that for which the configuration does not serve, as far as was looked.
+        before: the way to the point before; None at the first.
     """
 
     cost: float
     configuration: Configuration
+    until: int
     before: Way | None
 
 
 class LookAhead:
-    """Ways along a trajectory, extended waypoint by waypoint.
+    """Ways along a trajectory, extended point by point.
+
+    A configuration is held as long as it serves. To switch sooner saves nothing: what it spares later, the switches
+    of a longer way round, is never more than what it costs.
 
     Args:
         solver: of the arm.
         start: configuration that all ways begin with, shape (B,).
-        tolerance: of the tip's distance from each waypoint.
+        positions: to be reached after it, in the world, shape (n, dimension).
+        tolerances: of the tip's distance from each, shape (n,).
     """
 
-    def __init__(self, solver: Solver, start: Configuration, tolerance: float) -> None:
-        self._solver, self._tolerance = solver, tolerance
-        self._ways = [Way(0.0, np.array(start, dtype=np.int64), None)]
+    def __init__(
+        self, solver: Solver, start: Configuration, positions: NDArray[np.float64], tolerances: NDArray[np.float64]
+    ) -> None:
+        self._solver, self._positions, self._tolerances = solver, positions, tolerances
+        self._ways = [Way(0.0, np.array(start, dtype=np.int64), 0, None)]
         self._decided: list[Configuration] = []  # after `start`
+        self._next = 0
 
-    def extend(self, goal: ArrayLike) -> None:
-        """Leads all ways on to the next waypoint, a position in the world."""
+    def extend(self) -> None:
+        """Leads all ways on to the next point."""
         best: dict[bytes, Way] = {}
         for way in self._ways:
-            for configuration, cost in self._onward(way, goal):
-                key, total = configuration.tobytes(), way.cost + cost
-                if key not in best or best[key].cost > total:
-                    best[key] = Way(total, configuration, way)
+            for onward in self._onward(way):
+                key = onward.configuration.tobytes()
+                if key not in best or best[key].cost > onward.cost:
+                    best[key] = onward
         if not best:  # too far for the small tables: one way on, by the search that goes farther
             way = self._ways[0]
-            found = self._solver.solve(goal, way.configuration, self._tolerance)
-            best[b""] = Way(way.cost + found.cost, found.configuration, way)
-        self._ways = sorted(best.values(), key=lambda way: way.cost)[:WIDTH]
+            found = self._solver.solve(
+                self._positions[self._next], way.configuration, float(self._tolerances[self._next])
+            )
+            best[b""] = Way(way.cost + found.cost, found.configuration, self._next + 1, way)
+        self._next += 1
+        # Of two ways of one cost the better is that which serves longer: a point costs what it did so far.
+        price = min(way.cost for way in best.values()) / self._next
+        self._ways = sorted(best.values(), key=lambda way: way.cost - price * way.until)[:WIDTH]
 
-    def _onward(self, way: Way, goal: ArrayLike) -> list[tuple[NDArray[np.int64], float]]:
-        configurations, costs = self._solver.candidates(goal, way.configuration, self._tolerance, MOST)
+    def _onward(self, way: Way) -> list[Way]:
+        if way.until > self._next:
+            return [Way(way.cost, way.configuration, way.until, way)]
+        goal, tolerance = self._positions[self._next], float(self._tolerances[self._next])
+        configurations, costs = self._solver.candidates(goal, way.configuration, tolerance, MOST)
         if len(costs) == 0:
             return []
         near = costs <= costs.min() + SPREAD * self._solver.least_weight
-        return list(zip(configurations[near], costs[near].tolist(), strict=True))
+        until = self._until(configurations[near])
+        return [
+            Way(way.cost + cost, configuration, last, way)
+            for configuration, cost, last in zip(configurations[near], costs[near].tolist(), until, strict=True)
+        ]
+
+    def _until(self, configurations: NDArray[np.int64]) -> list[int]:
+        """Returns how far configurations (m, B) serve that do so for the next point."""
+        first, ahead = self._next, slice(self._next + 1, self._next + 1 + FARTHEST)
+        positions = self._positions[ahead]
+        tips = self._solver.manipulator.tips(configurations)[:, None, : self._positions.shape[1], 3]
+        served = np.linalg.norm(tips - positions, axis=2) <= self._tolerances[ahead]
+        return (first + 1 + np.logical_and.accumulate(served, axis=1).sum(axis=1)).tolist()  # type: ignore[no-any-return]
 
     def decided(self) -> list[Configuration]:
         """Returns the configurations after the start that all ways have in common."""

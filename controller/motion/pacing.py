@@ -48,6 +48,11 @@ class Pace:
         """Least time between two waypoints [s]."""
         return self.lead + self.rest
 
+    @property
+    def unhurried(self) -> float:
+        """Time between two waypoints beyond which more changes nothing, however many actuators switch [s]."""
+        return self.rest + self.lead * (1 if self.inrush is None else MOST_STAGES)
+
     def needed(self, switches: int) -> float:
         """Returns the least time between two waypoints that are so many switches apart [s]."""
         return self.rest + self.lead * max(self._fewest(switches), 1)
@@ -73,6 +78,8 @@ class Pace:
             Unfit: that is too little; the message says what is needed.
         """
         n = manipulator.switches(before, after)
+        if n == 0:
+            return Staged(manipulator.actuator_states(after)[None], 0.0)
         if self.inrush is None or n <= 1:
             return at_once(manipulator, before, after)
         fewest = self._fewest(n)

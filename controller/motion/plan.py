@@ -1,16 +1,16 @@
-"""A trajectory's plan: the configuration for each waypoint, each searched from the one before, and the stages there."""
+"""A trajectory's plan: the configuration for each point, each searched from the one before, and the stages there."""
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.goal import Trajectory
 from controller.motion.pacing import Pace, Staged, Unfit
+from controller.motion.trajectory import Trajectory
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solution, Solver
 
@@ -26,8 +26,8 @@ class Plan:
 
     Attributes:
         trajectory: the goal.
-        solutions: one for each waypoint.
-        transitions: how each waypoint's configuration is switched to from the one before.
+        solutions: one for each point.
+        transitions: how each point's configuration is switched to from the one before.
     """
 
     trajectory: Trajectory
@@ -36,18 +36,18 @@ class Plan:
 
     @property
     def actuator_states(self) -> NDArray[np.uint8]:
-        """Of each waypoint's configuration, shape (n, A)."""
+        """Of each point's configuration, shape (n, A)."""
         return np.array([transition.stages[-1] for transition in self.transitions])
 
     @property
     def switches(self) -> int:
-        """Actuators that switch, all waypoints together."""
+        """Actuators that switch, all points together."""
         return sum(solution.switches for solution in self.solutions)
 
     def improved(self, solver: Solver, pace: Pace, first: int, configurations: Sequence[Configuration]) -> "Plan":
-        """Returns the plan with other configurations from waypoint `first`, at least 1, on; the rest stays as it is.
+        """Returns the plan with other configurations from point `first`, at least 1, on; the rest stays as it is.
 
-        So does a part whose transitions would not fit in the time there is.
+        So does a part that would miss a point, or whose transitions would not fit in the time there is.
         """
         try:
             return self._changed(solver, pace, first, configurations)
@@ -64,7 +64,9 @@ class Plan:
         chosen = [*configurations, *(s.configuration for s in self.solutions[end : end + 1])]
         for k, configuration in enumerate(chosen, first):
             goal, before = self.trajectory.positions[k], solutions[k - 1].configuration
-            solutions[k] = solver.described(configuration, goal, before, self.trajectory.tolerance)
+            solutions[k] = solver.described(configuration, goal, before, float(self.trajectory.tolerances[k]))
+            if not solutions[k].within_tolerance:
+                raise Unfit(f"{solutions[k].error:.4f} from point {k}")
             available = float(times[k] - times[k - 1])
             transitions[k] = pace.staged(solver.manipulator, before, configuration, available)
         return Plan(self.trajectory, tuple(solutions), tuple(transitions))
@@ -85,40 +87,63 @@ def plan(
         trajectory: what is asked for.
         previous: configuration that the arm is in, shape (B,).
         method: the algorithm.
-        proceed: called before each waypoint; a Refusal it raises ends the planning.
+        proceed: called before each point; a Refusal it raises ends the planning.
         pace: of the transitions.
 
     Raises:
-        Refusal: a waypoint is out of reach, the message has the nearest point found; or the time to it is too short.
+        Refusal: a point is out of reach, the message has the nearest point found; or the time to it is too short.
     """
     solutions, transitions = list[Solution](), list[Staged]()
     until = time.perf_counter() + PLANNING_TIME
-    dimension = solver.manipulator.dimension
     for k, goal in enumerate(trajectory.positions):
         proceed()
+        tolerance = float(trajectory.tolerances[k])
+        if trajectory.between(k) and (kept := held(solutions[-1], goal, tolerance)) is not None:
+            transitions.append(Staged(transitions[-1].stages[-1:], 0.0))
+            solutions.append(kept)
+            continue
         left = max(until - time.perf_counter(), 0.0)
-        solution = solver.solve(goal, previous, trajectory.tolerance, method, min(DEADLINE, left))
+        solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left))
         if not solution.within_tolerance:
-            nearest = ", ".join(f"{x:.4f}" for x in solution.tip[:dimension, 3])
-            wanted = ", ".join(f"{x:g}" for x in goal)
-            raise Refusal(
-                GOAL_TOLERANCE_VIOLATED,
-                f"waypoints[{k}].position: ({wanted}) is out of reach; the nearest point found is ({nearest}),"
-                f" {solution.error:.4f} away, tolerance {trajectory.tolerance:g}",
-            )
+            raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         transitions.append(staged(solver, trajectory, previous, solution, k, pace))
         solutions.append(solution)
         previous = solution.configuration
     return Plan(trajectory, tuple(solutions), tuple(transitions))
 
 
+def held(solution: Solution, goal: NDArray[np.float64], tolerance: float) -> Solution | None:
+    """Returns what holding a configuration is for the next point, None if it does not serve there."""
+    error = float(np.linalg.norm(solution.tip[: len(goal), 3] - goal))
+    if error > tolerance:
+        return None
+    return replace(solution, error=error, switches=0, seconds=0.0, cost=0.0, lower_bound=0.0)
+
+
+def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
+    """Returns the sentence on a point that no configuration was found for."""
+    goal, tolerance = trajectory.positions[point], trajectory.tolerances[point]
+    wanted = ", ".join(f"{x:g}" for x in goal)
+    tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
+    found = f"is out of reach; the nearest point found is ({tip}), {nearest.error:.4f} away, tolerance {tolerance:g}"
+    return f"{place(trajectory, point)}: ({wanted}) {found}"
+
+
+def place(trajectory: Trajectory, point: int) -> str:
+    """Returns what a point is called."""
+    if trajectory.between(point):
+        last = trajectory.last(point)
+        return f"waypoints[{last}] to waypoints[{last + 1}]"
+    return f"waypoints[{trajectory.last(point)}].position"
+
+
 def staged(
     solver: Solver, trajectory: Trajectory, previous: Configuration, solution: Solution, k: int, pace: Pace
 ) -> Staged:
-    """Returns the transition to waypoint k; the first is late where there is too little time for it.
+    """Returns the transition to point k; the first is late where there is too little time for it.
 
     Raises:
-        Refusal: the time from waypoint k - 1 is too short.
+        Refusal: the time from point k - 1 is too short.
     """
     if k > 0:
         available: float | None = float(trajectory.times[k] - trajectory.times[k - 1])
@@ -130,5 +155,14 @@ def staged(
     try:
         return pace.staged(solver.manipulator, previous, solution.configuration, available)
     except Unfit as error:
-        where = f"waypoints[{k - 1}] to waypoints[{k}]" if k else "waypoints[0]"
-        raise Refusal(INVALID_GOAL, f"{where}: {available:.3g} s, {error}") from None
+        raise Refusal(INVALID_GOAL, f"{way(trajectory, k)}: {available:.3g} s, {error}") from None
+
+
+def way(trajectory: Trajectory, point: int) -> str:
+    """Returns what the way to a point is called; along a line it is one of the line's parts."""
+    number = trajectory.next(point)
+    if number == 0:
+        return "waypoints[0]"
+    parts = int(trajectory.waypoints[number] - trajectory.waypoints[number - 1])
+    where = f"waypoints[{number - 1}] to waypoints[{number}]"
+    return where if parts == 1 else f"{where}, one of {parts} parts"

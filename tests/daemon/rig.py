@@ -9,9 +9,9 @@ import numpy as np
 from controller.daemon.events import Cancel, Follow, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.state import Diagnostics, Snapshot
-from controller.motion.goal import Trajectory
 from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
+from controller.motion.trajectory import through
 from controller.search.solver import Solution
 from drivers.faults import BusBusy, Fault
 from drivers.status import Status
@@ -201,4 +201,4 @@ def planned(*configurations: Sequence[int], step: float = 0.2, stamp: float | No
     times = step * np.arange(len(chosen))
     solutions = tuple(Solution(c, tip, error, 1, True, 0.0, 1.0) for c, tip in zip(chosen, tips, strict=True))
     transitions = tuple(Staged(ARM.actuator_states(configuration)[None], 0.0) for configuration in chosen)
-    return Plan(Trajectory(stamp, times, positions, 0.002), solutions, transitions)
+    return Plan(through(times, positions, 0.002, stamp), solutions, transitions)

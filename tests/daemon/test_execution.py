@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from controller.daemon.events import Planned
 from controller.daemon.execution import Execution, start
-from controller.motion.goal import Trajectory
+from controller.motion.trajectory import Trajectory, through
 from tests.daemon.rig import planned
 
 LEAD = 0.06
@@ -57,7 +57,7 @@ def test_no_waypoint_twice_and_never_backwards(moments: list[float], waypoints: 
 
 
 def trajectory(stamp: float | None, first: float) -> Trajectory:
-    return Trajectory(stamp, np.array([first, first + 1]), np.zeros((2, 2)), 0.002)
+    return through(np.array([first, first + 1]), np.zeros((2, 2)), 0.002, stamp)
 
 
 def test_a_stamp_is_turned_into_the_loops_clock_once() -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from controller.daemon.foresight import Foresight
-from controller.motion.goal import Trajectory
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import plan
+from controller.motion.trajectory import through
 from controller.search.solver import Solver
 
 
@@ -19,7 +19,7 @@ def first(arm, densities):
     solver = Solver(arm.manipulator, densities)
     turns = np.linspace(0.0, 1.5, 12)
     positions = np.column_stack((0.2 + 0.3 * np.cos(turns), 2.6 + 0.2 * np.sin(turns)))
-    trajectory = Trajectory(None, np.arange(12.0), positions, 0.002)
+    trajectory = through(np.arange(12.0), positions, 0.002)
     return solver, plan(solver, trajectory, np.zeros(16, dtype=np.int64), "ipop-previous")
 
 
@@ -58,8 +58,8 @@ def test_the_time_that_the_next_waypoint_takes_is_reserved(first, monkeypatch):
     now = [100.0]
 
     class Slow(LookAhead):
-        def extend(self, goal):
-            super().extend(goal)
+        def extend(self):
+            super().extend()
             now[0] += 0.7
 
     for clock in ("monotonic", "perf_counter"):
@@ -76,6 +76,6 @@ def test_the_time_that_the_next_waypoint_takes_is_reserved(first, monkeypatch):
 
 def test_a_plan_of_one_waypoint_stays(arm, first):
     solver, rough = first
-    single = Trajectory(None, np.zeros(1), rough.trajectory.positions[:1], 0.002)
+    single = through(np.zeros(1), rough.trajectory.positions[:1], 0.002)
     alone = plan(solver, single, np.zeros(16, dtype=np.int64), "minimum-switch")
     assert Foresight(solver, alone, Pace(0.06)).whole() is alone

@@ -9,13 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.goal import LONGEST_SENTENCE, MOST_WAYPOINTS, Trajectory, parse, schedule
+from controller.motion.goal import LONGEST_SENTENCE, parse, schedule
+from controller.motion.pacing import Pace
+from controller.motion.trajectory import MOST_POINTS, Trajectory
 
 NOW = 1_800_000_000.0
 
 
 def decode(payload: bytes) -> Trajectory:
-    return schedule(parse(payload), dimension=2, tolerance=0.002, shortest=0.06, now=NOW)
+    return schedule(parse(payload), dimension=2, tolerance=0.002, pace=Pace(0.06), now=NOW)
 
 
 def goal(**fields: Any) -> bytes:
@@ -47,7 +49,7 @@ REFUSED = {
     "waypoints no list": (goal(waypoints={}), "waypoints: Expected `array`"),
     "waypoint no object": (goal(waypoints=[1]), r"waypoints\[0\]: Expected `object`"),
     "no position": (goal(waypoints=[{"t": 1}]), r"waypoints\[0\]\.position: required, but missing"),
-    "unknown field": (goal(velocity=1), "velocity: unknown field; known are id, stamp, tolerance, waypoints"),
+    "unknown field": (goal(velocity=1), "velocity: unknown field; known are id, path_tolerance, stamp, tol"),
     "unknown in a waypoint": (one(velocity=1), r"waypoints\[0\]\.velocity: unknown field; known are orientation"),
     "unknown in the tolerance": (goal(tolerance={"angle": 1}), r"tolerance\.angle: unknown field; known are"),
     "three unknown": (goal(a=1, b=1, c=1, d=1, e=1), r"a: unknown.*; b: unknown.*; c: unknown.*\(and 2 more faults\)"),
@@ -85,7 +87,7 @@ REFUSED = {
     "too fast": (timed(0, 1, 1.05), r"waypoints\[1\] to waypoints\[2\]: 0\.05 s apart, the actuators need 0\.06 s"),
     "stamp in milliseconds": (goal(stamp=NOW * 1000), r"stamp: the trajectory would end 1\.8e\+12 s from now, at most"),
     "end in two days": (timed(0, 172_800), "stamp: the trajectory would end 1.73e\\+05 s from now, at most 86400 s"),
-    "many waypoints": (b'{"waypoints": [%s1]}' % (b"1," * 99_999), f"waypoints: 100000, at most {MOST_WAYPOINTS} are"),
+    "many waypoints": (b'{"waypoints": [%s1]}' % (b"1," * 99_999), f"waypoints: 100000, at most {MOST_POINTS} are"),
     "ten megabytes": (goal(id="x" * 10_000_000), r"goal of 100000\d\d bytes, at most 1000000 are taken"),
     "deeply nested": (b"[" * 100_000 + b"]" * 100_000, "goal is not JSON: maximum recursion depth"),
 }  # fmt: skip
@@ -118,19 +120,19 @@ def test_without_a_stamp_it_begins_when_it_is_taken(stamp: dict[str, float]) -> 
     assert trajectory.stamp is None
     assert trajectory.times.tolist() == [0, 0.06, 2]
     assert trajectory.positions.tolist() == [[0.5, 2.9]] * 3
-    assert trajectory.tolerance == 0.002
+    assert trajectory.tolerances.tolist() == [0.002] * 3
 
 
 def test_stamp_id_and_tolerance_are_taken_over() -> None:
     payload = timed(0, 5, stamp=NOW - 3, id="a b/c-1", tolerance={"position": 0.01})
     assert parse(payload).id == "a b/c-1"
     trajectory = decode(payload)
-    assert (trajectory.stamp, trajectory.tolerance) == (NOW - 3, 0.01)
-    assert decode(goal(tolerance={})).tolerance == 0.002
+    assert (trajectory.stamp, trajectory.tolerances.tolist()) == (NOW - 3, [0.01, 0.01])
+    assert decode(goal(tolerance={})).tolerances.tolist() == [0.002]
 
 
 def test_the_most_waypoints_are_taken() -> None:
-    assert len(decode(timed(*[0.1 * k for k in range(MOST_WAYPOINTS)])).times) == MOST_WAYPOINTS
+    assert len(decode(timed(*[0.1 * k for k in range(MOST_POINTS)])).times) == MOST_POINTS
 
 
 texts = st.text(st.characters(exclude_categories=[]), max_size=8)  # with half surrogate pairs, which JSON can write

@@ -34,9 +34,9 @@ def switches(solver, start, configurations) -> int:
 
 
 def followed(solver, start, goals, decide=lambda ahead, k: None):
-    ahead = LookAhead(solver, start, TOLERANCE)
-    for k, goal in enumerate(goals, 1):
-        ahead.extend(goal)
+    ahead = LookAhead(solver, start, np.array(goals), np.full(len(goals), TOLERANCE))
+    for k in range(1, len(goals) + 1):
+        ahead.extend()
         decide(ahead, k)
     return ahead.decide(len(goals))
 

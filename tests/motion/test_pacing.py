@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.excursion import build_transition
-from controller.motion.goal import Trajectory
 from controller.motion.pacing import MOST_STAGES, Pace, Unfit
 from controller.motion.plan import plan
+from controller.motion.trajectory import through
 from tests.arms import paper_arm
 
 LEAD = 0.06
@@ -55,7 +55,7 @@ def test_more_time_strays_less_and_nothing_to_do_is_one_stage():
 
 def test_a_goal_too_fast_is_refused_naming_the_pair(solver, manipulator):
     positions = np.array([(0.55, 2.9), (3.0, 0.7)])
-    fast = Trajectory(None, np.array([0.0, 0.1]), positions, 0.002)
+    fast = through(np.array([0.0, 0.1]), positions, 0.002)
     with pytest.raises(Refusal) as caught:
         plan(solver, fast, ZERO.repeat(4), "ipop-previous", pace=Pace(LEAD, 1))
     assert caught.value.code == INVALID_GOAL
@@ -68,7 +68,7 @@ def test_a_goal_too_fast_is_refused_naming_the_pair(solver, manipulator):
 def test_better_plans_that_do_not_fit_are_left_out(solver):
     pace, near, far = Pace(LEAD, 2), ZERO.repeat(4), np.array([7] * 16)
     tips = solver.manipulator.tips([near] * 3)[:, :2, 3]
-    still = plan(solver, Trajectory(None, np.arange(3) * 0.3, tips, 0.002), near, "minimum-switch", pace=pace)
+    still = plan(solver, through(np.arange(3) * 0.3, tips, 10.0), near, "minimum-switch", pace=pace)
     slight = near.copy()
     slight[0] = 1
     better = still.improved(solver, pace, 1, [slight, far])

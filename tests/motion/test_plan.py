@@ -7,15 +7,15 @@ import pytest
 
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.goal import Trajectory
 from controller.motion.plan import plan
+from controller.motion.trajectory import Trajectory, through
 from controller.search.solver import Solver
 
 POINTS = [(0.55, 2.9), (0.4, 2.9), (3.0, 0.7)]
 
 
 def trajectory(*positions: tuple[float, float], tolerance: float = 0.002) -> Trajectory:
-    return Trajectory(None, np.arange(len(positions), dtype=float), np.array(positions), tolerance)
+    return through(np.arange(len(positions), dtype=float), np.array(positions), tolerance)
 
 
 def contracted(manipulator: Manipulator) -> np.ndarray:

@@ -1,0 +1,130 @@
+"""Trajectories: the points that the tip is to be at, the goal's waypoints and, where lines are followed, between them.
+
+A line is followed in parts. While the arm holds a configuration, the wanted point moves on by one part at least; what
+is near enough to the part's middle is near enough to every point of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.motion.codes import INVALID_GOAL, Refusal
+
+if TYPE_CHECKING:  # its kernels take a second to import: who only reads messages does not wait for it
+    from controller.motion.pacing import Pace
+
+MOST_POINTS = 10_000  # of a trajectory
+FINEST, COARSEST = 4, 2  # parts of a line as long as the path tolerance: where there is time, and at the least
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A goal that has passed all checks, as points in the order of their times.
+
+    Attributes:
+        stamp: UNIX seconds of t = 0, None: when it is taken.
+        times: t at which the tip is to be settled, shape (n,), increasing [s].
+        positions: of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part.
+        tolerances: greatest distance of the tip from each, shape (n,).
+        waypoints: which of the points are the goal's own, shape (m,), ascending; the last point is.
+        path_tolerance: greatest distance of a settled tip from the lines' moving point; None: no lines are followed.
+    """
+
+    stamp: float | None
+    times: Array
+    positions: Array
+    tolerances: Array
+    waypoints: NDArray[np.int64]
+    path_tolerance: float | None = None
+
+    def between(self, point: int) -> bool:
+        """Returns whether a point is none of the goal's waypoints."""
+        return int(self.waypoints[self.next(point)]) != point
+
+    def next(self, point: int) -> int:
+        """Returns the number of the first waypoint that is not before a point."""
+        return int(np.searchsorted(self.waypoints, point))
+
+    def last(self, point: int) -> int:
+        """Returns the number of the last waypoint that is not after a point, -1 before the first."""
+        return int(np.searchsorted(self.waypoints, point, side="right")) - 1
+
+
+def through(times: Array, positions: Array, tolerance: float, stamp: float | None = None) -> Trajectory:
+    """Returns the trajectory through waypoints (m, dimension) that may take any way between them."""
+    return Trajectory(stamp, times, positions, np.full(len(times), tolerance), np.arange(len(times)))
+
+
+def along(
+    times: Array, positions: Array, tolerance: float, path_tolerance: float, pace: Pace, stamp: float | None = None
+) -> Trajectory:
+    """Returns the trajectory along the straight lines between waypoints, with points between them.
+
+    The wanted point moves evenly along each line. At each point a configuration may be switched to; it serves, if its
+    tip is within the point's tolerance, until the next point's time, at every moment within the path tolerance.
+
+    Args:
+        times: of the waypoints, shape (m,) [s].
+        positions: of the waypoints, shape (m, dimension).
+        tolerance: of the tip's distance from a waypoint.
+        path_tolerance: of its distance from the moving point.
+        pace: of the transitions.
+        stamp: UNIX seconds of t = 0.
+
+    Raises:
+        Refusal: a line is too fast, or they are too long, for the path tolerance.
+    """
+    lengths, durations = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times)
+    fewest = np.maximum(np.ceil(COARSEST * lengths / path_tolerance), 1.0)
+    if fewest.sum() + 1 > MOST_POINTS:
+        least = COARSEST * lengths.sum() / max(MOST_POINTS - len(times), 1)
+        raise Refusal(
+            INVALID_GOAL,
+            f"path_tolerance: {path_tolerance:g} takes {fewest.sum() + 1:.6g} points along lines of {lengths.sum():.3g}"
+            f" in all, at most {MOST_POINTS} are taken; {upwards(least):g} would do",
+        )
+    needed = pace.shortest * fewest
+    if (durations < needed - 1e-9).any():
+        k = int(np.argmax(durations < needed - 1e-9))
+        raise Refusal(
+            INVALID_GOAL,
+            f"waypoints[{k}] to waypoints[{k + 1}]: {durations[k]:.3g} s for a line of {lengths[k]:.3g} within"
+            f" path_tolerance {path_tolerance:g}, the actuators need {upwards(needed[k]):g} s",
+        )
+    finest = np.maximum(np.ceil(FINEST * lengths / path_tolerance), 1.0)
+    parts = np.clip(np.floor(durations / pace.unhurried + 1e-9), fewest, finest)
+    if parts.sum() + 1 > MOST_POINTS:
+        parts = fewest
+    lines = list(zip(times, positions, durations, np.diff(positions, axis=0), parts.astype(int), strict=False))
+    steps = np.append(lengths / parts, 0.0)
+    return Trajectory(
+        stamp,
+        np.concatenate([t + duration * np.arange(n) / n for t, _, duration, _, n in lines] + [times[-1:]]),
+        np.concatenate([p + np.outer(middles(n), way) for _, p, _, way, n in lines] + [positions[-1:]]),
+        np.concatenate(
+            [
+                [min(tolerance, path_tolerance - step), *[path_tolerance - step / 2] * (n - 1)]
+                for step, n in zip(steps, [*parts.astype(int), 1], strict=True)
+            ]
+        ),
+        np.concatenate([[0], np.cumsum(parts)]).astype(np.int64),
+        path_tolerance,
+    )
+
+
+def middles(parts: int) -> Array:
+    """Returns where on a line its points lie: the waypoint, then the middles of all parts but the first."""
+    return np.concatenate([[0.0], (np.arange(1, parts) + 0.5) / parts])
+
+
+def upwards(value: float) -> float:
+    """Returns a value rounded upwards to three digits, so that who takes it at its word is not refused again."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.ceil(value / unit - 1e-9) * unit
