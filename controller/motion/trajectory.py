@@ -82,7 +82,7 @@ def along(
         Refusal: a line is too fast, or they are too long, for the path tolerance.
     """
     lengths, durations = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times)
-    fewest = np.maximum(np.ceil(COARSEST * lengths / path_tolerance), 1.0)
+    fewest = count_parts(lengths, path_tolerance / COARSEST)
     if fewest.sum() + 1 > MOST_POINTS:
         least = COARSEST * lengths.sum() / max(MOST_POINTS - len(times), 1)
         raise Refusal(
@@ -98,7 +98,7 @@ def along(
             f"waypoints[{k}] to waypoints[{k + 1}]: {durations[k]:.3g} s for a line of {lengths[k]:.3g} within"
             f" path_tolerance {path_tolerance:g}, the actuators need {upwards(needed[k]):g} s",
         )
-    finest = np.maximum(np.ceil(FINEST * lengths / path_tolerance), 1.0)
+    finest = count_parts(lengths, path_tolerance / FINEST)
     parts = np.clip(np.floor(durations / pace.unhurried + 1e-9), fewest, finest)
     if parts.sum() + 1 > MOST_POINTS:
         parts = fewest
@@ -117,6 +117,11 @@ def along(
         np.concatenate([[0], np.cumsum(parts)]).astype(np.int64),
         path_tolerance,
     )
+
+
+def count_parts(lengths: Array, longest: float) -> Array:
+    """Returns how many parts, none longer than so much, lines (m,) have, at least 1 each; rounding makes no more."""
+    return np.maximum(np.ceil(lengths / longest - 1e-9), 1.0)
 
 
 def middles(parts: int) -> Array:

@@ -106,6 +106,16 @@ def test_a_question_is_answered_and_nothing_handed_over(desk: Desk) -> None:
     assert desk.loop.inbox.waiting() == 0
 
 
+def test_points_between_waypoints_are_told_apart(desk: Desk) -> None:
+    ends = [{"position": [0.55, 2.9]}, {"t": 1.0, "position": [0.45, 2.9]}]
+    desk.ask(json.dumps({"waypoints": ends, "path_tolerance": 0.05}), run=False)
+    (answer,) = answered(desk)
+    assert [w["between"] for w in answer["waypoints"]] == [False, *[True] * 7, False]
+    assert answer["message"].startswith("2 waypoints, 7 points between them, ")
+    assert all(w["error"] <= 0.05 for w in answer["waypoints"])
+    assert sum(w["switches"] for w in answer["waypoints"]) == answer["switches"]
+
+
 @pytest.mark.parametrize("mode", ["starting", "fault", "stopped"])
 def test_a_goal_in_a_mode_that_takes_none_is_refused_with_its_reason(desk: Desk, mode: str) -> None:
     desk.loop.mode, desk.loop.reason = mode, "because"

@@ -32,6 +32,11 @@ def one(**fields: Any) -> bytes:
     return goal(waypoints=[{"position": [0.5, 2.9], **fields}])
 
 
+def line(seconds: float, path_tolerance: float = 0.01) -> bytes:
+    ends = [{"position": [0.0, 2.9]}, {"t": seconds, "position": [1.0, 2.9]}]
+    return goal(waypoints=ends, path_tolerance=path_tolerance)
+
+
 def raw(position: bytes) -> bytes:
     return b'{"waypoints": [{"position": [1, %s]}]}' % position
 
@@ -69,6 +74,12 @@ REFUSED = {
     "negative stamp": (goal(stamp=-1), "stamp: Expected `float` >= 0"),
     "no tolerance": (goal(tolerance={"position": 0}), r"tolerance\.position: Expected"),
     "tolerance beyond all": (goal(tolerance={"position": 1e200}), r"tolerance\.position: Expected"),
+    "no path tolerance": (goal(path_tolerance=0), r"^path_tolerance: Expected"),
+    "negative path tolerance": (goal(path_tolerance=-1), r"^path_tolerance: Expected"),
+    "path tolerance as text": (goal(path_tolerance="1"), r"^path_tolerance: Expected `float \| null`, got `str`"),
+    "path tolerance in the tolerance": (goal(tolerance={"path_tolerance": 1}), r"tolerance\.path_tolerance: unknown"),
+    "line too fast": (line(0.06), r"waypoints\[0\] to waypoints\[1\]: 0\.06 s for a line of 1 within path"),
+    "line too long": (line(9e3, 1e-8), r"path_tolerance: 1e-08 takes 2e\+08 points along lines of 1"),
     "NaN": (raw(b"NaN"), r"waypoints\[0\]\.position\[1\]: nan is not a finite number"),
     "Infinity": (raw(b"-Infinity"), r"waypoints\[0\]\.position\[1\]: -inf is not a finite number"),
     "1e999": (raw(b"1e999"), r"waypoints\[0\]\.position\[1\]: inf is not a finite number"),
@@ -131,6 +142,14 @@ def test_stamp_id_and_tolerance_are_taken_over() -> None:
     assert decode(goal(tolerance={})).tolerances.tolist() == [0.002]
 
 
+def test_with_a_path_tolerance_there_are_points_between() -> None:
+    trajectory = decode(line(60.0))
+    assert trajectory.path_tolerance == 0.01
+    assert (len(trajectory.times), trajectory.waypoints.tolist()) == (401, [0, 400])
+    assert decode(goal(path_tolerance=0.01)).waypoints.tolist() == [0]
+    assert decode(goal(path_tolerance=None)).path_tolerance is None
+
+
 def test_the_most_waypoints_are_taken() -> None:
     assert len(decode(timed(*[0.1 * k for k in range(MOST_POINTS)])).times) == MOST_POINTS
 
@@ -150,7 +169,12 @@ waypoints = st.lists(
 )
 goals = st.fixed_dictionaries(
     {"waypoints": waypoints | json_values},
-    optional={"id": json_values, "stamp": numbers, "tolerance": st.dictionaries(st.just("position"), numbers)},
+    optional={
+        "id": json_values,
+        "stamp": numbers,
+        "tolerance": st.dictionaries(st.just("position"), numbers),
+        "path_tolerance": numbers,
+    },
 )
 
 
