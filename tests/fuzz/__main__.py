@@ -1,0 +1,86 @@
+"""Bad input at scale: all targets by both engines, two at a time, and a table of what came of it.
+
+`python -m tests.fuzz [OUT.json]` needs the extra "fuzz". Nothing may crash, nothing move, nothing leak; else it ends with
+1, and the inputs that did it are in `fuzz-found`. What is replayed does not count as inputs; memory is what it takes then.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+# Runs by target and engine; a run of "daemon" and "board" holds many frames. What atheris keeps is replayed after it.
+JOBS = [
+    [("daemon", "atheris", 6_000), ("daemon", "replay", 3_000)],
+    [("goal", "atheris", 150_000), ("goal", "replay", 50_000)],
+    [("arm", "atheris", 8_000), ("arm", "replay", 4_000)],
+    [("daemon", "hypothesis", 4_000)],
+    [("setpoint", "atheris", 150_000), ("setpoint", "replay", 50_000)],
+    [("board", "atheris", 10_000), ("board", "replay", 2_000)],
+    [("notation", "atheris", 100_000), ("notation", "replay", 50_000)],
+    [("goal", "hypothesis", 10_000)],
+    [("setpoint", "hypothesis", 10_000)],
+    [("arm", "hypothesis", 3_000)],
+    [("notation", "hypothesis", 10_000)],
+    [("board", "hypothesis", 4_000)],
+]
+LONGEST = 1800.0  # [s] for one of them
+LEAK = 0.01  # share by which what is in use may grow after warming up
+ROW = "{:10} {:11} {:>10} {:>10} {:>8} {:>8} {:>8} {:>9}"
+
+
+def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:
+    """Returns the figures of one target and engine, from a process of its own."""
+    target, engine, runs = job
+    out = room / f"{target}-{engine}.json"
+    command = [sys.executable, "-m", "tests.fuzz.engine", target, engine, str(runs), str(out)]
+    with (room / f"{target}-{engine}.log").open("w+") as log:
+        subprocess.run(command, stdout=log, stderr=log, timeout=LONGEST, check=False)
+        log.seek(0)
+        said = log.read()
+    if not out.exists():
+        raise SystemExit(f"{target} by {engine} ended without figures:\n{said[-3000:]}")
+    result: dict[str, Any] = {"engine": engine, **json.loads(out.read_text())}
+    if result["wrong"]:
+        sys.stderr.write(said[-6000:])
+    return result
+
+
+def row(result: dict[str, Any]) -> str:
+    """One line of the table."""
+    r = result
+    cells = [f"{r['runs']:,}", f"{r['inputs']:,}", f"{r['seconds']:.0f}", r["crashes"], r["motions"]]
+    memory = f"{r['growth']:+.3%}" if r["engine"] in ("replay", "") else ""
+    return ROW.format(r["target"], r["engine"], *cells, memory)
+
+
+def main() -> None:
+    """Runs all and prints the table; writes JSON where it is told to."""
+    began = time.monotonic()
+    print(ROW.format("target", "engine", "runs", "inputs", "seconds", "crashes", "motions", "memory"))
+    with tempfile.TemporaryDirectory() as room, ThreadPoolExecutor(2) as two:
+        results = []
+        for some in two.map(lambda jobs: [attack(job, Path(room)) for job in jobs], JOBS):
+            results += some
+            print("\n".join(map(row, some)), flush=True)
+    fresh = [r for r in results if r["engine"] != "replay"]
+    total = {key: sum(r[key] for r in fresh) for key in ("runs", "inputs")}
+    total |= {key: sum(r[key] for r in results) for key in ("crashes", "motions")}
+    worst = max(r["growth"] for r in results if r["engine"] == "replay")
+    elapsed = round(time.monotonic() - began, 1)
+    print(row({"target": "all", "engine": "", **total, "seconds": elapsed, "growth": worst}))
+    if len(sys.argv) > 1:
+        figures = {"results": results, **total, "seconds": elapsed, "growth": worst}
+        Path(sys.argv[1]).write_text(json.dumps(figures, indent=1) + "\n")
+    if total["crashes"] or total["motions"] or worst > LEAK:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
