@@ -1,7 +1,8 @@
 """Bad input at scale: all targets by both engines, two at a time, and a table of what came of it.
 
-`python -m tests.fuzz [OUT.json]` needs the extra "fuzz". Nothing may crash, nothing move, nothing leak; else it ends with
-1, and the inputs that did it are in `fuzz-found`. What is replayed does not count as inputs; memory is what it takes then.
+`python -m tests.fuzz [OUT.json]` needs the extra "fuzz". Nothing may crash, nothing move, nothing leak; else it ends
+with 1, and the inputs that did it are in `fuzz-found`. What is replayed does not count as inputs; memory is what the
+process grew by meanwhile, seconds are those of the processor, but of all those that passed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Attacks one target with one engine, and writes what came of it: python -m tests.fuzz.engine TARGET ENGINE RUNS OUT.
 
 hypothesis makes inputs from strategies; atheris (libFuzzer) changes seeds, led by which lines of code they reach. Both
-begin with the same seed on every run. Each keeps memory of its own, so "replay" runs the inputs that atheris kept, over and over
-and not instrumented, to see what the program itself leaves behind.
+begin with the same seed on every run. Each keeps memory of its own, so "replay" runs the inputs that atheris kept, over
+and over and not instrumented, to see what the program itself leaves behind.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Record:
         self.wrong: collections.Counter[str] = collections.Counter()
         self._build, self._attack, self._name, self._warm = build, build(), name, int(runs * WARM)
         self._before: tuple[int, int] | None = None
-        self._began = time.monotonic()
+        self._began = time.process_time()
         signal.signal(signal.SIGVTALRM, self._interrupt)
 
     def take(self, data: bytes) -> None:
@@ -66,7 +66,7 @@ class Record:
             "target": self._name,
             "runs": self.count,
             "inputs": self.inputs,
-            "seconds": round(time.monotonic() - self._began, 1),
+            "seconds": round(time.process_time() - self._began, 1),
             "crashes": sum(self.wrong.values()) - moved,
             "motions": moved,
             "growth": round(resident / first_resident - 1, 5),
