@@ -101,11 +101,13 @@ class MinimumSwitch:
         until: float,
     ) -> Found:
         """Returns what beams and longer lists find until the deadline, and prove."""
-        bound, began = best.bound, time.perf_counter()
+        began = time.perf_counter()
         if began > until:
             return best
         best = widen(best, BEAMS[0])
         beam_time = time.perf_counter() - began
+        if best.cost == np.inf:  # what is nearer is nearer to what is within the tolerance, too
+            best = self._nearest.improve(goal, best, until)
         best = self._wander(goal, costs, tolerance, best, NEAR, until)
         best = self._proven(self._near, goal, centre, costs, tolerance, best, until)
         for most in LADDER:
@@ -114,16 +116,14 @@ class MinimumSwitch:
             self._list(centre, costs, costs, most)
             best = self._proven(self._wide, goal, centre, costs, tolerance, best, until)
             if not best.settled:
-                bound = best.bound
-                best = self._wander(goal, costs, tolerance, best, most, until - most * self._row_time)
-                best = replace(best, bound=bound)
+                better = self._wander(goal, costs, tolerance, best, most, until - most * self._row_time)
+                best = replace(better, bound=best.bound)
         for before, width in pairwise(BEAMS):
             beam_time *= 1.5 * width / before
             if best.settled or time.perf_counter() + beam_time > until:
                 break
-            bound = best.bound
-            best = self._wander(goal, costs, tolerance, widen(best, width), NEAR, until)
-            best = replace(best, bound=bound)
+            better = self._wander(goal, costs, tolerance, widen(best, width), NEAR, until)
+            best = replace(better, bound=best.bound)
         return best
 
     def _list(self, centre: Configuration, distances: Array, costs: Array, most: int) -> None:

@@ -4,6 +4,7 @@ For each of those few cheap rows, the dear half is cut in two again, and its qua
 """
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,53 +91,68 @@ class Quarters:
         """
         a, b, c, d = self._segments
         lower, upper = halves.lower, halves.upper
-        bound = lower.beyond + upper.beyond
+        best = Found(best.configuration, best.cost, best.square, lower.beyond + upper.beyond)
         # A lower row with quarters c and d: the goal as seen from the row is seen from c, and is where d must be.
         self.sort(tolerance)
-        gap = min(c.beyond, d.beyond)
-        for k in range(0, len(below), AT_ONCE):
-            chosen = below[k : k + AT_ONCE]
-            cost = float(lower.costs[chosen[0]])
-            if cost + upper.beyond >= best.cost:
-                break
-            if time.perf_counter() > until:
-                bound = min(bound, cost + upper.beyond)
-                break
-            bound = min(bound, cost + gap)
-            targets = np.zeros((len(chosen), 3))
-            seen(goal, np.ascontiguousarray(lower.frames[chosen]), targets)
-            t, i, j, found, square = self._above.match(
-                targets, lower.costs[chosen], c.frames, c.costs, best.cost, best.square
-            )
-            if t >= 0:
-                best = self._together(found, square, (lower, int(chosen[t])), (c, i), (d, j))
-        if not len(above):
-            return Found(best.configuration, best.cost, best.square, bound)
+        targets = np.zeros((len(below), 3))
+        seen(goal, np.ascontiguousarray(lower.frames[below]), targets)
+        best = self._through(lower, below, targets, upper.beyond, (c, d), self._above, best, until)
         # An upper row with quarters a and b: its tip carried by b is where the goal seen from a must be.
         points = self._goals[: len(a.frames)]
         seen(goal, a.frames, points)
         self._below.fill(points, a.costs, tolerance)
-        gap = min(a.beyond, b.beyond)
-        for k in range(0, len(above), AT_ONCE):
-            chosen = above[k : k + AT_ONCE]
-            cost = float(upper.costs[chosen[0]])
-            if cost + lower.beyond >= best.cost:
+        targets = np.zeros((len(above), 3))
+        targets[:, : points.shape[1]] = upper.positions[above]
+        return self._through(upper, above, targets, lower.beyond, (b, a), self._below, best, until, carried=True)
+
+    def _through(
+        self,
+        half: Segment,
+        chosen: Index,
+        targets: Array,
+        beyond: float,
+        quarters: tuple[Segment, Segment],
+        cells: Cells,
+        best: Found,
+        until: float,
+        *,
+        carried: bool = False,
+    ) -> Found:
+        """Returns the best after rows of one half, and the bound proven.
+
+        Args:
+            half: whose rows they are.
+            chosen: the rows, the cheapest first, shape (n,).
+            targets: of the quarter that asks, for each row, shape (n, 3).
+            beyond: what the other half costs at least, or else the pair was listed.
+            quarters: of the other half, the one that asks and the one in the cells.
+            cells: to be asked.
+            best: found before, with the bound so far.
+            until: `time.perf_counter()` at which to be done.
+            carried: whether targets are carried by the asking quarter's frames, or seen from them.
+        """
+        asking, asked = quarters
+        gap = min(asking.beyond, asked.beyond)
+        for start in range(0, len(chosen), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            cost = float(half.costs[chosen[start]])
+            if cost + beyond >= best.cost:
                 break
             if time.perf_counter() > until:
-                bound = min(bound, cost + lower.beyond)
-                break
-            bound = min(bound, cost + gap)
-            targets = np.zeros((len(chosen), 3))
-            targets[:, : points.shape[1]] = upper.positions[chosen]
-            t, i, j, found, square = self._below.match(
-                targets, upper.costs[chosen], b.frames, b.costs, best.cost, best.square, carried=True
+                return replace(best, bound=min(best.bound, cost + beyond))
+            best = replace(best, bound=min(best.bound, cost + gap))
+            t, i, j, found, square = cells.match(
+                targets[part],
+                half.costs[chosen[part]],
+                asking.frames,
+                asking.costs,
+                best.cost,
+                best.square,
+                carried=carried,
             )
             if t >= 0:
-                best = self._together(found, square, (upper, int(chosen[t])), (b, i), (a, j))
-        return Found(best.configuration, best.cost, best.square, bound)
-
-    def _together(self, cost: float, square: float, *parts: tuple[Segment, int]) -> Found:
-        configuration = self._key[0].astype(np.int64)
-        for segment, row in parts:
-            segment.write(row, configuration)
-        return Found(configuration, cost, square)
+                configuration = self._key[0].astype(np.int64)
+                for segment, row in ((half, int(chosen[start + t])), (asking, i), (asked, j)):
+                    segment.write(row, configuration)
+                best = Found(configuration, found, square, best.bound)
+        return best
