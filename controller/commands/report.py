@@ -19,14 +19,13 @@ from controller.commands.common import (
     print_json,
     shipped,
 )
+from controller.commands.searching import Goals, follow_lines, search
 from controller.config import Arm, load
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.search.method import Method
 from controller.strict import InputFaults
-
-Goals = list[tuple[list[float], Configuration | None]]
 
 
 def configuration(arm: Arm, text: str, where: str) -> Configuration:
@@ -77,6 +76,7 @@ def plan(
     goals: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Columns x,y[,z] and maybe previous.")] = None,
     previous: Annotated[str | None, typer.Option(help="Configuration to start from; contracted if absent.")] = None,
     tolerance: Annotated[float | None, typer.Option(help="Of the position; the arm's if absent.")] = None,
+    path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between --goals.")] = None,
     method: Annotated[Method | None, typer.Option(help="The arm's if absent.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -86,29 +86,33 @@ def plan(
     arm = load(file)
     if (goal is None) == (goals is None):
         raise InputFaults(Path("plan"), ["give either --goal or --goals"])
-    if tolerance is not None and not 0 < tolerance < np.inf:
-        raise InputFaults(Path("--tolerance"), [f"{tolerance:g} is no length greater than 0"])
+    for name, length in (("--tolerance", tolerance), ("--path-tolerance", path_tolerance)):
+        if length is not None and not 1e-9 <= length <= 1e6:
+            raise InputFaults(Path(name), [f"{length:g} is no length from 1e-9 to 1e6"])
+    if path_tolerance is not None and goals is None:
+        raise InputFaults(Path("--path-tolerance"), ["lines run between --goals, one goal has none"])
     start = previous or ",".join("0" * len(arm.manipulator.modules))
     reached = configuration(arm, start, "--previous")
     if goal is not None:
         wanted: Goals = [(parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
     else:
         wanted = read_goals(arm, goals or Path())
+    if path_tolerance is not None and any(given is not None for _, given in wanted):
+        raise InputFaults(goals or Path(), ["column previous: a line begins where the one before ended"])
     solver = Solver(arm.manipulator, densities_of(arm, silent=as_json), arm.weights())
     solver.prepare()
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     missed = 0
-    for position, given in wanted:
-        found = solver.solve(
-            position,
-            reached if given is None else given,
-            tolerance or arm.tolerance,
-            method or arm.settings.method,
-        )
-        reached, missed = found.configuration, missed + (not found.within_tolerance)
+    own, chosen = tolerance or arm.tolerance, method or arm.settings.method
+    if path_tolerance is None:
+        answers = search(solver, wanted, reached, own, chosen)
+    else:
+        answers = follow_lines(arm, solver, [p for p, _ in wanted], reached, own, path_tolerance, chosen)
+    for position, found, between in answers:
+        missed += not found.within_tolerance
         line = {
             "goal": position,
-            "configuration": format_configuration(arm.manipulator, reached),
+            "configuration": format_configuration(arm.manipulator, found.configuration),
             **pose(arm, found.tip),
             "error": found.error,
             "switches": found.switches,
@@ -118,10 +122,12 @@ def plan(
             "optimal": found.optimal,
             "lower_bound": found.lower_bound if np.isfinite(found.lower_bound) else None,
         }
+        if path_tolerance is not None:
+            line["between"] = between
         if as_json:
             print_json(line)
         table.add_row(
-            ", ".join(f"{x:g}" for x in position),
+            ("  " if between else "") + ", ".join(f"{x:g}" for x in position),
             line["configuration"],
             shown(line["position"]),
             shown(line["orientation"]),

@@ -54,6 +54,7 @@ def send(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
     to: Annotated[str | None, typer.Option(metavar="X,Y", help="One position to go to now.")] = None,
+    path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between waypoints.")] = None,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
@@ -65,6 +66,8 @@ def send(
         goal: dict[str, Any] = {"waypoints": [{"position": parse_goal(to, 2 + (to.count(",") > 1), "--to")}]}
     else:
         goal = read_goal_file(file or Path())
+    if path_tolerance is not None:
+        goal = {**goal, "path_tolerance": path_tolerance}
 
     def tell(message: dict[str, Any]) -> None:
         if as_json:

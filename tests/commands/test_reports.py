@@ -114,10 +114,35 @@ def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(hyperbit, tmp
     assert [json.loads(text)["within_tolerance"] for text in out.splitlines()] == [False, True]
 
 
+def test_goals_of_a_file_are_followed_along_lines(hyperbit, tmp_path):
+    goals = tmp_path / "goals.csv"
+    goals.write_text("x,y\n0.55,2.9\n0.55,2.8\n0.4,2.8\n")
+    words = ("plan", ARM, "--goals", str(goals), "--path-tolerance", "0.05")
+    code, out, _ = hyperbit(*words, "--json")
+    lines = [json.loads(text) for text in out.splitlines()]
+    assert code == 0
+    assert [line["between"] for line in lines] == [False, *[True] * 7, False, *[True] * 11, False]
+    assert [line["goal"] for line in lines if not line["between"]] == [[0.55, 2.9], [0.55, 2.8], [0.4, 2.8]]
+    assert all(line["within_tolerance"] and line["error"] < 0.05 for line in lines)
+    assert sum(line["switches"] > 0 for line in lines) < len(lines) / 2
+    assert hyperbit(*words)[1].count("\n  0.") == 18
+    goals.write_text("x,y\n-2.6,1.5\n2.6,1.5\n")
+    code, out, err = hyperbit(*words, "--json")
+    assert (code, out) == (1, "")
+    assert "waypoints[0] to waypoints[1]: (" in err
+    goals.write_text("x,y,previous\n0.5,2.9,\n0.5,2.8,0000000000000000\n")
+    code, out, err = hyperbit(*words)
+    assert (code, out) == (2, "")
+    assert "column previous" in err
+
+
 @pytest.mark.parametrize(
     "words",
     [
         (),
+        ("--goal", "1,2", "--path-tolerance", "0.1"),
+        ("--goals", "x.csv", "--path-tolerance", "0"),
+        ("--goals", "x.csv", "--path-tolerance", "nan"),
         ("--goal", "1"),
         ("--goal", "1,nan"),
         ("--goal", "a,b"),

@@ -44,6 +44,18 @@ def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoin
     assert result["position"] == pytest.approx([0.4, 2.8], abs=0.002)
 
 
+def test_send_follows_lines_if_told_to(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    file.write_text("id: line\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 1.0}\n")
+    words = ("send", "planar16", str(file), "--connect", endpoint)
+    code, out, err = hyperbit(*words, "--path-tolerance", "0.05")
+    assert (code, err) == (0, "")
+    assert "waypoint 2 of 2" in out
+    code, _, err = hyperbit(*words, "--path-tolerance", "0.001")
+    assert code == 1
+    assert "waypoints[0] to waypoints[1]: 1 s for a line of 0.1 within path_tolerance 0.001" in err
+
+
 def test_a_refused_goal_fails_with_code_and_sentence(hyperbit, endpoint):
     code, out, err = hyperbit("send", "planar16", "--to", "9,9", "--connect", endpoint)
     assert (code, out) == (1, "")

@@ -1,0 +1,61 @@
+"""Goals of `plan`: each for itself, or followed along straight lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from controller.commands.common import Failed
+from controller.config import Arm
+from controller.manipulator.manipulator import Configuration
+from controller.motion.codes import Refusal
+from controller.search.method import Method
+
+if TYPE_CHECKING:  # its kernels take a second to import: only those who search wait for it
+    from controller.search.solver import Solution, Solver
+
+Goals = list[tuple[list[float], Configuration | None]]
+
+
+def search(
+    solver: Solver, wanted: Goals, start: Configuration, tolerance: float, method: Method
+) -> Iterator[tuple[list[float], Solution, bool]]:
+    """Gives each goal with its solution, searched from the one before unless told; none is between goals."""
+    for position, given in wanted:
+        found = solver.solve(position, start if given is None else given, tolerance, method)
+        start = found.configuration
+        yield position, found, False
+
+
+def follow_lines(
+    arm: Arm,
+    solver: Solver,
+    positions: list[list[float]],
+    start: Configuration,
+    tolerance: float,
+    path_tolerance: float,
+    method: Method,
+) -> Iterator[tuple[list[float], Solution, bool]]:
+    """Gives each point with its solution, and whether it is between goals, as a daemon with time enough plans them.
+
+    Raises:
+        Failed: the lines cannot be followed, why.
+    """
+    from controller.daemon.foresight import Foresight
+    from controller.motion.pacing import Pace
+    from controller.motion.plan import plan
+    from controller.motion.trajectory import MOST_POINTS, along
+
+    pace = Pace(arm.settings.travel_time, arm.settings.inrush, arm.settings.rest_time)
+    times = pace.unhurried * MOST_POINTS * np.arange(len(positions), dtype=np.float64)
+    try:
+        trajectory = along(times, np.array(positions, dtype=np.float64), tolerance, path_tolerance, pace)
+        found = plan(solver, trajectory, start, method, pace=pace)
+    except Refusal as refusal:
+        raise Failed(str(refusal)) from None
+    if method == "minimum-switch":
+        found = Foresight(solver, found, pace).whole()
+    for k, solution in enumerate(found.solutions):
+        yield trajectory.positions[k].tolist(), solution, trajectory.between(k)
