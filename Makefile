@@ -20,6 +20,7 @@ check: $(VENV)/installed
 bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.mapping
 	$(BIN)/python -m tests.benchmarks.search
+	$(BIN)/python -m tests.benchmarks.lines
 	$(BIN)/python -m tests.benchmarks.daemon
 
 fuzz: $(VENV)/installed
