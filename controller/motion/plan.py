@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.pacing import Pace, Staged, Unfit
-from controller.motion.trajectory import Trajectory
+from controller.motion.trajectory import Trajectory, upwards
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solution, Solver
 
@@ -106,7 +106,11 @@ def plan(
         solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left))
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
-        transitions.append(staged(solver, trajectory, previous, solution, k, pace))
+        try:
+            transitions.append(staged(solver, trajectory, previous, solution, k, pace))
+        except Refusal:  # perhaps a search with more time finds what switches less
+            solution = solver.solve(goal, previous, tolerance, method)
+            transitions.append(staged(solver, trajectory, previous, solution, k, pace))
         solutions.append(solution)
         previous = solution.configuration
     return Plan(trajectory, tuple(solutions), tuple(transitions))
@@ -155,14 +159,12 @@ def staged(
     try:
         return pace.staged(solver.manipulator, previous, solution.configuration, available)
     except Unfit as error:
-        raise Refusal(INVALID_GOAL, f"{way(trajectory, k)}: {available:.3g} s, {error}") from None
-
-
-def way(trajectory: Trajectory, point: int) -> str:
-    """Returns what the way to a point is called; along a line it is one of the line's parts."""
-    number = trajectory.next(point)
-    if number == 0:
-        return "waypoints[0]"
-    parts = int(trajectory.waypoints[number] - trajectory.waypoints[number - 1])
-    where = f"waypoints[{number - 1}] to waypoints[{number}]"
-    return where if parts == 1 else f"{where}, one of {parts} parts"
+        number = trajectory.next(k)
+        if number == 0:
+            raise Refusal(INVALID_GOAL, f"waypoints[0]: {available:.3g} s, {error}") from None
+        where, whole = f"waypoints[{number - 1}] to waypoints[{number}]", ""
+        parts = int(trajectory.waypoints[number] - trajectory.waypoints[number - 1])
+        if parts > 1:
+            where += f", one of {parts} parts"
+            whole = f", and the line {upwards(parts * pace.needed(solution.switches)):g} s"
+        raise Refusal(INVALID_GOAL, f"{where}: {available:.3g} s, {error}{whole}") from None
