@@ -149,13 +149,13 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
 def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver, monkeypatch):
     monkeypatch.setattr("controller.motion.plan.PLANNING_TIME", 0.0)  # the first answers switch many
     home, times = np.zeros(16, dtype=np.int64), np.array([0.0, 15.0])
-    line = np.array([(0.2, 2.9), (0.9, 2.5)])
+    line = np.array([(-0.2, 2.5), (0.2, 2.25)])
     staged = Pace(0.06, inrush=2)
     found = plan(solver, along(times, line, 0.002, 0.02, staged), home, "minimum-switch", pace=staged)
     for transition, solution in list(zip(found.transitions, found.solutions, strict=True))[1:]:
         assert len(transition.stages) >= solution.switches / 2
     with pytest.raises(Refusal, match=r"^waypoints\[0\] to waypoints\[1\], one of \d+ parts: .* and the line \S+ s$"):
-        plan(solver, along(np.array([0.0, 6.0]), line, 0.002, 0.02, Pace(0.06, 1)), home, "pop", pace=Pace(0.06, 1))
+        plan(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, Pace(0.06, 1)), home, "pop", pace=Pace(0.06, 1))
 
 
 def test_a_point_of_a_line_out_of_reach_names_the_line_and_the_nearest_found(solver):
