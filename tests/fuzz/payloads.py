@@ -21,6 +21,7 @@ from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.motion import goal, setpoint
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.pacing import Pace
 from controller.strict import InputFaults
 
 NOW = 1_800_000_000.0
@@ -36,7 +37,7 @@ def told(sentence: str) -> None:
 def read_goal(data: bytes) -> int:
     """A goal, for a planar arm."""
     try:
-        it = goal.schedule(goal.parse(data), dimension=2, tolerance=0.002, shortest=0.06, now=NOW)
+        it = goal.schedule(goal.parse(data), dimension=2, tolerance=0.002, pace=Pace(0.06), now=NOW)
     except Refusal as error:
         assert error.code in (INVALID_GOAL, OLD_HEADER_TIMESTAMP)  # noqa: PT017 - no test
         told(str(error))
@@ -45,7 +46,8 @@ def read_goal(data: bytes) -> int:
     assert np.isfinite(it.positions).all()
     assert np.isfinite(it.times).all()
     assert (np.diff(it.times) > 0).all()
-    assert 0 < it.tolerance < 1e7
+    assert ((it.tolerances > 0) & (it.tolerances < 1e7)).all()
+    assert it.waypoints[-1] == len(it.times) - 1
     return 1
 
 
@@ -121,6 +123,7 @@ GOAL: dict[str, Any] = {
     "waypoints": [{"t": 0.0, "position": [0.55, 2.9]}, {"t": 0.5, "position": [0.5, 2.8]}],
     "tolerance": {"position": 0.002},
 }
+LINE: dict[str, Any] = {**GOAL, "path_tolerance": 0.01}
 SETPOINT: dict[str, Any] = {"position": [0.55, 2.9, 0.1], "stamp": NOW, "tolerance": {"position": 0.002}}
 ARM: dict[str, Any] = {
     "name": "short",

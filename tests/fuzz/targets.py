@@ -43,9 +43,9 @@ class Target:
 TARGETS = {
     "goal": Target(
         lambda: payloads.read_goal,
-        [payloads.written(payloads.GOAL)],
-        payloads.wrong(payloads.GOAL),
-        payloads.spoiler(payloads.GOAL),
+        [payloads.written(payloads.GOAL), payloads.written(payloads.LINE)],
+        payloads.wrong(payloads.GOAL, payloads.LINE),
+        payloads.spoiler(payloads.GOAL, payloads.LINE),
     ),
     "setpoint": Target(
         lambda: payloads.read_setpoint,
