@@ -48,7 +48,8 @@ class Publisher:
         self._session.put(self._key, payload if isinstance(payload, bytes) else json.dumps(payload))
 
     def cancel(self) -> None:
-        self._session.put(self._key.replace("/setpoint", "/cancel"), b"")
+        """Cancels, and waits for the answer."""
+        list(self._session.get(self._key.replace("/setpoint", "/cancel")))
 
     def stream(self, seconds: float, ended: Callable[[], bool] = lambda: False, bad: bool = False) -> None:
         """Streams for so long, with something bad after every setpoint if told to."""
@@ -185,12 +186,12 @@ def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
 def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
     client: Observer, publisher: Publisher, listener: can.BusABC
 ) -> None:
-    drain(listener)
     for k in range(1, 6):
-        publisher.put({"position": LEFT})
+        publisher.put({"position": LEFT if k % 2 else RIGHT})
         publisher.cancel()
+        drain(listener)  # a search may be quick enough to switch before the cancel, but not after it
         eventually(lambda k=k: setpoint(client)["received"] >= k and setpoint(client)["rate"] == 0)
-    assert syncs(drain(listener)) == []
+        assert syncs(drain(listener)) == []
     assert all(state["mode"] == "ready" for state in client.heard["state"][-20:])
 
 
