@@ -2,8 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+MINUTES ?= 10
 
-.PHONY: demo test check bench fuzz clean
+.PHONY: demo test check bench fuzz soak clean
 
 demo: $(VENV)/installed
 	$(BIN)/hyperbit demo
@@ -26,6 +27,9 @@ bench: $(VENV)/installed
 fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'
 	$(BIN)/python -m tests.fuzz fuzz.json
+
+soak: $(VENV)/installed
+	$(BIN)/python -m tests.soak --minutes $(MINUTES) --json soak.json
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.daemon.bringup import BringUp
-from controller.daemon.events import Cancel, Planned, Reset, Stop
+from controller.daemon.events import Cancel, Payload, Planned, Reset, Stop
+from controller.daemon.ledger import Ledger
 from controller.daemon.loop import PERIOD, ControlLoop
 from drivers import cia301
 from drivers.boards import Boards
@@ -133,9 +134,13 @@ class LaterBringUp(BringUp):
 
 
 class World:
-    """One arm of two modules, its daemon, its bus, and who sends what on it."""
+    """One arm of two modules, its daemon, its bus, and who sends what on it.
 
-    def __init__(self) -> None:
+    Args:
+        ledger: of the daemon's; one that only counts if absent.
+    """
+
+    def __init__(self, ledger: Ledger | None = None) -> None:
         self.now = 1000.0
         self.journal = Journal()
         wiring = Wiring((BusSettings("can0", "virtual", f"fuzz-{next(_channels)}"),), CHANNELS)
@@ -149,9 +154,9 @@ class World:
         for sdo in self.boards._sdos:
             sdo._client.RESPONSE_TIMEOUT = 0.0  # all answers are there at once, or never
         self.boards._news = self.boards._startup._news = News(self)
-        self.ledger = FakeLedger()
+        self.ledger = ledger or FakeLedger()
         self.loop = ControlLoop(
-            ARM, self.boards, TRAVEL, lambda key, payload: None, self, self.ledger, Silent(), lambda: self.now
+            ARM, self.boards, TRAVEL, self.publish, self, self.ledger, Silent(), lambda: self.now
         )  # fmt: skip
         self._bring_up = self.loop._bring_up = LaterBringUp(self.boards, self.loop.inbox.put)
         self._arrival = 0
@@ -169,6 +174,9 @@ class World:
         pass
 
     def diagnose(self, diagnostics: object) -> None:
+        pass
+
+    def publish(self, key: str, payload: Payload) -> None:
         pass
 
     # --- time
@@ -325,7 +333,8 @@ class World:
             self.request(Reset)
             self.go(3)
         self._latched.clear()
-        self.ledger.goals.clear()
+        if isinstance(self.ledger, FakeLedger):
+            self.ledger.goals.clear()
         self.go(1)
         if self.loop.mode != "ready":
             raise Wedged(f"{self.loop.mode} after a reset: {self.loop.reason}")

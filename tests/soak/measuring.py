@@ -1,0 +1,113 @@
+"""Figures of a long run, kept where they do not grow: periods of the control loop, memory of the process."""
+
+import gc
+import resource
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+from controller.daemon.loop import PERIOD
+from controller.daemon.timekeeping import Timekeeper
+
+
+class Periods:
+    """The periods of every control loop in this process while the context lasts.
+
+    Args:
+        most: that are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._seconds, self._count = np.zeros(most), 0
+
+    def __enter__(self) -> "Periods":
+        self._ticked = ticked = Timekeeper.ticked
+
+        def noting(keeper: Timekeeper, began: float, ended: float) -> None:
+            if self._count < len(self._seconds):
+                self._seconds[self._count] = began - keeper._last
+                self._count += 1
+            ticked(keeper, began, ended)
+
+        Timekeeper.ticked = noting  # type: ignore[method-assign]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        Timekeeper.ticked = self._ticked  # type: ignore[method-assign]
+
+    def clear(self) -> None:
+        self._count = 0
+
+    def figures(self) -> dict[str, float]:
+        """How far periods were from nominal [s]."""
+        off = np.abs(self._seconds[: self._count] - PERIOD)
+        return {
+            "ticks": self._count,
+            "median": float(np.median(off)),
+            "99 %": float(np.quantile(off, 0.99)),
+            "99.9 %": float(np.quantile(off, 0.999)),
+            "worst": float(off.max()),
+            "within 20 %": float(np.mean(off <= 0.2 * PERIOD)),
+        }
+
+
+class Memory:
+    """Resident memory of this process and Python's blocks in use; with tracemalloc also bytes, at three times the time.
+
+    Args:
+        most: samples that are kept.
+        traced: whether tracemalloc is to run.
+    """
+
+    def __init__(self, most: int, *, traced: bool = False) -> None:
+        self._samples, self._count = np.zeros((most, 3)), 0
+        if traced:
+            tracemalloc.start()
+
+    def sample(self) -> None:
+        """Notes what is taken now."""
+        if self._count < len(self._samples):
+            resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+            traced = tracemalloc.get_traced_memory()[0]
+            self._samples[self._count] = resident / 2**20, sys.getallocatedblocks(), traced / 2**20
+            self._count += 1
+
+    def end(self) -> dict[str, float]:
+        """Ends the watch; returns figures after a fifth of the time and at its end, memory in MiB.
+
+        Each is the least within a tenth of the time, since they swing with garbage that waits for its collection.
+        """
+        tracemalloc.stop()
+        samples = self._samples[: self._count]
+        tenth = max(self._count // 10, 1)
+        warm, last = samples[2 * tenth : 3 * tenth].min(axis=0), samples[-tenth:].min(axis=0)
+        figures = {"rss_warm": warm[0], "rss_end": last[0], "rss_growth": last[0] / warm[0] - 1}
+        figures |= {"blocks_warm": warm[1], "blocks_end": last[1], "blocks_growth": last[1] / warm[1] - 1}
+        if warm[2]:
+            figures |= {
+                "traced_warm": warm[2],
+                "traced_end": last[2],
+                "traced_growth_of_rss": (last - warm)[2] / warm[0],
+            }
+        return {name: float(value) for name, value in figures.items()}
+
+
+def collection(rounds: int = 5) -> dict[str, float]:
+    """Returns the median seconds of a full garbage collection, of all objects and after gc.freeze of them."""
+
+    def median() -> float:
+        seconds = []
+        for _ in range(rounds):
+            began = time.perf_counter()
+            gc.collect()
+            seconds.append(time.perf_counter() - began)
+        return float(np.median(seconds))
+
+    whole = median()
+    gc.freeze()
+    frozen = median()
+    gc.unfreeze()
+    return {"all": whole, "frozen": frozen}
