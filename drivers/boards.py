@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import can
 import canopen
@@ -23,6 +26,20 @@ from drivers.startup import Startup
 from drivers.status import Status
 from drivers.watch import Watch
 from drivers.wiring import MASTER, Timing, Wiring
+
+_LEAVING = 0.005  # [s] for the frames of a commit to leave; else it is gone on with at the next
+_HALTED = 0.1  # [s]; a commit that took longer was halted on its way, and its SYNC comes too late
+
+
+@dataclass(frozen=True, eq=False)
+class _Sync:
+    """A SYNC on its way: the image and the (A,) states it brings about, what was measured before, and when it was."""
+
+    wanted: NDArray[np.uint8]
+    states: NDArray[np.uint8]
+    measured: NDArray[np.int8]
+    now: float
+    sent: float
 
 
 class Boards:
@@ -49,11 +66,13 @@ class Boards:
         self._buses: dict[str, CanBus] = {}
         self._networks = {bus.name: canopen.Network() for bus in wiring.buses}
         for settings in wiring.buses:
-            self._buses[settings.name] = CanBus(settings, self._receiver(settings.name), self._lose_bus)
+            receive = self._receiver(settings.name)
+            self._buses[settings.name] = CanBus(settings, receive, self._lose_bus, self._wake)
         self._sdos = [Sdo(n.board, self._buses[n.board.bus], self._networks[n.board.bus]) for n in self._nodes]
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._last_tick: float | None = None
         self._next_heartbeat: dict[str, float] = {}
+        self._syncs: dict[str, _Sync] = {}
 
     def connect(self) -> None:
         """Opens the buses and starts reading.
@@ -82,6 +101,7 @@ class Boards:
             One fault for each board, or bus, that is not up; none if all are operational.
         """
         self._faults.clear()
+        self._syncs = {}  # what became of them is read back
         for node in self._nodes:
             node.forget()
         self._watch.reset(self.measured())  # all unknown: nothing is compared until all is up
@@ -111,7 +131,29 @@ class Boards:
 
     def outputs(self) -> NDArray[np.uint8]:
         """(A,) states that the boards were last switched to, whatever is measured."""
+        self._settle()
         return self._outputs.states()
+
+    @property
+    def settled(self) -> bool:
+        """Whether `outputs` are known: every board is up, and no SYNC on its way."""
+        self._settle()
+        return not self._syncs and all(node.ready for node in self._nodes)
+
+    @property
+    def back(self) -> bool:
+        """Whether all buses work and all boards are heard, as far as can be told before `start` is called."""
+        return all(bus.fit for bus in self._buses.values()) and all(node.heard for node in self._nodes)
+
+    def halted(self, now: float) -> Fault | None:
+        """Tells when `tick` has not been called for so long that the boards may have done without their master."""
+        longest = self._timing.heartbeat_timeout - self._timing.heartbeat
+        if self._last_tick is None or now - self._last_tick < longest:
+            return None
+        for node in self._nodes:
+            node.ready = False  # who knows what they did meanwhile
+        text = f"the daemon was halted for {now - self._last_tick:.2f} s, and the boards were without it: the arm holds"
+        return Fault("halted", "daemon", text)
 
     def hold(self) -> None:
         """Takes the measured states as the commanded ones; sends nothing."""
@@ -120,34 +162,43 @@ class Boards:
     def commit(self, states: NDArray[np.int8] | NDArray[np.uint8], now: float) -> None:
         """Switches all actuators to their states at one instant a bus: RPDOs to all buses, then one SYNC each.
 
-        Nothing is sent when nothing is to change.
+        Nothing is sent when nothing is to change. A SYNC is sent only when all RPDOs have left: if the bus fails
+        before, what the kernel still holds switches nothing when it comes back.
 
         Args:
             states: (A,) 0 contracted, 1 extended.
             now: [s].
 
         Raises:
-            BusBusy: a frame could not be queued, or a bus or board is lost and `start` was not called since. Nothing
-                switched (with several buses: nothing on the bus it names), nothing is kept; the next commit sends the
-                states it is given.
+            BusBusy: a frame could not be queued or has not left yet, or a bus or board is lost and `start` was not
+                called since. Nothing is kept; the next commit sends the states it is given. What has switched all the
+                same, on one of several buses or by a SYNC that leaves late, `outputs` tells.
             ValueError: not A states of 0 or 1.
         """
         given = np.asarray(states)
         if given.shape != self._layout.byte.shape or not np.isin(given, (0, 1)).all():
             raise ValueError(f"states must be {self._layout.byte.size} of 0 or 1, not {given.tolist()}")
+        self._settle()
+        if self._syncs:
+            raise BusBusy(f"a SYNC on {', '.join(self._syncs)} is still on its way")
         wanted_states = given.astype(np.uint8)
         wanted = self._outputs.wanted(wanted_states)
         due = self._outputs.due(wanted)
         if not due:
             return
+        began = time.monotonic()
         self._refuse_unless_up()
         for name, frames in due.items():
             for frame in frames:
                 self._outputs.latch(self._buses[name], frame, wanted)
+        self._await_leaving(due, began)
+        self._refuse_unless_up()
         for name in due:
-            measured = self.measured()
-            switched = self._outputs.sync(self._buses[name], wanted)
-            self._watch.switched(switched, wanted_states, measured, now)
+            sync = _Sync(wanted, wanted_states, self.measured(), now, time.monotonic())
+            self._buses[name].send(cia301.frame(cia301.SYNC))
+            self._syncs[name] = sync
+        self._await_leaving(due, began)
+        self._settle()
 
     def tick(self, now: float) -> None:
         """Sends the master's heartbeat when due, and looks for lost boards and for actuators that went astray.
@@ -160,13 +211,17 @@ class Boards:
         """
         elapsed = 0.0 if self._last_tick is None else now - self._last_tick
         self._last_tick = now
+        self._settle()
         for bus in self._buses.values():
             bus.tick(now)
             self._beat(bus, now)
         for node in self._nodes:
             if (fault := node.tick(elapsed, self._timing.heartbeat_timeout)) is not None:
                 self._faults.report(fault)
-        for fault in self._watch.check(self.measured(), now):
+        measured = self.measured()
+        for board in np.unique(self._layout.board[self._watch.overdue(measured, now)]):
+            self._ask(self._nodes[board])
+        for fault in self._watch.check(measured, now):
             self._faults.report(fault)
 
     def moving(self, now: float) -> bool:
@@ -187,6 +242,42 @@ class Boards:
         """Stops reading and shuts the buses; sends nothing, so the boards do what they do on loss of the master."""
         for bus in self._buses.values():
             bus.close()
+
+    def _settle(self) -> None:
+        """Takes note of the SYNCs that have left."""
+        for name, sync in list(self._syncs.items()):
+            if self._buses[name].left:
+                del self._syncs[name]
+                switched = self._outputs.switched(name, sync.wanted)
+                self._watch.switched(switched, sync.states, sync.measured, sync.now + time.monotonic() - sync.sent)
+
+    def _await_leaving(self, buses: Iterable[str], began: float) -> None:
+        """Waits a little for what was sent to leave.
+
+        Raises:
+            BusBusy: it did not, or this process was halted meanwhile.
+        """
+        waiting = [bus for name in buses if not (bus := self._buses[name]).left]
+        with self._news:
+            left = self._news.wait_for(
+                lambda: all(bus.left for bus in waiting), max(began + _LEAVING - time.monotonic(), 0.0)
+            )
+        if not left:
+            raise BusBusy(f"what was sent on {', '.join(bus.name for bus in waiting)} has not left yet")
+        if time.monotonic() - began > _HALTED:
+            raise BusBusy("the daemon was halted on its way to a SYNC")
+
+    def _ask(self, node: Node) -> None:
+        """Asks a board for its inputs; the answer is read like a TPDO, which may have been lost."""
+        for sub in node.ask():
+            with contextlib.suppress(BusBusy):
+                self._buses[node.board.bus].send(
+                    cia301.frame(cia301.SDO_REQUEST + node.board.node, cia301.upload(0x6000, sub))
+                )
+
+    def _wake(self) -> None:
+        with self._news:
+            self._news.notify_all()
 
     def _refuse_unless_up(self) -> None:
         for bus in self._buses.values():
@@ -215,13 +306,14 @@ class Boards:
         """What the reader of a bus does with a frame."""
         nodes = {node.board.node: node for node in self._nodes if node.board.bus == bus}
         network = self._networks[bus]
-        masters = {cia301.NMT, cia301.SYNC, cia301.HEARTBEAT + MASTER}
-        masters |= {frame.cob_id for frame in self._layout.frames if frame.bus == bus}
+        masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
+        masters |= {frame.cob_id: "an RPDO" for frame in self._layout.frames if frame.bus == bus}
 
         def receive(message: can.Message) -> bool:
             cob_id, data = message.arbitration_id, bytes(message.data)
             if cob_id in masters:
-                text = f"another master sends on {bus} (frame {cob_id:03X}h): stop it, only one may switch the boards"
+                frame = f"{masters[cob_id]}, frame {cob_id:03X}h"
+                text = f"another master sends on {bus} ({frame}): stop it, only one may switch the boards"
                 self._faults.report(Fault("foreign-master", bus, text))
                 return True
             function, number = cia301.split(cob_id)

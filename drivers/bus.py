@@ -1,23 +1,28 @@
-"""One CAN bus: its own reader thread, its state from error frames, and a send that never queues."""
+"""One CAN bus: its own reader thread, its state from error frames, and a send that knows what has left."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 import can
 
 from drivers import cia301
 from drivers.faults import BusBusy, BusError, Fault
+from drivers.outstanding import Outstanding
 from drivers.status import BusStatus, Traffic
 from drivers.wiring import BusSettings
 
 _logger = logging.getLogger(__name__)
 
 _POLL = 0.05  # [s] how long the reader waits for a frame before it looks whether it shall end
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # [s] between attempts to open the bus again
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
+_STUCK_AFTER = 0.25  # [s] in which no frame could be sent, or one that was sent did not leave
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 
 # Classes of error frames and details in data[1], from linux/can/error.h.
 _CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100
@@ -27,13 +32,16 @@ _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
 class CanBus:
     """One CAN bus.
 
-    It is armed by `rearm` and disarmed by bus-off or a failing read; what moves actuators is to be sent only while it
-    is armed, because frames the kernel still holds go out when the bus comes back.
+    It is armed by `rearm` and disarmed when it is lost: bus-off, down, or stuck. What moves actuators is to be sent
+    only while it is armed, and a SYNC only when all before it has left, because frames the kernel still holds go out
+    when the bus comes back. What has left is known from the interface, which gives our own frames back (SocketCAN
+    does, and python-can's virtual bus); from one that never does, a frame counts as gone once it is sent.
 
     Args:
         settings: which bus.
         on_frame: called from the reader thread with each standard data frame; returns False when it means nothing.
-        on_fault: called from the reader thread when the bus is lost.
+        on_fault: called when the bus is lost, from the reader thread or from that which sends.
+        on_left: called from the reader thread when the last of our frames has left.
     """
 
     def __init__(
@@ -41,12 +49,17 @@ class CanBus:
         settings: BusSettings,
         on_frame: Callable[[can.Message], bool],
         on_fault: Callable[[Fault], None],
+        on_left: Callable[[], None] = lambda: None,
     ) -> None:
         self.settings = settings
         self.state = "closed"
         self.armed = False
         self._on_frame = on_frame
         self._on_fault = on_fault
+        self._on_left = on_left
+        self._outstanding = Outstanding()
+        self._failing_since: float | None = None  # when sending began to fail
+        self._lost_at = 0.0
         self._bus: can.BusABC | None = None
         self._closing = threading.Event()
         self._sending = threading.Lock()
@@ -66,6 +79,17 @@ class CanBus:
     def usable(self) -> bool:
         """Whether frames can reach the wire, as far as is known."""
         return self.state not in ("closed", "down", "bus-off")
+
+    @property
+    def left(self) -> bool:
+        """Whether all that was sent has left, as far as is known."""
+        return not self._outstanding.waiting
+
+    @property
+    def fit(self) -> bool:
+        """Whether frames reach the wire again since the bus was lost."""
+        heard = self._outstanding.last > self._lost_at
+        return self.usable and heard and self._failing_since is None and self._stuck_for() <= _STUCK_AFTER
 
     def open(self) -> None:
         """Opens the bus and starts reading.
@@ -87,9 +111,11 @@ class CanBus:
         """Allows what moves actuators to be sent again, or tells why it cannot be."""
         self.armed = self.usable
         if self.armed:
+            self._outstanding.write_off()
+            self._failing_since = None
             return None
         code = "bus-off" if self.state == "bus-off" else "bus-down"
-        return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface, then reset")
+        return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
         """Sends a frame now or not at all.
@@ -101,19 +127,25 @@ class CanBus:
         Raises:
             BusBusy: it could not be queued; it is counted and not kept.
         """
-        with self._sending:
-            try:
+        try:
+            with self._sending, self._outstanding.sending(message):
                 if self._bus is None:
                     raise can.CanOperationError("the bus is not open")
                 self._bus.send(message)
-            except (can.CanError, OSError, ValueError) as error:
-                self._dropped += 1
-                raise BusBusy(f"{self.name}: frame {message.arbitration_id:03X}h not sent: {error}") from error
-            self._tx_frames += 1
-            self._tx_bits += cia301.frame_bits(message)
+        except (can.CanError, OSError, ValueError) as error:
+            self._dropped += 1
+            self._failing_since = self._failing_since or time.monotonic()
+            if getattr(error, "error_code", None) in _GONE and self.usable:
+                self._lose("down", f"sending failed ({error}); it is opened again until it works")
+            raise BusBusy(f"{self.name}: frame {message.arbitration_id:03X}h not sent: {error}") from error
+        self._failing_since = None
+        self._tx_frames += 1
+        self._tx_bits += cia301.frame_bits(message)
 
     def tick(self, now: float) -> None:
-        """Renews the load figures once a second; `now` in [s]."""
+        """Looks whether the bus is stuck, and renews the load figures once a second; `now` in [s]."""
+        if self.armed and self._stuck_for() > _STUCK_AFTER:
+            self._lose(self.state, f"no frame left for {_STUCK_AFTER:g} s: is it full, and does anybody acknowledge?")
         frames, bits = self._tx_frames + self._rx_frames, self._tx_bits + self._rx_bits
         if self._counted is None:
             self._counted = now, frames, bits
@@ -150,9 +182,20 @@ class CanBus:
         self._shut()
         self.state = "closed"
 
+    def _stuck_for(self) -> float:
+        """For how long nothing has left that should have [s]."""
+        since = [t for t in (self._failing_since, self._outstanding.oldest) if t is not None]
+        return time.monotonic() - min(since) if since else 0.0
+
     def _open(self) -> can.BusABC:
         s = self.settings
-        return can.Bus(interface=s.interface, channel=s.channel, bitrate=s.bitrate, ignore_config=True)
+        return can.Bus(
+            interface=s.interface,
+            channel=s.channel,
+            bitrate=s.bitrate,
+            receive_own_messages=True,
+            ignore_config=True,
+        )
 
     def _shut(self) -> None:
         with self._sending:
@@ -166,6 +209,7 @@ class CanBus:
         while not self._closing.is_set():
             try:
                 if self._bus is None:
+                    self._outstanding.forget()
                     self._bus = self._open()
                 message = self._bus.recv(_POLL)
             except Exception as error:  # whatever the interface raises, reading goes on when it is back
@@ -175,7 +219,7 @@ class CanBus:
                 pause = min(2 * pause, _LONGEST_PAUSE)
                 continue
             pause = _FIRST_PAUSE
-            if self.state == "down":
+            if self.state == "down" and self._bus is not None:
                 self.state = "active"
             if message is not None:
                 self._receive(message)
@@ -186,6 +230,10 @@ class CanBus:
             return
         if self.state == "bus-off":  # who hears is back on the bus, even if the word of it was lost
             self.state = "active"
+        if not message.is_rx and self._outstanding.came_back(message):
+            if self.left:
+                self._on_left()
+            return
         self._rx_frames += 1
         self._rx_bits += cia301.frame_bits(message)
         try:
@@ -216,5 +264,7 @@ class CanBus:
     def _lose(self, state: str, why: str) -> None:
         self.armed = False
         self.state = state
+        self._lost_at = time.monotonic()
         if not self._closing.is_set():
-            self._on_fault(Fault("bus-off" if state == "bus-off" else "bus-down", self.name, f"{self.name}: {why}"))
+            code = {"bus-off": "bus-off", "down": "bus-down"}.get(state, "bus-busy")
+            self._on_fault(Fault(code, self.name, f"{self.name}: {why}"))

@@ -70,6 +70,11 @@ def split(cob_id: int) -> tuple[int, int]:
     return cob_id & 0x780, cob_id & 0x7F
 
 
+def upload(index: int, sub: int) -> bytes:
+    """The request to read an object (SDO; CiA 301, 7.2.4.3.5)."""
+    return bytes([0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0])
+
+
 def mapping(index: int, sub: int, bits: int = 8) -> int:
     """One entry of a PDO mapping (CiA 301, 7.5.2.36)."""
     return index << 16 | sub << 8 | bits

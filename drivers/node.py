@@ -11,13 +11,15 @@ from drivers.faults import Fault
 from drivers.layout import Board
 from drivers.status import BoardStatus
 
+_ANSWERS = b"\x4f\x00\x60", b"\x43\x00\x60"  # to a question for a byte of 6000h, in one or four (CiA 301, 7.2.4.3.6)
+_MASTER_LOST = 0x8130
+
 
 class Node:
     """One board as heard on the bus.
 
     Attributes:
         board: what is wired to it.
-        ready: brought up and not lost since; only then are its outputs and inputs known.
         state: of its network management, None before the first heartbeat.
         frames: frames heard from it.
         inputs: (its input bytes,) view into the image of all inputs.
@@ -26,7 +28,7 @@ class Node:
 
     def __init__(self, board: Board, inputs: NDArray[np.uint8]) -> None:
         self.board = board
-        self.ready = False
+        self._ready = False
         self.state: State | None = None
         self.frames = 0
         self.inputs = inputs
@@ -35,11 +37,33 @@ class Node:
         self._silent = 0.0
         self._lost = False
         self._emergency: str | None = None
+        self._up = False  # brought up since it was forgotten last
+        self._asked_at = -1  # how many TPDOs had come when it was asked
+
+    @property
+    def heard(self) -> bool:
+        """Whether its heartbeats come."""
+        return self._beats > 0 and not self._lost
+
+    @property
+    def ready(self) -> bool:
+        """Brought up and not lost since; only then are its outputs and inputs known."""
+        return self._ready
+
+    @ready.setter
+    def ready(self, ready: bool) -> None:
+        self._ready = ready
+        self._up |= ready
 
     def forget(self) -> None:
         """Takes nothing as known until it is heard anew."""
-        self.ready = False
+        self.ready = self._up = False
         self.state = None
+
+    def ask(self) -> tuple[int, ...]:
+        """Expects answers on its inputs; returns the sub-indices of 6000h to ask for."""
+        self._asked_at = self.input_frames
+        return self.board.inputs
 
     def receive(self, function: int, data: bytes) -> tuple[bool, Fault | None]:
         """Takes a frame from the board.
@@ -61,6 +85,9 @@ class Node:
                 return False, self._refuse_inputs(len(data))
             self.inputs[:] = np.frombuffer(data, np.uint8)
             self.input_frames += 1
+        elif function == cia301.SDO_ANSWER and data[:3] in _ANSWERS and data[3] in self.board.inputs:
+            if self.input_frames == self._asked_at:  # else a newer word came by TPDO
+                self.inputs[self.board.inputs.index(data[3])] = data[4]
         elif function != cia301.SDO_ANSWER:
             return False, None
         self.frames += 1
@@ -99,11 +126,12 @@ class Node:
     def _receive_state(self, state: State) -> Fault | None:
         self.state = state
         self._beats += 1
+        if state is State.BOOT_UP and self._up:  # also of a board that was lost before
+            self.ready = self._up = False
+            return self._fault("board-rebooted", "it started anew, its outputs are off: check its supply, then reset")
         if not self.ready or state is State.OPERATIONAL:
             return None
         self.ready = False
-        if state is State.BOOT_UP:
-            return self._fault("board-rebooted", "it started anew, its outputs are off: check its supply, then reset")
         return self._fault("board-stopped", f"it left operational by itself and is {state.words} now")
 
     def _receive_emergency(self, code: int) -> Fault | None:
@@ -111,6 +139,8 @@ class Node:
             self._emergency = None
             return None
         self._emergency = cia301.emergency_words(code)
+        if code == _MASTER_LOST and not self.ready:  # so are we, and it was told why
+            return None
         return self._fault("emergency", f"it reports {self._emergency}")
 
     def _refuse_inputs(self, given: int) -> Fault | None:

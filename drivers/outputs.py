@@ -70,18 +70,14 @@ class Outputs:
         bus.send(cia301.frame(frame.cob_id, data))
         self._latched[place] = data
 
-    def sync(self, bus: CanBus, wanted: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Sends one SYNC, at which the boards switch.
+    def switched(self, bus: str, wanted: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Notes that the SYNC of a bus has left, and the boards on it have switched.
 
         Returns:
-            (A,) which actuators switch by it.
-
-        Raises:
-            BusBusy: it could not be queued.
+            (A,) which actuators switched by it.
         """
         before = self.states()
-        bus.send(cia301.frame(cia301.SYNC))
         for frame in self._layout.frames:
-            if frame.bus == bus.name:
+            if frame.bus == bus:
                 self.image[frame.image] = wanted[frame.image]
         return np.not_equal(self.states(), before)

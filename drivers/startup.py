@@ -68,7 +68,7 @@ class Startup:
 
         for patience in (self._timing.boot_timeout, _PROBE_TIME):
             for node, bus in silent():
-                self._send(cia301.frame(cia301.SDO_REQUEST + node.board.node, b"\x40\x00\x10\x00\0\0\0\0"), bus)
+                self._send(cia301.frame(cia301.SDO_REQUEST + node.board.node, cia301.upload(0x1000, 0)), bus)
             self._wait(lambda: not silent(), patience)
         return {node for node in before if node.frames != before[node]}
 

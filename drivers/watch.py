@@ -27,6 +27,7 @@ class Watch:
         self._pending = np.zeros(states.size, dtype=np.bool_)
         self._confirms = np.zeros(states.size, dtype=np.bool_)
         self._reported = np.zeros(states.size, dtype=np.bool_)
+        self._asked = np.zeros(states.size, dtype=np.bool_)
 
     def accept(self, measured: NDArray[np.int8]) -> None:
         """Takes what is measured, (A,), as right; actuators on their way stay so, they cannot stop between the ends."""
@@ -39,6 +40,7 @@ class Watch:
         self._commanded[which] = states[which]
         self._switched_at[which] = now
         self._pending |= which
+        self._asked[which] = False
         # An actuator called back halfway never left its end-stop's last word: only time tells when it is there.
         self._confirms[which] = (self._sensed & (measured != self._commanded))[which]
 
@@ -47,6 +49,13 @@ class Watch:
         travels = now - self._switched_at < self._timing.travel_time
         on_way = np.where(self._confirms, measured != self._commanded, travels)
         return bool(np.any(self._pending & on_way))
+
+    def overdue(self, measured: NDArray[np.int8], now: float) -> NDArray[np.bool_]:
+        """Which actuators, (A,), should have arrived by now and, as `measured`, (A,), have not; each only once."""
+        late = self._pending & self._sensed & (now - self._switched_at >= self._timing.travel_time) & ~self._asked
+        late &= (measured >= 0) & (measured != self._commanded)
+        self._asked |= late
+        return late
 
     def check(self, measured: NDArray[np.int8], now: float) -> list[Fault]:
         """Compares commanded with measured states, (A,).

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.boards import Boards
-from drivers.faults import Fault
+from drivers.faults import BusBusy, Fault
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Channel, Timing, Wiring
 
@@ -85,7 +85,18 @@ class Rig:
             self.boards.tick(self.now)
 
     def commit(self, *states: int) -> None:
-        self.boards.commit(np.array(states, dtype=np.uint8), self.now)
+        """Commits as the control loop does: again and again while frames are on their way, on a slow machine."""
+
+        def done() -> bool:
+            try:
+                self.boards.commit(np.array(states, dtype=np.uint8), self.now)
+            except BusBusy as error:
+                if "left yet" in str(error) or "on its way" in str(error):
+                    return False
+                raise
+            return True
+
+        wait(done)
 
     def arrive(self, *states: int) -> None:
         """Waits until the end-stops say so."""
