@@ -4,6 +4,8 @@ import logging
 
 from drivers.faults import Fault
 
+PASSING = {"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing"}  # codes
+
 log = logging.getLogger(__name__)
 
 
@@ -28,6 +30,11 @@ class FaultList:
     def clear(self) -> None:
         """Forgets them all."""
         self._faults.clear()
+
+    @property
+    def passing(self) -> bool:
+        """Whether nothing is wrong but what passes by itself and needs nobody's look: a bus or a board not heard."""
+        return all(code in PASSING for code, _ in self._faults)
 
     def all(self) -> tuple[Fault, ...]:
         """Returns them, the first first."""

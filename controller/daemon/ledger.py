@@ -9,16 +9,19 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.daemon.tally import Tally
+from controller.daemon.tally import default_path as default_tally_path
+from drivers.faults import Fault
+
 log = logging.getLogger(__name__)
 
-WRITE_EVERY = 0.5  # [s]; a killed daemon loses no more than this
+WRITE_EVERY = 0.5  # [s]; a computer that loses its power loses no more than this
 KEPT = 100_000  # goals
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS switches (actuator TEXT PRIMARY KEY, count INTEGER NOT NULL);
@@ -37,18 +40,15 @@ def default_path(arm: str) -> Path:
     return Path(base) / "hyperbit" / f"{arm}.sqlite"
 
 
-@dataclass(frozen=True, eq=False)
-class Pending:
-    """What is not yet written: switches of each actuator, shape (A,), and the latest entries on goals."""
-
-    counts: NDArray[np.int64]
-    goals: deque[tuple[Any, ...]] = field(default_factory=lambda: deque(maxlen=2 * KEPT))
-
-
 class Ledger:
     """Counts in memory, adds what is new to the file every half second from a thread of its own.
 
-    A file that cannot be written stops no arm: it is said once, what was counted is kept and written later.
+    A file that cannot be written stops no arm: it is said once, what was counted is kept and written later. A damaged
+    file is moved aside, and a new one begun with the counts.
+
+    Attributes:
+        fault: why the file cannot be written now, None while it can.
+        damage: what became of a damaged file, None if it was none.
 
     Args:
         path: of the file, made with its folder if need be.
@@ -58,14 +58,28 @@ class Ledger:
     def __init__(self, path: Path, actuators: Sequence[str]) -> None:
         self.path = path
         self.fault: str | None = None
+        self.damage: str | None = None
         self._actuators = tuple(actuators)
+        known = counted(path)
+        self._written = np.array([known.get(label, 0) for label in actuators], dtype=np.int64)
+        self._tally = Tally(default_tally_path(path), actuators, self._written)
+        self._totals = self._tally.counts.copy()
+        self._goals: deque[tuple[Any, ...]] = deque(maxlen=2 * KEPT)  # entries that are not yet written
+        self._rows: dict[int, int] = {}  # of this run's goals that have not ended
         self._queue: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
         self._thread.start()
 
-    def switched(self, actuators: NDArray[np.intp]) -> None:
-        """Counts one switch for each of these actuators (indices)."""
-        self._queue.put(("switched", actuators))
+    def intend(self, outputs: NDArray[np.uint8], states: NDArray[np.uint8]) -> None:
+        """Notes that boards with these outputs (A,) are to be switched to these states (A,), before they are."""
+        self._tally.intend(outputs, states)
+
+    def resolve(self, outputs: NDArray[np.uint8]) -> NDArray[np.intp]:
+        """Counts what of the intended has come about, as the boards' outputs (A,) tell; returns those actuators."""
+        switched = self._tally.resolve(outputs)
+        if len(switched):
+            self._queue.put(("switched", self._tally.counts.copy()))
+        return switched
 
     def accepted(self, number: int, goal: str, waypoints: int) -> None:
         """Enters an accepted goal; `number` tells it from others of the same id in this run."""
@@ -75,30 +89,36 @@ class Ledger:
         """Enters a goal's result."""
         self._queue.put(("ended", number, time.time(), status, code, message, switches))
 
+    def faults(self) -> tuple[Fault, ...]:
+        """Returns what is wrong with the file, which stops no arm."""
+        told = (("ledger-unwritten", self.fault), ("ledger-damaged", self.damage))
+        return tuple(Fault(code, "ledger", message) for code, message in told if message is not None)
+
     def close(self, timeout: float = 5.0) -> None:
         """Writes what is left."""
         self._queue.put(None)
         self._thread.join(timeout)
+        self._tally.close()
 
     def _run(self) -> None:
-        pending = Pending(np.zeros(len(self._actuators), dtype=np.int64))
-        rows: dict[int, int] = {}
         last = False
         while not last:
-            last = self._collect(pending)
-            if not pending.goals and not pending.counts.any():
+            last = self._collect()
+            if not self._goals and np.array_equal(self._totals, self._written):
                 continue
             try:
-                rows = self._write(pending, rows)
-                pending = Pending(np.zeros_like(pending.counts))
+                self._rows = self._write()
+                self._written = self._totals.copy()
+                self._goals.clear()
                 self.fault = None
             except Exception as error:
-                if self.fault is None:
-                    log.error("ledger %s cannot be written, counting goes on in memory: %s", self.path, error)
-                self.fault = f"ledger {self.path} cannot be written: {error}"
+                if not self._set_aside(error):
+                    if self.fault is None:
+                        log.error("ledger %s cannot be written, counting goes on in memory: %s", self.path, error)
+                    self.fault = f"ledger {self.path} cannot be written: {error}"
 
-    def _collect(self, pending: Pending) -> bool:
-        """Moves entries from the queue to `pending` for one interval; returns whether the last has come."""
+    def _collect(self) -> bool:
+        """Takes in what comes for one interval; returns whether the last has come."""
         until = time.monotonic() + WRITE_EVERY
         while (left := until - time.monotonic()) > 0:
             try:
@@ -109,23 +129,23 @@ class Ledger:
                 return True
             kind, *values = entry
             if kind == "switched":
-                pending.counts[values[0]] += 1
+                self._totals = values[0]
             else:
-                pending.goals.append((kind, *values))
+                self._goals.append((kind, *values))
         return False
 
-    def _write(self, pending: Pending, rows: dict[int, int]) -> dict[int, int]:
-        """Adds all that is pending in one transaction; `rows` are those of this run's goals that have not ended.
+    def _write(self) -> dict[int, int]:
+        """Adds all that is not yet written in one transaction.
 
         Returns:
-            The rows after it.
+            The rows of goals that have not ended, after it.
         """
-        rows = dict(rows)
+        rows = dict(self._rows)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with closing(sqlite3.connect(self.path, timeout=2.0)) as connection:
             connection.executescript(f"PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; {SCHEMA}")
             with connection:
-                for kind, number, *values in pending.goals:
+                for kind, number, *values in self._goals:
                     if kind == "accepted":
                         sql = "INSERT INTO goals (id, accepted, waypoints) VALUES (?, ?, ?)"
                         rows[number] = int(connection.execute(sql, values).lastrowid or 0)
@@ -133,10 +153,26 @@ class Ledger:
                         sql = "UPDATE goals SET ended=?, status=?, code=?, message=?, switches=? WHERE number=?"
                         connection.execute(sql, (*values, row))
                 connection.execute("DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) - ?", (KEPT,))
-                new = [(self._actuators[k], int(pending.counts[k])) for k in np.flatnonzero(pending.counts)]
+                new = self._totals - self._written
                 sql = "INSERT INTO switches VALUES (?, ?) ON CONFLICT DO UPDATE SET count = count + excluded.count"
-                connection.executemany(sql, new)
+                connection.executemany(sql, [(self._actuators[k], int(new[k])) for k in np.flatnonzero(new)])
         return rows
+
+    def _set_aside(self, error: Exception) -> bool:
+        """Moves the file away if the error says that it is damaged; all counts are then written to a new one."""
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF not in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+            return False
+        aside = self.path.with_name(f"{self.path.name}.damaged-{time.time():.0f}")
+        try:
+            for suffix in ("", "-wal", "-shm"):
+                if (part := Path(f"{self.path}{suffix}")).exists():
+                    part.rename(f"{aside}{suffix}")
+        except OSError:
+            return False
+        self.damage = f"ledger {self.path} was damaged ({error}): it is {aside.name} now, and a new one was begun"
+        log.error("%s", self.damage)
+        self._written, self._rows = np.zeros_like(self._totals), {}
+        return True
 
 
 def counted(path: Path) -> dict[str, int]:

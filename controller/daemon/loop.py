@@ -28,6 +28,7 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 PERIOD = 0.01  # [s]
+RETRY = 1.0  # [s] between two attempts to leave a fault that has passed, and from a fault to the first
 DEFECT = Fault("internal-error", "daemon", "internal error, see the journal; the arm holds")
 
 
@@ -49,6 +50,7 @@ class ControlLoop:
         telemetry: takes snapshots.
         ledger: counts switches and goals.
         notifier: word to systemd.
+        arrival: returns the place among all requests of one that came now.
         clock: monotonic time [s].
         inrush: most actuators that may switch at once; None: no bound.
         rest: time that an actuator rests between two travels [s].
@@ -63,6 +65,7 @@ class ControlLoop:
         telemetry: Telemetry,
         ledger: Ledger,
         notifier: Notifier,
+        arrival: Callable[[], int],
         clock: Callable[[], float] = time.monotonic,
         inrush: int | None = None,
         rest: float = 0.0,
@@ -72,13 +75,13 @@ class ControlLoop:
         self.accept_after = self.follow_after = self._taken = 0
         self.inbox = Inbox()
         self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
-        self._boards, self._notifier = boards, notifier
+        self._boards, self._notifier, self._arrival = boards, notifier, arrival
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
         self._faults = FaultList()
         self._bring_up = BringUp(boards, self.inbox.put)
         self._teller = Teller(boards, self._runner, ledger, telemetry)
         self._ended = False
-        self._next_beat = 0.0
+        self._next_beat = self._next_try = 0.0
         self._clock, self._time = clock, Timekeeper(PERIOD)
         boards.subscribe(self._reported.put)
 
@@ -121,6 +124,7 @@ class ControlLoop:
     def step(self) -> None:
         """Acts on the next event, if one comes before the next tick, and ticks if that is due."""
         event = self.inbox.get(self._time.left(self._clock()))
+        self._guarded(self._look_back, self._clock())
         if event is not None:
             self._guarded(self._handle, event)
         if isinstance(event, Planned):  # what is due of a fresh goal does not wait for the tick
@@ -140,9 +144,15 @@ class ControlLoop:
                 log.exception("internal error")
             self._fail(DEFECT)
 
+    def _look_back(self, now: float) -> None:
+        """Looks, before anything is acted on, whether this process was halted: then what waited for it is stale."""
+        if (fault := self._boards.halted(now)) is not None:
+            self._fail(fault)
+
     def _tick(self, now: float) -> None:
         self._boards.tick(now)
         self._advance(now)
+        self._recover(now)
         if self._notifier.watchdog and now >= self._next_beat:
             self._notifier.send("WATCHDOG=1")
             self._next_beat = now + self._notifier.watchdog / 4
@@ -201,7 +211,7 @@ class ControlLoop:
     def _take(self, goal: Planned) -> None:
         refusal = self._runner.objection(goal)
         if goal.arrival <= self.accept_after:
-            refusal = codes.INVALID_GOAL, "canceled, stopped or reset before it began"
+            refusal = codes.INVALID_GOAL, "a cancel, stop, reset or fault came before it began"
         elif self.mode not in ("ready", "executing"):
             refusal = codes.INVALID_GOAL, f"the arm is {self.mode}: {self.reason}"
         if refusal is not None:
@@ -243,18 +253,32 @@ class ControlLoop:
         self._teller.changed = True
         self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, fault.message)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._bring_up.running):
-            self._enter("fault", fault.message)
+            self._enter_fault(fault.message)
+
+    def _enter_fault(self, reason: str) -> None:
+        """Takes no goal that came before the fault, however it is left."""
+        self._drop_until(self._arrival())
+        self._next_try = self._clock() + RETRY
+        self._enter("fault", reason)
+
+    def _recover(self, now: float) -> None:
+        """Leaves a fault by itself when nothing else was wrong than a bus or boards not heard, and all are again."""
+        if self.mode == "fault" and now >= self._next_try and self._faults.passing and self._boards.back:
+            self._begin_anew("the boards are back and are being brought up")
+
+    def _begin_anew(self, reason: str) -> None:
+        self._faults.clear()
+        self._runner.switching.forget()
+        self._enter("starting", reason)
+        self._bring_up.begin()
 
     def _reset(self, event: Reset) -> None:
         if self.mode not in ("fault", "stopped"):
             event.reply(done(f"nothing to reset: the arm is {self.mode}"))
             return
         self._drop_until(event.arrival)
-        self._faults.clear()
-        self._runner.switching.forget()
         event.reply(done("resetting; the mode will be ready, or fault with the reason"))
-        self._enter("starting", "the boards are being brought up after a reset")
-        self._bring_up.begin()
+        self._begin_anew("the boards are being brought up after a reset")
 
     def _started(self, faults: tuple[Fault, ...]) -> None:
         if not self._bring_up.end() or self.mode == "stopped":  # after an emergency stop, reset starts again
@@ -262,7 +286,7 @@ class ControlLoop:
         for fault in faults:
             self._faults.add(fault)
         if self._faults:
-            self._enter("fault", self._faults.sentence())
+            self._enter_fault(self._faults.sentence())
             return
         self._boards.hold()
         try:

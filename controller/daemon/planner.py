@@ -146,7 +146,7 @@ class Planner:
         if self._closing:
             raise Refusal(codes.INVALID_GOAL, "the daemon is shutting down; the arm holds")
         if question.run and question.arrival <= self._loop.accept_after:
-            raise Refusal(codes.INVALID_GOAL, "canceled, stopped or reset before it began")
+            raise Refusal(codes.INVALID_GOAL, "a cancel, stop, reset or fault came before it began")
 
     def _described(self, previous: Configuration, found: Plan) -> Payload:
         manipulator, trajectory = self._arm.manipulator, found.trajectory

@@ -53,6 +53,7 @@ class Runner:
         self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, pace.lead
         self._publish, self._ledger = publish, ledger
         self._accepted = 0
+        self._now = 0.0
 
     def objection(self, goal: Planned) -> tuple[int, str] | None:
         """Returns code and sentence of what forbids to begin a goal now, None if nothing does."""
@@ -92,6 +93,7 @@ class Runner:
         Raises:
             BusBusy: the bus has taken no frame for too long.
         """
+        self._now = now
         if self.following is not None:
             return self._pursue(self.following, now)
         execution = self.execution
@@ -124,8 +126,10 @@ class Runner:
         """Tells the running goal its result, and follows nothing; returns whether there was a goal."""
         execution, self.execution = self.execution, None
         self.following = self.switching.busy_since = None
+        late = self.switching.note(self._now)
         if execution is None:
             return False
+        execution.switches += late
         result = {"id": execution.goal.id, "status": status, "code": code, "message": message}
         self._publish("result", {**result, "switches": execution.switches, **self._where(execution)})
         self._ledger.ended(self._accepted, status, code, message, execution.switches)

@@ -127,6 +127,9 @@ class Daemon:
                 lambda: follower.status(),
             )
             closing.callback(telemetry.close)
+            ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # the latest wins
+            setpoints = closing.enter_context(session.declare_subscriber(f"{prefix}/setpoint", ring))
+            arrivals = Arrivals(setpoints.try_recv)
             travel = arm.settings.travel_time
             self.loop = ControlLoop(
                 arm.manipulator,
@@ -136,6 +139,7 @@ class Daemon:
                 telemetry,
                 book,
                 Notifier(),
+                arrivals.request,
                 inrush=arm.settings.inrush,
                 rest=arm.settings.rest_time,
             )
@@ -143,11 +147,6 @@ class Daemon:
             follower = Follower(arm, follower_solver, self.loop)
             planner = Planner(arm, solver, self.loop)
             closing.callback(planner.close)
-            ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(
-                1
-            )  # the latest wins, none waits
-            setpoints = closing.enter_context(session.declare_subscriber(f"{prefix}/setpoint", ring))
-            arrivals = Arrivals(setpoints.try_recv)
             server = Server(session, arm, self.loop, planner, outbox, arrivals)
             closing.callback(server.close)
             follower.listen(arrivals)

@@ -1,5 +1,7 @@
 """Switching the boards: never more actuators at once than may be, none before it has rested, each switch counted."""
 
+import contextlib
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,6 +59,7 @@ class Switching:
         """
         self.commanded = self._manipulator.configuration(measured)
         self.states = measured.astype(np.uint8)
+        self._ledger.resolve(self._boards.outputs())  # what was under way when the boards or the last daemon were lost
 
     def from_here(self, stages: States) -> States:
         """Returns the stages (k, A) by which a planned transition is carried out from the states as they are."""
@@ -93,22 +96,35 @@ class Switching:
                 return np.asarray(stage, dtype=np.uint8)
         return step(self._manipulator, outputs, stages[-1], self._most)
 
+    def note(self, now: float) -> int:
+        """Counts what has switched and was not counted yet, by a SYNC that left late; returns how many have."""
+        if not self._boards.settled:
+            return 0
+        outputs = self._boards.outputs()
+        switched = self._ledger.resolve(outputs)
+        self.switched_at[switched] = now
+        self.switches += len(switched)
+        if len(switched) and self.states is not None:
+            states = self.states.copy()
+            states[switched] = outputs[switched]
+            with contextlib.suppress(ValueError):  # of several buses one may have switched alone
+                self.commanded, self.states = self._manipulator.configuration(states), states
+        return len(switched)
+
     def _commit(self, states: States, now: float) -> bool:
         """Switches the actuators; returns False if the bus took no frame."""
-        outputs = self._boards.outputs()
+        self.note(now)
+        self._ledger.intend(self._boards.outputs(), states)
         try:
             self._boards.commit(states, now)
         except BusBusy as error:
-            self.switched_at[self._boards.outputs() != outputs] = now
+            self.note(now)
             if self.busy_since is None:
                 self.busy_since = now
             if now - self.busy_since > BUSY_FOR:
                 raise BusBusy(f"no command could be sent for {BUSY_FOR:g} s: {error}") from error
             return False
+        self.note(now)
         self.busy_since, self.free_at = None, now + self._pace.lead
-        switched = np.flatnonzero(states != self.states)
-        self.switched_at[outputs != states] = now
-        self.switches += len(switched)
-        self._ledger.switched(switched)
         self.states, self.commanded = states.copy(), self._manipulator.configuration(states)
         return True

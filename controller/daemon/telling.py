@@ -47,7 +47,7 @@ class Teller:
                 measured=self._boards.measured(),
                 goal=execution.goal.id if execution else None,
                 waypoint=execution.waypoint if execution and execution.waypoint >= 0 else None,
-                faults=faults,
+                faults=faults + self._ledger.faults(),
             )
         )
 

@@ -39,7 +39,7 @@ class FakeBoards:
         self.ticks: list[float] = []
         self.starts = 0
         self.missing: list[Fault] = []
-        self.busy = self.stuck = self.slow = False
+        self.busy = self.stuck = self.slow = self.back = False
         self.broken: set[str] = set()
         self._pending: tuple[float, np.ndarray] | None = None
         self._now = 0.0
@@ -60,6 +60,11 @@ class FakeBoards:
 
     def outputs(self) -> np.ndarray:
         return np.array(self.commits[-1] if self.commits else np.maximum(self.states, 0), dtype=np.uint8)
+
+    settled = True
+
+    def halted(self, now: float) -> Fault | None:
+        return None
 
     def hold(self) -> None:
         self._break("hold")
@@ -103,9 +108,19 @@ class FakeLedger:
     def __init__(self) -> None:
         self.counts = np.zeros(len(ARM.actuators), dtype=int)
         self.goals: dict[int, list[Any]] = {}
+        self._intended: np.ndarray = self.counts - 1
 
-    def switched(self, actuators: np.ndarray) -> None:
-        self.counts[actuators] += 1
+    def faults(self) -> tuple[Fault, ...]:
+        return ()
+
+    def intend(self, outputs: np.ndarray, states: np.ndarray) -> None:
+        self._intended = np.where(outputs != states, states.astype(np.int8), -1)
+
+    def resolve(self, outputs: np.ndarray) -> np.ndarray:
+        switched = np.flatnonzero(self._intended == outputs)
+        self.counts[switched] += 1
+        self._intended = np.full_like(self._intended, -1)
+        return switched
 
     def accepted(self, number: int, goal: str, waypoints: int) -> None:
         assert number not in self.goals
@@ -137,7 +152,7 @@ class Rig:
         self._arrival = 0
         self.loop = ControlLoop(
             ARM, self.boards, TRAVEL, lambda key, payload: self.published.append((key, dict(payload))),
-            self, self.ledger, self.notifier, lambda: self.now, inrush, rest,
+            self, self.ledger, self.notifier, self.arrival, lambda: self.now, inrush, rest,
         )  # fmt: skip
         self.loop.begin()
         self.settle_start()

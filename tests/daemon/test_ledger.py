@@ -31,7 +31,11 @@ def ledger(path: Path) -> Iterator[Ledger]:
 
 
 def switch(ledger: Ledger, *actuators: int) -> None:
-    ledger.switched(np.array(actuators, dtype=np.intp))
+    """A stage that switches these actuators, as a SYNC has it."""
+    before, after = np.zeros(3, np.uint8), np.zeros(3, np.uint8)
+    after[list(actuators)] = 1
+    ledger.intend(before, after)
+    assert ledger.resolve(after).tolist() == sorted(actuators)
 
 
 def written(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
@@ -106,14 +110,47 @@ def test_what_cannot_be_written_is_kept_and_written_later(tmp_path: Path) -> Non
     assert [goal["status"] for goal in goals] == ["succeeded"]
 
 
-def test_a_file_that_is_no_ledger_is_a_fault_and_not_touched(path: Path) -> None:
+def test_a_file_that_is_no_ledger_is_moved_aside_and_not_touched(path: Path) -> None:
     path.parent.mkdir()
     path.write_text("a letter, far longer than the head of any database would be" * 20)
     ledger = Ledger(path, NAMES)
     switch(ledger, 0)
-    assert "cannot be written" in eventually(lambda: ledger.fault)
+    assert "was damaged" in eventually(lambda: ledger.damage)
     ledger.close()
-    assert path.read_text().startswith("a letter")
+    (aside,) = path.parent.glob("*.damaged-*")
+    assert aside.read_text().startswith("a letter")
+    assert read(path)[0] == {"1.left": 1}
+
+
+def test_damaged_bytes_lose_no_count(path: Path) -> None:
+    ledger = Ledger(path, NAMES)
+    for _ in range(3):
+        switch(ledger, 0, 2)
+    eventually(lambda: written(path)[0] == {"1.left": 3, "1.right": 3})
+    for part in path.parent.glob(f"{path.name}*"):
+        if "-tally" not in part.name:
+            part.write_bytes(b"\x5a" * part.stat().st_size)
+    switch(ledger, 0)
+    assert eventually(lambda: [fault.code for fault in ledger.faults()]) == ["ledger-damaged"]
+    eventually(lambda: written(path)[0] == {"1.left": 4, "1.right": 3})
+    ledger.close()
+    assert list(path.parent.glob("*.damaged-*"))
+
+
+def test_a_full_disk_loses_nothing_once_there_is_room(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    schema = module.SCHEMA
+    monkeypatch.setattr(module, "SCHEMA", f"PRAGMA max_page_count=4; {schema}")
+    ledger = Ledger(path, NAMES)
+    for number in range(200):
+        ledger.accepted(number, f"goal {number} of a long name that takes its room {'x' * 80}", 1)
+    switch(ledger, 1)
+    (fault,) = eventually(ledger.faults)
+    assert (fault.code, "full" in fault.message) == ("ledger-unwritten", True)
+    monkeypatch.setattr(module, "SCHEMA", f"PRAGMA max_page_count=100000; {schema}")
+    eventually(lambda: not ledger.faults())
+    ledger.close()
+    assert read(path)[0] == {"1.diagonal": 1}
+    assert len(read(path)[1]) == 200
 
 
 def test_an_entry_with_no_text_form_does_not_end_it(ledger: Ledger, path: Path) -> None:
@@ -141,35 +178,35 @@ from controller.daemon.ledger import Ledger
 
 ledger = Ledger(Path(sys.argv[1]), ("1.left",))
 for line in sys.stdin:
-    ledger.switched(np.array([0]))
+    ledger.intend(np.array([0], np.uint8), np.array([1], np.uint8))
+    if line == "switch\\n":
+        ledger.resolve(np.array([1], np.uint8))
     print("counted", flush=True)
 """
 
 
-def test_a_killed_process_loses_nothing_older_than_a_second(path: Path) -> None:
+@pytest.mark.parametrize("left", [True, False])
+def test_a_killed_process_loses_nothing_and_counts_what_its_last_sync_did(path: Path, left: bool) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     try:
         assert process.stdin
         assert process.stdout
-        for _ in range(100):
-            process.stdin.write("\n")
+        for line in ["switch\n"] * 100 + ["intend\n"]:
+            process.stdin.write(line)
             process.stdin.flush()
             assert process.stdout.readline() == "counted\n"
-        eventually(lambda: written(path)[0] == {"1.left": 100})  # by itself, without being closed
-        process.stdin.write("\n")
-        process.stdin.flush()
-        assert process.stdout.readline() == "counted\n"
     finally:
         process.send_signal(signal.SIGKILL)
         process.communicate()
-    assert read(path)[0]["1.left"] in (100, 101)
-    again = Ledger(path, NAMES)
-    switch(again, 0)
+    again = Ledger(path, ("1.left",))
+    outputs = np.array([left], np.uint8)  # what the boards tell: 1 if the last SYNC has left
+    assert again.resolve(outputs).tolist() == [0] * left
+    assert again.resolve(outputs).tolist() == []
     again.close()
     assert again.fault is None
-    assert read(path)[0]["1.left"] in (101, 102)
+    assert read(path)[0] == {"1.left": 100 + left}
 
 
 def test_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_cancel_ends_the_planning_at_once(desk: Desk) -> None:
     desk.loop.accept_after = 2
     desk.free.set()
     answers = answered(desk, 2)
-    assert [a["message"] for a in answers] == ["canceled, stopped or reset before it began"] * 2
+    assert [a["message"] for a in answers] == ["a cancel, stop, reset or fault came before it began"] * 2
     assert desk.loop.inbox.waiting() == 0
     desk.ask()
     assert isinstance(handed_over(desk), Planned)

@@ -33,7 +33,7 @@ def test_what_arrived_before_a_cancel_or_stop_does_not_begin_after_it(rig: Rig, 
     rig.loop.inbox.hand_over(planning)
     rig.go(0.5)
     assert rig.replies[1][1] | {"code": 0} == {
-        "accepted": False, "id": "a", "code": 0, "message": "canceled, stopped or reset before it began",
+        "accepted": False, "id": "a", "code": 0, "message": "a cancel, stop, reset or fault came before it began",
     }  # fmt: skip
     assert rig.boards.commits == []
 
