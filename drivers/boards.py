@@ -67,7 +67,8 @@ class Boards:
         self._networks = {bus.name: canopen.Network() for bus in wiring.buses}
         for settings in wiring.buses:
             receive = self._receiver(settings.name)
-            self._buses[settings.name] = CanBus(settings, receive, self._lose_bus, self._wake)
+            stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards miss the master
+            self._buses[settings.name] = CanBus(settings, receive, self._lose_bus, self._wake, stuck_after)
         self._sdos = [Sdo(n.board, self._buses[n.board.bus], self._networks[n.board.bus]) for n in self._nodes]
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._last_tick: float | None = None

@@ -21,7 +21,6 @@ _logger = logging.getLogger(__name__)
 
 _POLL = 0.05  # [s] how long the reader waits for a frame before it looks whether it shall end
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
-_STUCK_AFTER = 0.25  # [s] in which no frame could be sent, or one that was sent did not leave
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 
 # Classes of error frames and details in data[1], from linux/can/error.h.
@@ -42,6 +41,7 @@ class CanBus:
         on_frame: called from the reader thread with each standard data frame; returns False when it means nothing.
         on_fault: called when the bus is lost, from the reader thread or from that which sends.
         on_left: called from the reader thread when the last of our frames has left.
+        stuck_after: the bus is lost when nothing could be sent, or what was sent did not leave, for so long [s].
     """
 
     def __init__(
@@ -50,8 +50,10 @@ class CanBus:
         on_frame: Callable[[can.Message], bool],
         on_fault: Callable[[Fault], None],
         on_left: Callable[[], None] = lambda: None,
+        stuck_after: float = 0.2,
     ) -> None:
         self.settings = settings
+        self._stuck_after = stuck_after
         self.state = "closed"
         self.armed = False
         self._on_frame = on_frame
@@ -89,7 +91,7 @@ class CanBus:
     def fit(self) -> bool:
         """Whether frames reach the wire again since the bus was lost."""
         heard = self._outstanding.last > self._lost_at
-        return self.usable and heard and self._failing_since is None and self._stuck_for() <= _STUCK_AFTER
+        return self.usable and heard and self._failing_since is None and self._stuck_for() <= self._stuck_after
 
     def open(self) -> None:
         """Opens the bus and starts reading.
@@ -144,8 +146,8 @@ class CanBus:
 
     def tick(self, now: float) -> None:
         """Looks whether the bus is stuck, and renews the load figures once a second; `now` in [s]."""
-        if self.armed and self._stuck_for() > _STUCK_AFTER:
-            self._lose(self.state, f"no frame left for {_STUCK_AFTER:g} s: is it full, and does anybody acknowledge?")
+        if self.armed and self._stuck_for() > self._stuck_after:
+            self._lose(self.state, f"no frame left for {self._stuck_after:g} s: is it full, and does anybody acknowledge?")
         frames, bits = self._tx_frames + self._rx_frames, self._tx_bits + self._rx_bits
         if self._counted is None:
             self._counted = now, frames, bits

@@ -31,9 +31,8 @@ class Segment:
     def __init__(self, settings: BusSettings) -> None:
         self.lock = threading.RLock()
         self.boards: dict[int, SimulatedBoard] = {}
-        self._bus: can.BusABC = can.Bus(
-            interface=settings.interface, channel=settings.channel, bitrate=settings.bitrate, ignore_config=True
-        )
+        self._settings = settings
+        self._bus = self._open()
         self._booted = False
 
     def add(self, node: int, wired: Sequence[Wired]) -> None:
@@ -67,12 +66,20 @@ class Segment:
         """Shuts the bus."""
         self._bus.shutdown()
 
+    def _open(self) -> can.BusABC:
+        s = self._settings
+        return can.Bus(interface=s.interface, channel=s.channel, bitrate=s.bitrate, ignore_config=True)
+
     def _receive(self, patience: float) -> can.Message | None:
         try:
             return self._bus.recv(patience)
-        except (can.CanError, OSError):  # the interface is down: the boards live on and hear nothing
+        except (can.CanError, OSError):  # the interface is down or gone: the boards live on and hear nothing
             time.sleep(patience)
-            return None
+        with contextlib.suppress(can.CanError, OSError):  # one that is made anew must be opened anew
+            bus = self._open()
+            self._bus.shutdown()
+            self._bus = bus
+        return None
 
     def _send(self, cob_id: int, data: bytes) -> None:
         with contextlib.suppress(can.CanError, OSError):  # a board does not know, either

@@ -27,10 +27,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Runs what opens a bus on each kind of bus."""
+    """Runs what opens a bus on each kind of bus, or on those that its mark names."""
     if "bus" in metafunc.fixturenames:
-        only = metafunc.config.getoption("bus")
-        metafunc.parametrize("bus", [only] if only else BUSES, indirect=True)
+        mark, only = metafunc.definition.get_closest_marker("buses"), metafunc.config.getoption("bus")
+        buses = mark.args if mark else BUSES
+        metafunc.parametrize("bus", [bus for bus in buses if only in (None, bus)], indirect=True)
 
 
 @pytest.fixture(scope="session")

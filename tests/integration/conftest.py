@@ -3,6 +3,7 @@
 import itertools
 import os
 import socket
+import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -20,8 +21,9 @@ from controller.daemon.service import Daemon, running, simulated, timing_of, wir
 from controller.workspace.densities import Densities
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Timing, Wiring
-from tests import vcan
+from tests import emulated, vcan
 from tests.integration.harness import Observer
+from tests.integration.motions import Motions
 
 CHANNELS = itertools.count()
 SO_RCVBUFFORCE = 33  # of asm-generic/socket.h, which Python does not name; beyond the system's bound, for root
@@ -29,7 +31,13 @@ SO_RCVBUFFORCE = 33  # of asm-generic/socket.h, which Python does not name; beyo
 
 @pytest.fixture
 def bus(request: pytest.FixtureRequest) -> Iterator[BusSettings]:
-    """The bus that daemon and boards share: python-can's virtual one, and one of the kernel where it has vcan."""
+    """The bus that daemon and boards share: python-can's virtual one, and one of the kernel where it has vcan.
+
+    The faults of interfaces are made on an emulated one, and on that of the kernel.
+    """
+    if request.param == "emulated":
+        yield BusSettings("can0", "emulated", request.getfixturevalue("emulation").channel)
+        return
     if request.param == "virtual":
         yield BusSettings("can0", "virtual", f"test-{os.getpid()}-{next(CHANNELS)}")
         return
@@ -40,10 +48,21 @@ def bus(request: pytest.FixtureRequest) -> Iterator[BusSettings]:
 
 
 @pytest.fixture
-def interface(bus: BusSettings) -> vcan.Interface:
-    """The kernel's interface of that bus, to be taken down or away and brought back; the first thing to ask for."""
+def emulation() -> Iterator[emulated.Interface]:
+    """An interface that is emulated, for faults that the kernel's vcan does not have."""
+    with tempfile.TemporaryDirectory(prefix="can") as folder:  # of a short name, for the socket in it
+        interface = emulated.Interface(Path(folder))
+        yield interface
+        interface.close()
+
+
+@pytest.fixture
+def interface(request: pytest.FixtureRequest, bus: BusSettings) -> emulated.Interface | vcan.Interface:
+    """The interface of that bus, to be taken down or away and brought back; the first thing to ask for."""
+    if bus.interface == "emulated":
+        return request.getfixturevalue("emulation")
     if bus.interface != "socketcan":
-        pytest.skip("only a bus of the kernel has an interface")
+        pytest.skip("only a bus of the kernel, or an emulated one, has an interface")
     return vcan.Interface(bus.channel)
 
 
@@ -122,3 +141,11 @@ def client(bench: Bench, daemon: Daemon) -> Observer:
     observer = bench.observer()
     observer.wait_for("ready")
     return observer
+
+
+@pytest.fixture
+def motions(wiring: Wiring, listener: can.BusABC, boards: Simulation, client: Observer) -> Iterator[Motions]:
+    """Sees at the end that nothing moved but for accepted goals, and that each of those had one result."""
+    motions = Motions(wiring, listener)
+    yield motions
+    motions.check(client, boards)

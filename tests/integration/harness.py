@@ -16,12 +16,14 @@ class Observer:
         client: to ask the daemon with.
         heard: what came on each key, oldest first.
         times: when it came, UNIX seconds.
+        accepted: ids of the goals it sent that were accepted.
     """
 
     def __init__(self, client: Client) -> None:
         self.client = client
         self.heard: dict[str, list[Message]] = {key: [] for key in KEYS}
         self.times: dict[str, list[float]] = {key: [] for key in KEYS}
+        self.accepted: list[str] = []
         self._subscribers = [client.subscribe(key, self._remember(key)) for key in KEYS]
 
     def _remember(self, key: str) -> Any:
@@ -38,7 +40,9 @@ class Observer:
         """Sends a goal; without times, a single waypoint now, or one every 0.2 s."""
         times = times or [0.2 * k for k in range(len(positions))]
         points = [{"t": t, "position": list(position)} for t, position in zip(times, positions, strict=True)]
-        return self.ask("goal", waypoints=points, **fields)
+        answer = self.ask("goal", waypoints=points, **fields)
+        self.accepted += [answer["id"]] * answer["accepted"]
+        return answer
 
     def wait_for(self, mode: str, reason: str = "", after: int = 0) -> Message:
         """Waits until a state heard from the one of index `after` on is in a mode; returns that state."""
@@ -52,6 +56,23 @@ class Observer:
     def wait_now(self, mode: str, reason: str = "") -> Message:
         """Waits until a state that is told from now on is in a mode."""
         return self.wait_for(mode, reason, after=len(self.heard["state"]))
+
+    def wait_fault(self, code: str, since: float, within: float | None = None) -> Message:
+        """Waits for a state that names a fault.
+
+        Args:
+            code: of the fault.
+            since: when it happened [UNIX s]; states of before do not count.
+            within: the longest it may take [s], where the machine is not to blame.
+        """
+
+        def found() -> Message | None:
+            states = [s for s in self.heard["state"] if s["stamp"] >= since]
+            return next((s for s in states if code in [fault["code"] for fault in s["faults"]]), None)
+
+        state = eventually(found)
+        assert within is None or state["stamp"] - since < within, f"{code} came after {state['stamp'] - since:.2f} s"
+        return state
 
     def result(self, goal: str) -> Message:
         """Waits for the result of a goal, and sees that it has no other so far."""
