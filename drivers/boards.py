@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import can
 import canopen
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from drivers import cia301
 from drivers.bus import CanBus
 from drivers.cia301 import State
+from drivers.commits import Commits
 from drivers.faults import BusBusy, BusError, Fault, FaultLog
 from drivers.layout import lay_out
 from drivers.load import worst_case
@@ -26,20 +25,6 @@ from drivers.startup import Startup
 from drivers.status import Status
 from drivers.watch import Watch
 from drivers.wiring import MASTER, Timing, Wiring
-
-_LEAVING = 0.005  # [s] for the frames of a commit to leave; else it is gone on with at the next
-_HALTED = 0.1  # [s]; a commit that took longer was halted on its way, and its SYNC comes too late
-
-
-@dataclass(frozen=True, eq=False)
-class _Sync:
-    """A SYNC on its way: the image and the (A,) states it brings about, what was measured before, and when it was."""
-
-    wanted: NDArray[np.uint8]
-    states: NDArray[np.uint8]
-    measured: NDArray[np.int8]
-    now: float
-    sent: float
 
 
 class Boards:
@@ -73,7 +58,7 @@ class Boards:
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._last_tick: float | None = None
         self._next_heartbeat: dict[str, float] = {}
-        self._syncs: dict[str, _Sync] = {}
+        self._commits = Commits(self._buses, self._outputs, self._watch, self._news)
 
     def connect(self) -> None:
         """Opens the buses and starts reading.
@@ -102,7 +87,7 @@ class Boards:
             One fault for each board, or bus, that is not up; none if all are operational.
         """
         self._faults.clear()
-        self._syncs = {}  # what became of them is read back
+        self._commits.forget()
         for node in self._nodes:
             node.forget()
         self._watch.reset(self.measured())  # all unknown: nothing is compared until all is up
@@ -132,14 +117,14 @@ class Boards:
 
     def outputs(self) -> NDArray[np.uint8]:
         """(A,) states that the boards were last switched to, whatever is measured."""
-        self._settle()
+        self._commits.settle()
         return self._outputs.states()
 
     @property
     def settled(self) -> bool:
         """Whether `outputs` are known: every board is up, and no SYNC on its way."""
-        self._settle()
-        return not self._syncs and all(node.ready for node in self._nodes)
+        self._commits.settle()
+        return not self._commits.under_way and all(node.ready for node in self._nodes)
 
     @property
     def back(self) -> bool:
@@ -179,27 +164,7 @@ class Boards:
         given = np.asarray(states)
         if given.shape != self._layout.byte.shape or not np.isin(given, (0, 1)).all():
             raise ValueError(f"states must be {self._layout.byte.size} of 0 or 1, not {given.tolist()}")
-        self._settle()
-        if self._syncs:
-            raise BusBusy(f"a SYNC on {', '.join(self._syncs)} is still on its way")
-        wanted_states = given.astype(np.uint8)
-        wanted = self._outputs.wanted(wanted_states)
-        due = self._outputs.due(wanted)
-        if not due:
-            return
-        began = time.monotonic()
-        self._refuse_unless_up()
-        for name, frames in due.items():
-            for frame in frames:
-                self._outputs.latch(self._buses[name], frame, wanted)
-        self._await_leaving(due, began)
-        self._refuse_unless_up()
-        for name in due:
-            sync = _Sync(wanted, wanted_states, self.measured(), now, time.monotonic())
-            self._buses[name].send(cia301.frame(cia301.SYNC))
-            self._syncs[name] = sync
-        self._await_leaving(due, began)
-        self._settle()
+        self._commits.send(given.astype(np.uint8), now, self._refuse_unless_up, self.measured)
 
     def tick(self, now: float) -> None:
         """Sends the master's heartbeat when due, and looks for lost boards and for actuators that went astray.
@@ -212,7 +177,7 @@ class Boards:
         """
         elapsed = 0.0 if self._last_tick is None else now - self._last_tick
         self._last_tick = now
-        self._settle()
+        self._commits.settle()
         for bus in self._buses.values():
             bus.tick(now)
             self._beat(bus, now)
@@ -243,30 +208,6 @@ class Boards:
         """Stops reading and shuts the buses; sends nothing, so the boards do what they do on loss of the master."""
         for bus in self._buses.values():
             bus.close()
-
-    def _settle(self) -> None:
-        """Takes note of the SYNCs that have left."""
-        for name, sync in list(self._syncs.items()):
-            if self._buses[name].left:
-                del self._syncs[name]
-                switched = self._outputs.switched(name, sync.wanted)
-                self._watch.switched(switched, sync.states, sync.measured, sync.now + time.monotonic() - sync.sent)
-
-    def _await_leaving(self, buses: Iterable[str], began: float) -> None:
-        """Waits a little for what was sent to leave.
-
-        Raises:
-            BusBusy: it did not, or this process was halted meanwhile.
-        """
-        waiting = [bus for name in buses if not (bus := self._buses[name]).left]
-        with self._news:
-            left = self._news.wait_for(
-                lambda: all(bus.left for bus in waiting), max(began + _LEAVING - time.monotonic(), 0.0)
-            )
-        if not left:
-            raise BusBusy(f"what was sent on {', '.join(bus.name for bus in waiting)} has not left yet")
-        if time.monotonic() - began > _HALTED:
-            raise BusBusy("the daemon was halted on its way to a SYNC")
 
     def _ask(self, node: Node) -> None:
         """Asks a board for its inputs; the answer is read like a TPDO, which may have been lost."""

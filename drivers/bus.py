@@ -147,7 +147,8 @@ class CanBus:
     def tick(self, now: float) -> None:
         """Looks whether the bus is stuck, and renews the load figures once a second; `now` in [s]."""
         if self.armed and self._stuck_for() > self._stuck_after:
-            self._lose(self.state, f"no frame left for {self._stuck_after:g} s: is it full, and does anybody acknowledge?")
+            why = "is it full, and does anybody acknowledge?"
+            self._lose(self.state, f"no frame left for {self._stuck_after:g} s: {why}")
         frames, bits = self._tx_frames + self._rx_frames, self._tx_bits + self._rx_bits
         if self._counted is None:
             self._counted = now, frames, bits
