@@ -126,15 +126,22 @@ class Boards:
         self._commits.settle()
         return not self._commits.under_way and all(node.ready for node in self._nodes)
 
-    @property
     def back(self) -> bool:
-        """Whether all buses work and all boards are heard, as far as can be told before `start` is called."""
-        return all(bus.fit for bus in self._buses.values()) and all(node.heard for node in self._nodes)
+        """Whether `start` may succeed after a bus or a board was lost: all work, and all are heard.
+
+        Boards that are not heard are asked: they may have come back with no heartbeat of their own. To be called once
+        a second or so.
+        """
+        if not all(bus.fit for bus in self._buses.values()):
+            return False
+        silent = [node for node in self._nodes if not node.heard]
+        for node in silent:
+            self._question(node, 0x1000, 0)
+        return not silent
 
     def halted(self, now: float) -> Fault | None:
         """Tells when `tick` has not been called for so long that the boards may have done without their master."""
-        longest = self._timing.heartbeat_timeout - self._timing.heartbeat
-        if self._last_tick is None or now - self._last_tick < longest:
+        if self._last_tick is None or now - self._last_tick < self._timing.heartbeat_timeout:
             return None
         for node in self._nodes:
             node.ready = False  # who knows what they did meanwhile
@@ -212,10 +219,12 @@ class Boards:
     def _ask(self, node: Node) -> None:
         """Asks a board for its inputs; the answer is read like a TPDO, which may have been lost."""
         for sub in node.ask():
-            with contextlib.suppress(BusBusy):
-                self._buses[node.board.bus].send(
-                    cia301.frame(cia301.SDO_REQUEST + node.board.node, cia301.upload(0x6000, sub))
-                )
+            self._question(node, 0x6000, sub)
+
+    def _question(self, node: Node, index: int, sub: int) -> None:
+        with contextlib.suppress(BusBusy):
+            message = cia301.frame(cia301.SDO_REQUEST + node.board.node, cia301.upload(index, sub))
+            self._buses[node.board.bus].send(message)
 
     def _wake(self) -> None:
         with self._news:

@@ -30,7 +30,7 @@ class Node:
         self.board = board
         self._ready = False
         self.state: State | None = None
-        self.frames = 0
+        self.frames = self._frames_before = 0
         self.inputs = inputs
         self.input_frames = 0
         self._beats = self._beats_seen = 0
@@ -42,8 +42,8 @@ class Node:
 
     @property
     def heard(self) -> bool:
-        """Whether its heartbeats come."""
-        return self._beats > 0 and not self._lost
+        """Whether it says anything, if it was lost since then."""
+        return self._ready or self.frames > self._frames_before
 
     @property
     def ready(self) -> bool:
@@ -52,6 +52,8 @@ class Node:
 
     @ready.setter
     def ready(self, ready: bool) -> None:
+        if not ready:
+            self._frames_before = self.frames
         self._ready = ready
         self._up |= ready
 

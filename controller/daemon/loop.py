@@ -263,7 +263,10 @@ class ControlLoop:
 
     def _recover(self, now: float) -> None:
         """Leaves a fault by itself when nothing else was wrong than a bus or boards not heard, and all are again."""
-        if self.mode == "fault" and now >= self._next_try and self._faults.passing and self._boards.back:
+        if self.mode != "fault" or now < self._next_try or not self._faults.passing:
+            return
+        self._next_try = now + RETRY
+        if self._boards.back():
             self._begin_anew("the boards are back and are being brought up")
 
     def _begin_anew(self, reason: str) -> None:

@@ -39,7 +39,7 @@ class FakeBoards:
         self.ticks: list[float] = []
         self.starts = 0
         self.missing: list[Fault] = []
-        self.busy = self.stuck = self.slow = self.back = False
+        self.busy = self.stuck = self.slow = self.returned = False
         self.broken: set[str] = set()
         self._pending: tuple[float, np.ndarray] | None = None
         self._now = 0.0
@@ -62,6 +62,9 @@ class FakeBoards:
         return np.array(self.commits[-1] if self.commits else np.maximum(self.states, 0), dtype=np.uint8)
 
     settled = True
+
+    def back(self) -> bool:
+        return self.returned
 
     def halted(self, now: float) -> Fault | None:
         return None
