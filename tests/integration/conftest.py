@@ -104,11 +104,13 @@ class Bench:
 
     def __init__(self, stack: ExitStack, arm: Arm, densities: Densities, wiring: Wiring, endpoint: str, ledger: Path):
         self.stack, self.arm, self.endpoint, self.ledger = stack, arm, endpoint, ledger
+        self.mode = "peer"  # of the daemons' sessions; a client connects to the endpoint in place of listening there
         self._densities, self._wiring = densities, wiring
 
     def daemon(self, timing: Timing | None = None) -> Daemon:
         """Builds a daemon that does not run yet."""
-        config = session.configuration("peer", listen=self.endpoint)
+        there = {"connect" if self.mode == "client" else "listen": self.endpoint}
+        config = session.configuration(self.mode, **there)
         return Daemon(self.arm, self._densities, self._wiring, config, self.ledger, timing)
 
     def run(self, timing: Timing | None = None) -> Daemon:
