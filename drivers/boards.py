@@ -117,13 +117,14 @@ class Boards:
 
     def outputs(self) -> NDArray[np.uint8]:
         """(A,) states that the boards were last switched to, whatever is measured."""
-        self._commits.settle()
         return self._outputs.states()
 
-    @property
-    def settled(self) -> bool:
-        """Whether `outputs` are known: every board is up, and no SYNC on its way."""
-        self._commits.settle()
+    def settle(self, now: float) -> bool:
+        """Takes note of SYNCs that have left by `now` [s]; returns whether `outputs` are known.
+
+        They are not while a SYNC is on its way, or a board not up.
+        """
+        self._commits.settle(now)
         return not self._commits.under_way and all(node.ready for node in self._nodes)
 
     def back(self) -> bool:
@@ -184,7 +185,7 @@ class Boards:
         """
         elapsed = 0.0 if self._last_tick is None else now - self._last_tick
         self._last_tick = now
-        self._commits.settle()
+        self._commits.settle(now)
         for bus in self._buses.values():
             bus.tick(now)
             self._beat(bus, now)

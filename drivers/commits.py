@@ -22,13 +22,11 @@ _HALTED = 0.1  # [s]; a commit that took longer was halted on its way, and its S
 
 @dataclass(frozen=True, eq=False)
 class _Sync:
-    """A SYNC on its way: the image and the (A,) states it brings about, what was measured before, and when it was."""
+    """A SYNC on its way: the image and the (A,) states it brings about, and what was measured before."""
 
     wanted: NDArray[np.uint8]
     states: NDArray[np.uint8]
     measured: NDArray[np.int8]
-    now: float
-    sent: float
 
 
 class Commits:
@@ -54,13 +52,13 @@ class Commits:
         """Waits for no SYNC any more: what became of it is read back from the boards."""
         self._syncs = {}
 
-    def settle(self) -> None:
-        """Takes note of the SYNCs that have left."""
+    def settle(self, now: float) -> None:
+        """Takes note of the SYNCs that have left by `now` [s]."""
         for name, sync in list(self._syncs.items()):
             if self._buses[name].armed and self._buses[name].left:
                 del self._syncs[name]
                 switched = self._outputs.switched(name, sync.wanted)
-                self._watch.switched(switched, sync.states, sync.measured, sync.now + time.monotonic() - sync.sent)
+                self._watch.switched(switched, sync.states, sync.measured, now)
 
     def send(
         self,
@@ -71,10 +69,16 @@ class Commits:
     ) -> None:
         """Switches all actuators to their `states`, (A,), at `now` [s].
 
+        Args:
+            states: 0 contracted, 1 extended.
+            now: [s].
+            refuse_unless_up: raises BusBusy when a bus or board is lost.
+            measured: returns what the end-stops read.
+
         Raises:
-            BusBusy: a frame could not be queued or has not left yet, or it is not `up`.
+            BusBusy: a frame could not be queued or has not left yet, or a bus or board is lost.
         """
-        self.settle()
+        self.settle(now)
         if self._syncs:
             raise BusBusy(f"a SYNC on {', '.join(self._syncs)} is still on its way")
         wanted, began = self._outputs.wanted(states), time.monotonic()
@@ -88,11 +92,11 @@ class Commits:
         self._await_leaving(due, began)
         refuse_unless_up()
         for name in due:
-            sync = _Sync(wanted, states, measured(), now, time.monotonic())
+            sync = _Sync(wanted, states, measured())
             self._buses[name].send(cia301.frame(cia301.SYNC))
             self._syncs[name] = sync
         self._await_leaving(due, began)
-        self.settle()
+        self.settle(now)
 
     def _await_leaving(self, buses: Iterable[str], began: float) -> None:
         """Waits a little for what was sent to leave.

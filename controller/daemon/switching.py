@@ -98,7 +98,7 @@ class Switching:
 
     def note(self, now: float) -> int:
         """Counts what has switched and was not counted yet, by a SYNC that left late; returns how many have."""
-        if not self._boards.settled:
+        if not self._boards.settle(now):
             return 0
         outputs = self._boards.outputs()
         switched = self._ledger.resolve(outputs)
@@ -114,8 +114,10 @@ class Switching:
     def _commit(self, states: States, now: float) -> bool:
         """Switches the actuators; returns False if the bus took no frame."""
         self.note(now)
-        self._ledger.intend(self._boards.outputs(), states)
         try:
+            if not self._boards.settle(now):  # what was intended last may still come about
+                raise BusBusy("a SYNC is still on its way, or a board is lost")
+            self._ledger.intend(self._boards.outputs(), states)
             self._boards.commit(states, now)
         except BusBusy as error:
             self.note(now)

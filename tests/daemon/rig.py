@@ -61,7 +61,8 @@ class FakeBoards:
     def outputs(self) -> np.ndarray:
         return np.array(self.commits[-1] if self.commits else np.maximum(self.states, 0), dtype=np.uint8)
 
-    settled = True
+    def settle(self, now: float) -> bool:
+        return True
 
     def back(self) -> bool:
         return self.returned
