@@ -39,6 +39,7 @@ class FakeBoards:
         self.ticks: list[float] = []
         self.starts = 0
         self.missing: list[Fault] = []
+        self.halt: Fault | None = None
         self.busy = self.stuck = self.slow = self.returned = False
         self.broken: set[str] = set()
         self._pending: tuple[float, np.ndarray] | None = None
@@ -68,7 +69,8 @@ class FakeBoards:
         return self.returned
 
     def halted(self, now: float) -> Fault | None:
-        return None
+        halt, self.halt = self.halt, None
+        return halt
 
     def hold(self) -> None:
         self._break("hold")

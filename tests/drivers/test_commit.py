@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 
 from drivers.bus import CanBus
 from drivers.faults import BusBusy
-from drivers.wiring import Channel
+from drivers.wiring import Channel, Timing
 
 
 def test_two_buses_get_all_rpdos_before_the_first_sync(make_rig, monkeypatch):
@@ -154,3 +156,74 @@ def test_wrong_states_are_refused(make_rig, states):
     with pytest.raises(ValueError, match="2 of 0 or 1"):
         rig.boards.commit(np.array(states, dtype=np.int8), rig.now)
     assert rig.frames() == []
+
+
+def test_no_sync_is_sent_while_rpdos_have_not_left(make_rig, two_boards, wait):
+    """The word that they have left is kept back, as when the bus takes frames and lets none through."""
+    rig = make_rig(two_boards).up()
+    bus = rig.boards._buses["can0"]
+    receive = bus._bus.recv
+    kept, keeping = [], threading.Event()
+    keeping.set()
+
+    def keep(timeout=None):
+        message = receive(timeout)
+        if message is not None and not message.is_rx and keeping.is_set():
+            kept.append(message)
+            return None
+        return message
+
+    bus._bus.recv = keep
+    wait(lambda: bus._bus.queue.empty())
+    with pytest.raises(BusBusy, match="left yet"):
+        rig.boards.commit(np.array([1, 1], np.uint8), rig.now)
+    assert [cob_id for cob_id, _ in rig.frames()] == [0x205, 0x209]
+    assert rig.boards.outputs().tolist() == [0, 0]
+    keeping.clear()
+    for message in kept:
+        bus._bus.queue.put(message)
+    rig.commit(1, 1)
+    rig.arrive(1, 1)
+    assert rig.frames()[0] == (0x080, "")
+    assert rig.boards.outputs().tolist() == [1, 1]
+
+
+def test_a_bus_on_which_nothing_leaves_is_lost_and_start_brings_it_back(make_rig, wait):
+    rig = make_rig(timing=Timing(heartbeat=0.02, heartbeat_timeout=1.0, boot_timeout=20.0)).up()
+    release = rig.choke("can0", 0)
+
+    def lost():
+        rig.pass_time(0.02)
+        return "bus-busy" in rig.codes()
+
+    wait(lost)
+    assert rig.boards.measured().tolist() == [-1, -1]
+    assert not rig.boards.back()
+    release()
+
+    def back():
+        rig.pass_time(0.02)
+        return rig.boards.back()
+
+    wait(back)
+    assert rig.boards.start() == []
+    rig.commit(1, 0)
+    rig.arrive(1, 0)
+
+
+def test_inputs_whose_tpdo_was_lost_are_asked_for_once(make_rig, wait):
+    rig = make_rig().up()
+    lost = []
+    with rig.simulation.board("can0/5") as (board, _):
+        say = board._bus
+        board._bus = lambda cob_id, data: lost.append(data) if cob_id == 0x185 else say(cob_id, data)
+    rig.commit(1, 0)
+    wait(lambda: lost)
+    rig.frames()
+    rig.pass_time(0.06)
+    rig.arrive(1, 0)
+    rig.pass_time(0.01)
+    asked = [data for cob_id, data in rig.frames() if cob_id == 0x605]
+    assert asked == ["40 00 60 01 00 00 00 00"]
+    rig.pass_time(0.5)
+    assert rig.faults == []
