@@ -58,7 +58,7 @@ class Boards:
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._last_tick: float | None = None
         self._next_heartbeat: dict[str, float] = {}
-        self._commits = Commits(self._buses, self._outputs, self._watch, self._news)
+        self._commits = Commits(self._buses, self._outputs, self._watch, self._news, timing.heartbeat_timeout / 2)
 
     def connect(self) -> None:
         """Opens the buses and starts reading.

@@ -17,7 +17,6 @@ from drivers.outputs import Outputs
 from drivers.watch import Watch
 
 _LEAVING = 0.005  # [s] for the frames of a commit to leave; else it is gone on with at the next
-_HALTED = 0.1  # [s]; a commit that took longer was halted on its way, and its SYNC would come too late
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +36,19 @@ class Commits:
         outputs: of all boards; they change when a SYNC has left.
         watch: is told which actuators are on their way then.
         news: notified when the last frame of a bus has left.
+        longest: a commit that takes longer was halted on its way, and its SYNC would come too late [s].
     """
 
-    def __init__(self, buses: Mapping[str, CanBus], outputs: Outputs, watch: Watch, news: threading.Condition) -> None:
+    def __init__(
+        self,
+        buses: Mapping[str, CanBus],
+        outputs: Outputs,
+        watch: Watch,
+        news: threading.Condition,
+        longest: float,
+    ) -> None:
         self._buses, self._outputs, self._watch, self._news = buses, outputs, watch, news
+        self._longest = longest
         self._syncs: dict[str, _Sync] = {}
 
     @property
@@ -110,5 +118,5 @@ class Commits:
             left = self._news.wait_for(lambda: all(bus.left for bus in waiting), patience)
         if not left:
             raise BusBusy(f"what was sent on {', '.join(bus.name for bus in waiting)} has not left yet")
-        if time.monotonic() - began > _HALTED:
+        if time.monotonic() - began > self._longest:
             raise BusBusy("the daemon was halted on its way to a SYNC")

@@ -1,12 +1,15 @@
 """The one way in which tests wait: for a condition, with an end."""
 
+import os
 import time
 from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
 
-PATIENCE = 30.0  # [s]; a loaded machine is slow
+# How many times slower than usual this machine is: in an emulated one all times of tests and boards are longer by it.
+SLOWNESS = float(os.environ.get("HYPERBIT_SLOWNESS", "1"))
+PATIENCE = 30.0 * SLOWNESS  # [s]; a loaded machine is slow
 
 
 def eventually(what: Callable[[], T], patience: float = PATIENCE) -> T:

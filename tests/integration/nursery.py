@@ -1,7 +1,7 @@
-"""A process that forks daemons of the paper's arm, so that a test can kill many: python -m tests.integration.nursery
+"""A process that forks daemons, so that a test can kill many: python -m tests.integration.nursery
 
-Arguments: interface and channel of the bus, endpoint, ledger, folder of the densities. Each line on the standard input
-begins a daemon; its process id is printed. All it needs is imported and computed before.
+Arguments: the arm's file, interface and channel of the bus, endpoint, ledger, folder of the densities. Each line on the
+standard input begins a daemon; its process id is printed. All it needs is imported and computed before.
 """
 
 import logging
@@ -15,17 +15,17 @@ import filterpy.kalman  # noqa: F401  # most of a second, which each daemon woul
 
 from controller.config import load
 from controller.daemon import session
-from controller.daemon.service import Daemon, run_until_signal, timing_of, wiring_of
+from controller.daemon.service import Daemon, run_until_signal, wiring_of
 from controller.search.solver import Solver
 from controller.workspace.cache import load_or_map
 from drivers.wiring import BusSettings
 from tests import emulated  # noqa: F401
-from tests.conftest import PAPER_ARM
+from tests.integration.conftest import bearing
 
 
-def main(interface: str, channel: str, endpoint: str, ledger: str, folder: str) -> None:
+def main(file: str, interface: str, channel: str, endpoint: str, ledger: str, folder: str) -> None:
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
-    arm = load(PAPER_ARM)
+    arm = load(Path(file))
     densities = load_or_map(arm.manipulator, 0.02, arm.level_pixels, Path(folder))
     Solver(arm.manipulator, densities).prepare()
     wiring = replace(wiring_of(arm), buses=(BusSettings("can0", interface, channel),))
@@ -35,7 +35,7 @@ def main(interface: str, channel: str, endpoint: str, ledger: str, folder: str) 
         child = os.fork()
         if child == 0:
             config = session.configuration("peer", listen=endpoint)
-            run_until_signal(Daemon(arm, densities, wiring, config, Path(ledger), timing_of(arm)))
+            run_until_signal(Daemon(arm, densities, wiring, config, Path(ledger), bearing(arm)))
             os._exit(0)
         print(child, flush=True)
 

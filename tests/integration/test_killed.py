@@ -18,6 +18,7 @@ from drivers import cia301
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Wiring
 from tests import emulated
+from tests.conftest import PAPER_ARM
 from tests.daemon.waiting import PATIENCE, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
@@ -68,8 +69,8 @@ class Process:
 def process(
     bus: BusSettings, bench: Bench, endpoint: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Process]:
-    command = [sys.executable, "-m", "tests.integration.nursery", bus.interface, bus.channel, endpoint]
-    command += [str(bench.ledger), str(tmp_path_factory.getbasetemp())]
+    command = [sys.executable, "-m", "tests.integration.nursery", str(PAPER_ARM)]
+    command += [bus.interface, bus.channel, endpoint, str(bench.ledger), str(tmp_path_factory.getbasetemp())]
     log = tmp_path / "journal"
     environment = {**os.environ, "NOTIFY_SOCKET": ""}
     with (
