@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 from collections.abc import Callable
 
@@ -57,7 +58,7 @@ class Boards:
         self._sdos = [Sdo(n.board, self._buses[n.board.bus], self._networks[n.board.bus]) for n in self._nodes]
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
         self._last_tick: float | None = None
-        self._next_heartbeat: dict[str, float] = {}
+        self._last_heartbeat: dict[str, float] = {}
         self._commits = Commits(self._buses, self._outputs, self._watch, self._news, timing.heartbeat_timeout / 2)
 
     def connect(self) -> None:
@@ -141,12 +142,16 @@ class Boards:
         return not silent
 
     def halted(self, now: float) -> Fault | None:
-        """Tells when `tick` has not been called for so long that the boards may have done without their master."""
-        if self._last_tick is None or now - self._last_tick < self._timing.heartbeat_timeout:
+        """Tells when `tick` was not called for so long that the boards have been without their master."""
+        timing, last = self._timing, self._last_tick
+        if last is None or now - last < timing.heartbeat_timeout - timing.heartbeat:
+            return None
+        armed = [bus.name for bus in self._buses.values() if bus.armed]
+        if not any(now - self._last_heartbeat.get(name, now) >= timing.heartbeat_timeout for name in armed):
             return None
         for node in self._nodes:
             node.ready = False  # who knows what they did meanwhile
-        text = f"the daemon was halted for {now - self._last_tick:.2f} s, and the boards were without it: the arm holds"
+        text = f"the daemon was halted for {now - last:.2f} s, and the boards were without it: the arm holds"
         return Fault("halted", "daemon", text)
 
     def hold(self) -> None:
@@ -240,13 +245,14 @@ class Boards:
                 raise BusBusy(f"board {node.board.name} is not up: nothing is sent until start brings it up")
 
     def _beat(self, bus: CanBus, now: float) -> None:
-        if not bus.usable or now < self._next_heartbeat.get(bus.name, now):
+        due = now >= self._last_heartbeat.get(bus.name, -math.inf) + self._timing.heartbeat
+        if not bus.usable or not (due or bus.failing):  # one more tells whether it still fails
             return
         try:
             bus.send(cia301.heartbeat(MASTER, State.OPERATIONAL))
         except BusBusy:
             return  # counted by the bus, and tried again with the next tick
-        self._next_heartbeat[bus.name] = now + self._timing.heartbeat
+        self._last_heartbeat[bus.name] = now
 
     def _lose_bus(self, fault: Fault) -> None:
         for node in self._nodes:

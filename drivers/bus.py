@@ -88,10 +88,15 @@ class CanBus:
         return not self._outstanding.waiting
 
     @property
+    def failing(self) -> bool:
+        """Whether the last frame could not be sent."""
+        return self._failing_since is not None
+
+    @property
     def fit(self) -> bool:
         """Whether frames reach the wire again since the bus was lost."""
         heard = self._outstanding.last > self._lost_at
-        return self.usable and heard and self._failing_since is None and self._stuck_for() <= self._stuck_after
+        return self.usable and heard and not self.failing and self._stuck_for() <= self._stuck_after
 
     def open(self) -> None:
         """Opens the bus and starts reading.

@@ -126,7 +126,7 @@ class Runner:
         """Tells the running goal its result, and follows nothing; returns whether there was a goal."""
         execution, self.execution = self.execution, None
         self.following = self.switching.busy_since = None
-        late = self.switching.note(self._now)
+        late = self.switching.note(self._now) or 0
         if execution is None:
             return False
         execution.switches += late

@@ -96,10 +96,14 @@ class Switching:
                 return np.asarray(stage, dtype=np.uint8)
         return step(self._manipulator, outputs, stages[-1], self._most)
 
-    def note(self, now: float) -> int:
-        """Counts what has switched and was not counted yet, by a SYNC that left late; returns how many have."""
+    def note(self, now: float) -> int | None:
+        """Counts what has switched and was not counted yet, perhaps by a SYNC that left late.
+
+        Returns:
+            How many have; None: it is not known yet, for a SYNC is still on its way, or a board not up.
+        """
         if not self._boards.settle(now):
-            return 0
+            return None
         outputs = self._boards.outputs()
         switched = self._ledger.resolve(outputs)
         self.switched_at[switched] = now
@@ -113,9 +117,8 @@ class Switching:
 
     def _commit(self, states: States, now: float) -> bool:
         """Switches the actuators; returns False if the bus took no frame."""
-        self.note(now)
         try:
-            if not self._boards.settle(now):  # what was intended last may still come about
+            if self.note(now) is None:  # what was intended last may still come about
                 raise BusBusy("a SYNC is still on its way, or a board is lost")
             self._ledger.intend(self._boards.outputs(), states)
             self._boards.commit(states, now)

@@ -289,3 +289,18 @@ def test_a_defect_is_written_to_the_journal_once(make_rig, wait, monkeypatch, ca
         rig.say(0x300)
     wait(lambda: rig.boards.status().buses[0].ignored >= before + 100)
     assert [record.message.split(" Timestamp")[0] for record in caplog.records] == ["can0: cannot handle"]
+
+
+def test_a_daemon_that_was_halted_is_told_so_and_the_boards_states_are_unknown(make_rig, patient):
+    rig = make_rig(timing=patient(heartbeat_timeout=2.0)).up()
+    rig.pass_time(0.1)
+    assert rig.boards.halted(rig.now + 1.9) is None
+    fault = rig.boards.halted(rig.now + 2.1)
+    assert (fault.code, fault.source) == ("halted", "daemon")
+    assert "2.10 s" in fault.message
+    assert rig.boards.measured().tolist() == [-1, -1]
+    with pytest.raises(BusBusy, match="can0/5"):
+        rig.commit(1, 0)
+    assert rig.boards.start() == []
+    rig.commit(1, 0)
+    rig.arrive(1, 0)

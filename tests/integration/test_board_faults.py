@@ -15,7 +15,7 @@ from drivers.cia301 import Command, State
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Timing
 from tests.daemon.waiting import eventually
-from tests.integration.conftest import Bench
+from tests.integration.conftest import Bench, bearing
 from tests.integration.harness import Observer
 from tests.integration.motions import Motions
 from tests.integration.test_bus_faults import aborted, ready_by_itself, running
@@ -228,6 +228,8 @@ def test_an_end_stop_that_bounces_is_borne_while_the_actuator_travels_and_told_w
     with answering(boards, f"can0/{node + 1}", answer):
         client.move(RIGHT)
     client.move(MIDDLE, goal="back")
+    rest = time.time() + bearing(arm).settle_margin + bearing(arm).travel_time
+    eventually(lambda: time.time() > rest)
     assert client.wait_now("ready")["faults"] == []
     rattled = time.time()
     with boards.board(f"can0/{node + 1}") as (board, _):

@@ -19,7 +19,7 @@ from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Wiring
 from tests import emulated
 from tests.conftest import PAPER_ARM
-from tests.daemon.waiting import PATIENCE, eventually
+from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.motions import Motions
@@ -166,11 +166,11 @@ def test_a_halted_daemon_sends_nothing_stale_when_it_goes_on(
     eventually(lambda: client.feedback("passed"))
     os.kill(process.pid, signal.SIGSTOP)
     eventually(lambda: all(state != 5 for state in _states(boards)))  # the boards fail safe
-    eventually(lambda: time.time() > begun + 0.5)  # the last waypoint has passed, and Zenoh's lease has not
+    eventually(lambda: time.time() > begun + 0.5 * SLOWNESS)  # the last waypoint has passed, Zenoh's lease has not
     before, sent = boards.switches().tolist(), time.time()
     client.client._session.put("hyperbit/planar16/goal", b'{"id": "late", "waypoints": [{"position": [0.55, 2.9]}]}')
     os.kill(process.pid, signal.SIGCONT)
-    state = client.wait_fault("halted", sent)
+    state = client.wait_fault("halted", sent, within=1.0)
     assert (state["mode"], state["faults"][0]["code"]) == ("fault", "halted")
     result = client.result("passed")
     assert (result["status"], "halted" in result["message"]) == ("aborted", True)
