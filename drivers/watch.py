@@ -27,7 +27,7 @@ class Watch:
         self._pending = np.zeros(states.size, dtype=np.bool_)
         self._confirms = np.zeros(states.size, dtype=np.bool_)
         self._reported = np.zeros(states.size, dtype=np.bool_)
-        self._asked = np.zeros(states.size, dtype=np.bool_)
+        self._ask_at = np.zeros(states.size)
 
     def accept(self, measured: NDArray[np.int8]) -> None:
         """Takes what is measured, (A,), as right; actuators on their way stay so, they cannot stop between the ends."""
@@ -40,7 +40,7 @@ class Watch:
         self._commanded[which] = states[which]
         self._switched_at[which] = now
         self._pending |= which
-        self._asked[which] = False
+        self._ask_at[which] = now + self._timing.travel_time
         # An actuator called back halfway never left its end-stop's last word: only time tells when it is there.
         self._confirms[which] = (self._sensed & (measured != self._commanded))[which]
 
@@ -51,10 +51,9 @@ class Watch:
         return bool(np.any(self._pending & on_way))
 
     def overdue(self, measured: NDArray[np.int8], now: float) -> NDArray[np.bool_]:
-        """Which actuators, (A,), should have arrived by now and, as `measured`, (A,), have not; each only once."""
-        late = self._pending & self._sensed & (now - self._switched_at >= self._timing.travel_time) & ~self._asked
-        late &= (measured >= 0) & (measured != self._commanded)
-        self._asked |= late
+        """Which actuators, (A,), should have arrived by now and, as `measured`, (A,), have not; each a few times."""
+        late = self._pending & self._sensed & (now >= self._ask_at) & (measured >= 0) & (measured != self._commanded)
+        self._ask_at[late] = now + self._timing.settle_margin / 3
         return late
 
     def check(self, measured: NDArray[np.int8], now: float) -> list[Fault]:

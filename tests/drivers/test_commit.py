@@ -211,7 +211,7 @@ def test_a_bus_on_which_nothing_leaves_is_lost_and_start_brings_it_back(make_rig
     rig.arrive(1, 0)
 
 
-def test_inputs_whose_tpdo_was_lost_are_asked_for_once(make_rig, wait):
+def test_inputs_whose_tpdo_was_lost_are_asked_for_until_they_tell(make_rig, wait):
     rig = make_rig().up()
     lost = []
     with rig.simulation.board("can0/5") as (board, _):
@@ -224,6 +224,7 @@ def test_inputs_whose_tpdo_was_lost_are_asked_for_once(make_rig, wait):
     rig.arrive(1, 0)
     rig.pass_time(0.01)
     asked = [data for cob_id, data in rig.frames() if cob_id == 0x605]
-    assert asked == ["40 00 60 01 00 00 00 00"]
+    assert set(asked) == {"40 00 60 01 00 00 00 00"}
     rig.pass_time(0.5)
+    assert "40 00 60 01 00 00 00 00" not in [data for _, data in rig.frames()], "it has arrived"
     assert rig.faults == []
