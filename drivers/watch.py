@@ -52,7 +52,8 @@ class Watch:
 
     def overdue(self, measured: NDArray[np.int8], now: float) -> NDArray[np.bool_]:
         """Which actuators, (A,), should have arrived by now and, as `measured`, (A,), have not; each a few times."""
-        late = self._pending & self._sensed & (now >= self._ask_at) & (measured >= 0) & (measured != self._commanded)
+        late: NDArray[np.bool_] = self._pending & self._sensed & (now >= self._ask_at)
+        late &= (measured >= 0) & (measured != self._commanded)
         self._ask_at[late] = now + self._timing.settle_margin / 3
         return late
 

@@ -9,6 +9,7 @@ import can
 import pytest
 from hypothesis import HealthCheck, given, settings
 
+from drivers import cia301
 from drivers.boards import Boards
 from tests.fuzz.frames import KNOWN, act
 from tests.fuzz.targets import TARGETS
@@ -50,7 +51,7 @@ def test_hypothesis_finds_nothing(name, examples):
 def test_a_frame_that_no_goal_asks_for_is_found(monkeypatch):
     attack = TARGETS["daemon"].build()
     boards = attack.world.boards
-    monkeypatch.setattr(boards, "hold", lambda: boards._outputs.sync(attack.world.can, boards._outputs.image))
+    monkeypatch.setattr(boards, "hold", lambda: attack.world.can.send(cia301.frame(cia301.SYNC)))
     with pytest.raises(Moved, match="080h  was sent in mode starting without a goal"):
         attack(act(0xF6, 1) + act(0xF7))
 

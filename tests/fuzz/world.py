@@ -153,13 +153,13 @@ class World:
         self.can._bus, self.can.state = Wire(self), "active"
         for sdo in self.boards._sdos:
             sdo._client.RESPONSE_TIMEOUT = 0.0  # all answers are there at once, or never
-        self.boards._news = self.boards._startup._news = News(self)
+        self.boards._news = self.boards._startup._news = self.boards._commits._news = News(self)
         self.ledger = ledger or FakeLedger()
+        self._arrival = 0
         self.loop = ControlLoop(
-            ARM, self.boards, TRAVEL, self.publish, self, self.ledger, Silent(), lambda: self.now
+            ARM, self.boards, TRAVEL, self.publish, self, self.ledger, Silent(), lambda: self._arrival, lambda: self.now
         )  # fmt: skip
         self._bring_up = self.loop._bring_up = LaterBringUp(self.boards, self.loop.inbox.put)
-        self._arrival = 0
         self._starting = False
         self._latched: dict[int, bytes] = {}
         self._answers: list[tuple[int, int, bytes]] = []

@@ -13,6 +13,8 @@ import can
 import pytest
 import zenoh
 
+from controller.daemon import session
+from controller.daemon.client import Client
 from controller.daemon.ledger import read
 from drivers import cia301
 from drivers.simulation import Simulation
@@ -40,8 +42,9 @@ class Process:
         log: what all of them wrote to their journals.
     """
 
-    def __init__(self, nursery: subprocess.Popen[str], log: Path, bench: Bench) -> None:
-        self._nursery, self._bench, self.log, self.pid = nursery, bench, log, 0
+    def __init__(self, nursery: subprocess.Popen[str], log: Path, endpoint: str) -> None:
+        self._nursery, self._endpoint, self.log, self.pid = nursery, endpoint, log, 0
+        self._session: zenoh.Session | None = None
 
     def start(self) -> Observer:
         """Starts a daemon; returns a client of it."""
@@ -51,13 +54,24 @@ class Process:
         self._nursery.stdin.flush()
         self.pid = int(self._nursery.stdout.readline())
 
-        def connect() -> Observer | None:
-            try:
-                return self._bench.observer()
-            except zenoh.ZError:
-                return None
+        return eventually(self._connect)
 
-        return eventually(connect)
+    def _connect(self) -> Observer | None:
+        """A client in place of the last one's, if there is somebody to be heard."""
+        self.close()
+        try:
+            self._session = zenoh.open(session.configuration("client", connect=self._endpoint))
+            observer = Observer(Client(self._session, "planar16"))
+            eventually(lambda: observer.heard["state"], 5.0 * SLOWNESS)
+        except (zenoh.ZError, AssertionError):
+            return None
+        return observer
+
+    def close(self) -> None:
+        """Ends the client."""
+        if self._session is not None:
+            self._session.close()
+            self._session = None
 
     def end(self, number: signal.Signals) -> None:
         """Ends it by a signal, and waits until it is gone."""
@@ -81,8 +95,9 @@ def process(
     ):
         assert nursery.stdout
         assert nursery.stdout.readline() == "ready\n", log.read_text()
-        process = Process(nursery, log, bench)
+        process = Process(nursery, log, endpoint)
         yield process
+        process.close()
         if os.path.exists(f"/proc/{process.pid}"):
             process.end(signal.SIGKILL)
         nursery.kill()

@@ -67,9 +67,8 @@ def test_a_full_disk_is_told_and_the_arm_goes_on(
         return any(fault["code"] == "ledger-unwritten" for fault in client.heard["state"][-1]["faults"])
 
     eventually(full)
-    state = client.heard["state"][-1]
+    state = client.wait_now("ready")
     assert "full" in next(fault["message"] for fault in state["faults"])
-    assert state["mode"] == "ready"
     monkeypatch.setattr(ledger_module, "SCHEMA", schema.replace("CREATE", "PRAGMA max_page_count=100000; CREATE", 1))
     eventually(lambda: not client.heard["state"][-1]["faults"])
     eventually(lambda: sum(written(bench)[0].values()) == sum(it["switches"] for it in client.heard["result"]))
