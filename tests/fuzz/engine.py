@@ -18,6 +18,7 @@ import signal
 import sys
 import time
 import traceback
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -59,8 +60,8 @@ class Record:
 
     def result(self) -> dict[str, Any]:
         """The figures, as the table tells them."""
-        blocks, resident = footprint()
-        first_blocks, first_resident = self._before or (blocks, resident)
+        traced, resident = footprint()
+        before = self._before or (traced, resident)
         moved = sum(times for kind, times in self.wrong.items() if kind.startswith("Moved"))
         return {
             "target": self._name,
@@ -69,8 +70,8 @@ class Record:
             "seconds": round(time.process_time() - self._began, 1),
             "crashes": sum(self.wrong.values()) - moved,
             "motions": moved,
-            "growth": round(resident / first_resident - 1, 5),
-            "blocks": round(blocks / first_blocks - 1, 5),
+            "traced": round(traced / before[0] - 1, 5) if traced else None,
+            "resident": round(resident / before[1] - 1, 5),
             "switches": getattr(self._attack, "syncs", None),
             "wrong": dict(self.wrong),
         }
@@ -91,10 +92,10 @@ class Record:
 
 
 def footprint() -> tuple[int, int]:
-    """Python's blocks of memory in use, and the bytes of the process that are resident."""
+    """Bytes that Python and its libraries hold, 0 if that is not traced, and those of the process that are resident."""
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-    return sys.getallocatedblocks(), resident
+    return tracemalloc.get_traced_memory()[0], resident
 
 
 def by_hypothesis(name: str, runs: int, out: Path) -> None:
