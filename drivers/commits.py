@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers import cia301
 from drivers.bus import CanBus
-from drivers.faults import BusBusy
+from drivers.faults import BusBusy, Leaving
 from drivers.outputs import Outputs
 from drivers.watch import Watch
 
@@ -88,7 +88,7 @@ class Commits:
         """
         self.settle(now)
         if self._syncs:
-            raise BusBusy(f"a SYNC on {', '.join(self._syncs)} is still on its way")
+            raise Leaving(f"a SYNC on {', '.join(self._syncs)} is still on its way")
         wanted, began = self._outputs.wanted(states), time.monotonic()
         due = self._outputs.due(wanted)
         if not due:
@@ -110,13 +110,14 @@ class Commits:
         """Waits a little for what was sent to leave.
 
         Raises:
-            BusBusy: it did not, or this process was halted meanwhile.
+            Leaving: it did not.
+            BusBusy: this process was halted meanwhile.
         """
         waiting = [bus for name in buses if not (bus := self._buses[name]).left]
         with self._news:
             patience = max(began + _LEAVING - time.monotonic(), 0.0)
             left = self._news.wait_for(lambda: all(bus.left for bus in waiting), patience)
         if not left:
-            raise BusBusy(f"what was sent on {', '.join(bus.name for bus in waiting)} has not left yet")
+            raise Leaving(f"what was sent on {', '.join(bus.name for bus in waiting)} has not left yet")
         if time.monotonic() - began > self._longest:
             raise BusBusy("the daemon was halted on its way to a SYNC")

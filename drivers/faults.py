@@ -18,6 +18,10 @@ class BusBusy(Exception):
     """A frame could not be sent."""
 
 
+class Leaving(BusBusy):
+    """What was sent has not left yet; a bus on which it never does is lost, and told, by itself."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """Something wrong with the hardware.

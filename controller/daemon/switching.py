@@ -10,7 +10,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.bounded import split, step
 from controller.motion.pacing import Pace
 from drivers.boards import Boards
-from drivers.faults import BusBusy
+from drivers.faults import BusBusy, Leaving
 
 BUSY_FOR = 0.25  # [s]; a bus that takes no frame for longer is a fault
 
@@ -122,6 +122,9 @@ class Switching:
                 raise BusBusy("a SYNC is still on its way, or a board is lost")
             self._ledger.intend(self._boards.outputs(), states)
             self._boards.commit(states, now)
+        except Leaving:
+            self.note(now)
+            return False
         except BusBusy as error:
             self.note(now)
             if self.busy_since is None:

@@ -5,7 +5,7 @@ import pytest
 from controller.daemon.events import Cancel, Reset, Started, Stop
 from controller.daemon.loop import PERIOD
 from controller.daemon.switching import BUSY_FOR
-from drivers.faults import Fault
+from drivers.faults import Fault, Leaving
 from tests.daemon.rig import ARM, LOST, A, B, C, Rig, states
 
 
@@ -99,6 +99,22 @@ def test_a_bus_that_stays_busy_is_a_fault(rig: Rig) -> None:
     assert rig.loop.mode == "fault"
     assert rig.loop.reason == "no command could be sent for 0.25 s: the queue is full"
     assert rig.ledger.counts.sum() == 0
+
+
+def test_frames_that_leave_slowly_are_waited_for(rig: Rig) -> None:
+    commit = rig.boards.commit
+
+    def leaving(states: object, now: float) -> None:
+        raise Leaving("not left yet")
+
+    rig.boards.commit = leaving  # type: ignore[method-assign]
+    rig.run("a", A)
+    rig.go(4 * BUSY_FOR)
+    assert (rig.loop.mode, rig.boards.commits) == ("executing", [])
+    rig.boards.commit = commit  # type: ignore[method-assign]
+    rig.go(0.2)
+    assert rig.results == [("a", "succeeded")]
+    assert rig.ledger.counts.sum() == ARM.switches((0, 0), A)
 
 
 def test_how_long_a_bus_was_busy_for_one_goal_does_not_count_for_the_next(rig: Rig) -> None:
