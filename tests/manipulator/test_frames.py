@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
@@ -80,3 +81,19 @@ def test_a_frame_is_rebuilt_from_position_and_quaternion(f):
 def test_a_half_turn_has_a_quaternion(axis):
     quaternion = np.eye(4)[axis]
     assert_allclose(np.abs(frames.quaternion(frames.spatial((1, 2, 3), quaternion))), quaternion, **TIGHT)
+
+
+@given(any_frames, any_frames, any_frames, any_frames, st.floats(0, 5))
+def test_the_distance_of_frames_is_a_metric_that_no_base_changes(f, g, h, base, weight):
+    between = frames.distance(f, g, weight)
+    assert between == pytest.approx(frames.distance(g, f, weight))
+    assert between <= frames.distance(f, h, weight) + frames.distance(h, g, weight) + 1e-9
+    assert between == pytest.approx(frames.distance(base @ f, base @ g, weight), abs=1e-7)
+    assert frames.distance(f, f, weight) == pytest.approx(0, abs=1e-7)
+    assert frames.distance(f, g, 0) == pytest.approx(np.linalg.norm(f[:3, 3] - g[:3, 3]))
+
+
+@given(coordinates, coordinates, angles, st.floats(0, 5))
+def test_the_distance_weighs_the_angle_as_a_length(x, y, angle, weight):
+    expected = math.sqrt(x * x + y * y + (weight * angle) ** 2)
+    assert frames.distance(np.eye(4), frames.planar(x, y, angle), weight) == pytest.approx(expected, abs=1e-6)
