@@ -1,9 +1,7 @@
 """Figures of a long run, kept where they do not grow: periods of the control loop, memory of the process."""
 
-import gc
 import resource
 import sys
-import time
 import tracemalloc
 from pathlib import Path
 
@@ -41,9 +39,12 @@ class Periods:
     def clear(self) -> None:
         self._count = 0
 
+    def seconds(self) -> np.ndarray:
+        return self._seconds[: self._count]
+
     def figures(self) -> dict[str, float]:
         """How far periods were from nominal [s]."""
-        off = np.abs(self._seconds[: self._count] - PERIOD)
+        off = np.abs(self.seconds() - PERIOD)
         return {
             "ticks": self._count,
             "median": float(np.median(off)),
@@ -93,21 +94,3 @@ class Memory:
                 "traced_growth_of_rss": (last - warm)[2] / warm[0],
             }
         return {name: float(value) for name, value in figures.items()}
-
-
-def collection(rounds: int = 5) -> dict[str, float]:
-    """Returns the median seconds of a full garbage collection, of all objects and after gc.freeze of them."""
-
-    def median() -> float:
-        seconds = []
-        for _ in range(rounds):
-            began = time.perf_counter()
-            gc.collect()
-            seconds.append(time.perf_counter() - began)
-        return float(np.median(seconds))
-
-    whole = median()
-    gc.freeze()
-    frozen = median()
-    gc.unfreeze()
-    return {"all": whole, "frozen": frozen}
