@@ -23,6 +23,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.search
 	$(BIN)/python -m tests.benchmarks.lines
 	$(BIN)/python -m tests.benchmarks.daemon
+	$(BIN)/python -m tests.benchmarks.real_time
 
 fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'

@@ -88,6 +88,12 @@ class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
     shared_rpdo: bool = False
 
 
+class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The control loop's thread under SCHED_FIFO; 99 is left to the kernel's own."""
+
+    priority: Annotated[int, Meta(ge=1, le=98)] = 50
+
+
 class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Where one actuator is wired; the input bit, where there is an end-stop, reads 1 when extended."""
 
@@ -114,5 +120,6 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     method: Method = "minimum-switch"
     weights: WeightSettings = WeightSettings()
     boards: BoardSettings = BoardSettings()
+    real_time: RealTimeSettings | None = None
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)

@@ -16,6 +16,7 @@ def document(count: int = 2) -> dict:
         "base": {"position": [0.5, 0.25], "orientation": 0.1},
         "workspace": {"pixel": 0.01, "memory": 512},
         "method": "ipop-previous",
+        "real_time": {"priority": 60},
         "buses": [
             {"name": "can0", "interface": "socketcan", "channel": "can0", "bitrate": 500000},
             {"name": "spare", "channel": "can1"},

@@ -54,6 +54,7 @@ class ControlLoop:
         clock: monotonic time [s].
         inrush: most actuators that may switch at once; None: no bound.
         rest: time that an actuator rests between two travels [s].
+        collect: collects garbage; told after each tick, when most of a period is left, whether the loop is idle.
     """
 
     def __init__(
@@ -69,13 +70,14 @@ class ControlLoop:
         clock: Callable[[], float] = time.monotonic,
         inrush: int | None = None,
         rest: float = 0.0,
+        collect: Callable[[bool], None] = lambda idle: None,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
         self.accept_after = self.follow_after = self._taken = 0
         self.inbox = Inbox()
         self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
-        self._boards, self._notifier, self._arrival = boards, notifier, arrival
+        self._boards, self._notifier, self._arrival, self._collect = boards, notifier, arrival, collect
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
         self._faults = FaultList()
         self._bring_up = BringUp(boards, self.inbox.put)
@@ -134,6 +136,7 @@ class ControlLoop:
             self._guarded(self._tick, began)
             self._guarded(self._tell, began)
             self._time.ticked(began, self._clock())
+            self._collect(self.mode == "ready" and not self.inbox.waiting())
 
     def _guarded(self, work: Callable[[T], None], argument: T) -> None:
         """Does a part of the loop's work: a defect in it must not let go of the arm, which holds and says so."""

@@ -15,11 +15,13 @@ from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
 from controller.daemon.events import Quit
 from controller.daemon.follower import Follower
+from controller.daemon.garbage import Garbage
 from controller.daemon.ledger import Ledger, counted
 from controller.daemon.loop import ControlLoop
 from controller.daemon.notify import Notifier
 from controller.daemon.outbox import Outbox
 from controller.daemon.planner import Planner
+from controller.daemon.realtime import RealTime
 from controller.daemon.server import Server
 from controller.daemon.telemetry import Publisher
 from controller.search.solver import Solver
@@ -105,6 +107,7 @@ class Daemon:
         ledger: Path,
         timing: Timing | None = None,
     ) -> None:
+        self._garbage, self._real_time = Garbage(), RealTime(arm.settings.real_time)
         weights = arm.weights(counted(ledger))
         solver, follower_solver = (Solver(arm.manipulator, densities, weights) for _ in range(2))
         solver.prepare()
@@ -125,6 +128,7 @@ class Daemon:
                 outbox.waiting,
                 lambda: planner.waiting(),
                 lambda: follower.status(),
+                lambda: self._real_time.status,
             )
             closing.callback(telemetry.close)
             ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # the latest wins
@@ -142,6 +146,7 @@ class Daemon:
                 arrivals.request,
                 inrush=arm.settings.inrush,
                 rest=arm.settings.rest_time,
+                collect=self._garbage.collect,
             )
             closing.callback(self.loop.inbox.close)
             follower = Follower(arm, follower_solver, self.loop)
@@ -155,7 +160,7 @@ class Daemon:
 
     def run(self) -> None:
         """Runs the control loop in this thread until `quit`; then closes all, the boards last."""
-        with self._closing:
+        with self._closing, self._garbage, self._real_time:
             self.loop.run()
 
     def quit(self) -> None:

@@ -24,6 +24,7 @@ class Publisher:
         outbox: returns how many messages wait there.
         planning: returns how many goals wait to be planned.
         setpoint: returns how the stream of setpoints fares.
+        real_time: returns "on", "off" or what is missing.
     """
 
     def __init__(
@@ -34,11 +35,13 @@ class Publisher:
         outbox: Callable[[], int],
         planning: Callable[[], int],
         setpoint: Callable[[], Payload],
+        real_time: Callable[[], str],
     ) -> None:
         drop, json = zenoh.CongestionControl.DROP, zenoh.Encoding.APPLICATION_JSON
         self._state = session.declare_publisher(f"{prefix}/state", encoding=json, congestion_control=drop)
         self._diagnostics = session.declare_publisher(f"{prefix}/diagnostics", encoding=json, congestion_control=drop)
         self._manipulator, self._outbox, self._planning, self._setpoint = manipulator, outbox, planning, setpoint
+        self._real_time = real_time
         self._news = threading.Condition()
         self._latest: Snapshot | None = None
         self._latest_diagnostics: Diagnostics | None = None
@@ -78,6 +81,6 @@ class Publisher:
                     self._state.put(encode(state_payload(self._manipulator, state)))
                 if diagnostics is not None:
                     payload = diagnostics_payload(diagnostics, self._outbox(), self._planning(), self._setpoint())
-                    self._diagnostics.put(encode(payload))
+                    self._diagnostics.put(encode({**payload, "real_time": self._real_time()}))
             except Exception:
                 log.exception("telemetry was not sent")

@@ -132,7 +132,7 @@ def snapshot(reason: str) -> Snapshot:
 
 
 def test_for_a_slow_peer_only_the_latest_state_waits(session: FakeSession) -> None:
-    publisher = Publisher(session, "p", ARM, lambda: 0, lambda: 0, dict)
+    publisher = Publisher(session, "p", ARM, lambda: 0, lambda: 0, dict, str)
     session.taking.clear()
     publisher.show(snapshot("first"))
     assert session.waiting.wait(PATIENCE)
@@ -144,7 +144,7 @@ def test_for_a_slow_peer_only_the_latest_state_waits(session: FakeSession) -> No
 
 
 def test_telemetry_survives_what_cannot_be_sent(session: FakeSession) -> None:
-    publisher = Publisher(session, "p", ARM, lambda: 0, lambda: 0, dict)
+    publisher = Publisher(session, "p", ARM, lambda: 0, lambda: 0, dict, str)
     publisher.show(snapshot("\udc80"))
     eventually(lambda: publisher._latest is None)
     publisher.show(snapshot("next"))

@@ -59,6 +59,7 @@ def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer) -> Non
     assert it["switches"] > 0
     assert set(it["queues"]) == {"inbox", "outbox", "planning"}
     assert it["ledger"] == "ok"
+    assert it["real_time"] == "off"
 
 
 def test_a_ledger_that_cannot_be_written_stops_no_arm(bench: Bench, boards: Simulation, tmp_path: Path) -> None:
