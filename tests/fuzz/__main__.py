@@ -19,11 +19,11 @@ from typing import Any
 
 # Runs by target and engine; a run of "daemon" and "board" holds many frames. What atheris keeps is replayed after it.
 JOBS = [
-    [("daemon", "atheris", 8_000), ("daemon", "replay", 3_000)],
-    [("goal", "atheris", 150_000), ("goal", "replay", 50_000)],
-    [("arm", "atheris", 8_000), ("arm", "replay", 4_000)],
+    [("daemon", "atheris", 8_000), ("daemon", "replay", 1_500)],
+    [("goal", "atheris", 100_000), ("goal", "replay", 8_000)],
+    [("arm", "atheris", 5_000), ("arm", "replay", 1_500)],
     [("daemon", "hypothesis", 4_000)],
-    [("setpoint", "atheris", 150_000), ("setpoint", "replay", 50_000)],
+    [("setpoint", "atheris", 150_000), ("setpoint", "replay", 20_000)],
     [("board", "atheris", 20_000), ("board", "replay", 5_000)],
     [("notation", "atheris", 100_000), ("notation", "replay", 50_000)],
     [("goal", "hypothesis", 10_000)],
