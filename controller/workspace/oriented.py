@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.workspace.frame_pixels import write_keys
 
@@ -55,9 +55,7 @@ class OrientedDensities:
 
     def keys_of(self, i: int, tips: Frame) -> NDArray[np.int64]:
         """Returns the keys of the pixels that frames (n, 4, 4), seen from frame i, lie in; -1 outside of the box."""
-        compact = np.empty((len(tips), 7))
-        for row, tip in zip(compact, tips, strict=True):
-            row[:3], row[3:] = tip[:3, 3], frames.quaternion(tip)
+        compact = np.hstack((tips[:, :3, 3], Rotation.from_matrix(tips[:, :3, :3]).as_quat()))
         found = np.empty(len(tips), dtype=np.int64)
         write_keys(compact, self.references[i], self.pixels[i], self.shapes[i], self.planar, self.turns[i], found)
         return found

@@ -1,8 +1,8 @@
 """The Mapping Algorithm with orientation: the same recursion as in mapping, on R^2 x SO(2) or R^3 x SO(3).
 
 Pixels carry the centroid of their points here, too, the mean position and the mean quaternion: both move by (R, b) as
-the points do, so the error is again of second order. Six dimensions leave no room for boxes: levels are tables of the
-pixels that have points, and a pixel grows until they are few enough.
+the points do, so means stay true; what spread the points of one pixel have is lost at every level. Six dimensions leave
+no room for boxes: levels are tables of the pixels that have points, and a pixel grows until they are few enough.
 """
 
 import math
@@ -32,8 +32,8 @@ def map_oriented(
     Args:
         manipulator: the arm; its base frame plays no part.
         pixel: finest side of a pixel, in the arm's unit of length.
-        level_pixels: most pixels of one level that have points, 12 bytes each (and some 150 more while
-            mapping); a level that needs more gets coarser pixels.
+        level_pixels: most pixels of one level that have points, 12 bytes each (and some 170 more while mapping);
+            a level that needs more gets coarser pixels.
         weight: of rotations as a length, see frames.distance: a cell of the rotation measures at most pixel / weight.
         progress: called with the number of levels done so far, B+1 in all.
 

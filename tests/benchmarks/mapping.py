@@ -3,6 +3,8 @@
 Every arm is the paper's, longer or shorter. Pixels are so fine that the bound on a level's pixels binds from the first
 modules on: then each level costs the same, and time and memory must grow with the number of modules, B. The last five
 modules have fewer points than pixels and cost less, so the fitted exponent of the time lies a little above 1.
+
+A second table has densities with orientation: by the Mapping Algorithm, and by convolution, which doubles.
 """
 
 import argparse
@@ -25,6 +27,8 @@ from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
+from tests.benchmarks import oriented
+from tests.benchmarks.measuring import exponent
 
 MODULES = (8, 16, 32, 64, 128, 256)
 PIXEL, LEVEL_PIXELS = 0.001, 100_000
@@ -85,11 +89,6 @@ def measured(modules: int) -> Row:
     return Row(modules, mapping, memory / 2**20, peak / 2**10, goal, error, switches)
 
 
-def exponent(modules: list[int], values: list[float]) -> float:
-    """Returns the slope of the logarithms: 1 where the values grow linearly."""
-    return float(np.polyfit(np.log(modules), np.log(values), 1)[0])
-
-
 def main() -> None:
     """Measures, prints the table, and writes it as JSON if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -120,9 +119,10 @@ def main() -> None:
     for k, modules in enumerate(MODULES):
         table.add_row(str(modules), *[shown.format(values[k]) for values, shown in columns.values()])
     Console().print(table)
+    with_orientation = oriented.report()
     if arguments.json is not None:
         figures = {"pixel": PIXEL, "level_pixels": LEVEL_PIXELS, "goals": GOALS, "tolerance": TOLERANCE}
-        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents}
+        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents, "oriented": with_orientation}
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 

