@@ -1,6 +1,5 @@
 """The arm that a YAML file describes, and every fault in it by the path of the field."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator import frames
+from controller.chain import build_frame, build_modules
 from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, transforms
-from controller.manipulator.vgt import ACTUATORS, Diagonal, vgt
-from controller.settings import ActuatorSettings, ArmSettings, FrameSettings, Legs, TransformsSettings
+from controller.settings import ActuatorSettings, ArmSettings
 from controller.strict import InputFaults, check, read_yaml
 
 MOST_PIXELS = 2**19
@@ -77,7 +74,7 @@ def load(path: Path) -> Arm:
             f"boards.heartbeat_timeout: {settings.boards.heartbeat_timeout:g} s is too short for heartbeats every"
             f" {settings.boards.heartbeat:g} s; more than 1.5 times that is needed"
         )
-    modules = build_modules(settings, faults)
+    modules = build_modules(settings.modules, path.parent, faults)
     base = build_frame(settings.base, "base", faults)
     if faults or not modules or base is None:
         raise InputFaults(path, faults)
@@ -86,49 +83,6 @@ def load(path: Path) -> Arm:
     if faults:
         raise InputFaults(path, faults)
     return Arm(settings, manipulator, wiring)
-
-
-def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames.Frame | None:
-    """Returns the frame (4, 4), or None and a fault."""
-    angle, position = settings.orientation, settings.position
-    if isinstance(angle, list):
-        if not math.isclose(np.linalg.norm(angle), 1.0, abs_tol=1e-3):
-            faults.append(f"{path}.orientation: a quaternion x, y, z, w of length 1 is needed, got {angle}")
-            return None
-        return frames.spatial([*position, 0.0][:3], angle)
-    if len(position) == 3:
-        if angle != 0.0:
-            faults.append(f"{path}.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle {angle:g}")
-            return None
-        return frames.spatial(position)
-    return frames.planar(position[0], position[1], angle)
-
-
-def build_modules(settings: ArmSettings, faults: list[str]) -> list[Module]:
-    """Returns the chain's modules, those of wrong geometry replaced by faults."""
-    modules: list[Module] = []
-    for g, group in enumerate(settings.modules):
-        path = f"modules[{g}]"
-        if isinstance(group, TransformsSettings):
-            listed = [build_frame(state, f"{path}.states[{k}]", faults) for k, state in enumerate(group.states)]
-            stack = [frame for frame in listed if frame is not None]
-            if len(stack) == len(listed):
-                flat = all(len(s.position) == 2 and not isinstance(s.orientation, list) for s in group.states)
-                modules += [transforms(stack, planar=flat)] * group.count
-            continue
-        legs = group.lengths if isinstance(group.lengths, Legs) else Legs(*[group.lengths] * 3)
-        lengths = (legs.left, legs.diagonal, legs.right)
-        for name, (contracted, extended) in zip(ACTUATORS, lengths, strict=True):
-            if contracted >= extended:
-                faults.append(f"{path}.lengths: {name} is {contracted:g} contracted, so not {extended:g} extended")
-        order: list[Diagonal] = ["BC", "AD"] if group.first_diagonal == "BC" else ["AD", "BC"]
-        try:
-            pair = [vgt(diagonal, group.width, *lengths) for diagonal in order]
-        except ValueError as error:
-            faults.append(f"{path}.lengths: {error}")
-            continue
-        modules += [pair[k % 2] for k in range(group.count)]
-    return modules
 
 
 def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[str]) -> tuple[ActuatorSettings, ...]:

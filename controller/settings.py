@@ -15,6 +15,8 @@ Count = Annotated[int, Meta(ge=1, le=10_000)]
 Bit = Annotated[int, Meta(ge=0, le=63)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
+Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
+Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # more is degrees, or a slip
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 
 
@@ -42,11 +44,42 @@ class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=Tru
     first_diagonal: Diagonal = "BC"
 
 
-class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
-    """`count` modules whose states are the listed frames."""
+class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_fields=True, frozen=True):
+    """`count` joints that turn about an axis to one of the angles [rad], each with the link that follows it."""
 
-    states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)]
+    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)]
+    axis: Direction = field(default_factory=lambda: [0.0, 0.0, 1.0])
+    link: FrameSettings = FrameSettings([0.0, 0.0])
     count: Count = 1
+
+
+class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknown_fields=True, frozen=True):
+    """`count` joints that slide along an axis to one of the lengths, each with the link that follows it."""
+
+    axis: Vector
+    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)]
+    link: FrameSettings = FrameSettings([0.0, 0.0])
+    count: Count = 1
+
+
+class PlatformSettings(Struct, tag_field="type", tag="platform", forbid_unknown_fields=True, frozen=True):
+    """`count` plates on legs: lower joints in the frame below, upper ones in the frame above, the legs' lengths."""
+
+    base: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
+    top: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
+    lengths: Pair
+    count: Count = 1
+
+
+class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
+    """`count` modules whose states are frames, listed here or in the rows of a CSV file beside the arm's."""
+
+    states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)] | None = None
+    table: str | None = None
+    count: Count = 1
+
+
+ModuleSettings = VgtSettings | RevoluteSettings | PrismaticSettings | PlatformSettings | TransformsSettings
 
 
 class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -110,7 +143,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """The whole file."""
 
     name: Name
-    modules: Annotated[list[VgtSettings | TransformsSettings], Meta(min_length=1)]
+    modules: Annotated[list[ModuleSettings], Meta(min_length=1)]
     tolerance: ToleranceSettings
     travel_time: Annotated[float, Meta(gt=0, le=60)] = 0.05
     rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0

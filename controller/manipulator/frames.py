@@ -29,6 +29,12 @@ def spatial(position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -
     return frame
 
 
+def turned(axis: ArrayLike, angle: float) -> Frame:
+    """Returns the 4x4 frame turned by `angle` [rad] about `axis` (3,), of any length but 0, by the right-hand rule."""
+    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    return spatial((0.0, 0.0, 0.0), [*(math.sin(angle / 2) * unit), math.cos(angle / 2)])
+
+
 def inverse(frames: Frame) -> Frame:
     """Returns the inverses (R^T, -R^T b) of frames (..., 4, 4)."""
     result = np.zeros_like(frames)

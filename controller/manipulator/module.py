@@ -34,11 +34,22 @@ def binary_code(states: int) -> NDArray[np.uint8]:
     return ((np.arange(states)[:, None] >> shifts) & 1).astype(np.uint8)
 
 
-def transforms(frames: ArrayLike, *, planar: bool) -> Module:
-    """Returns the module whose states are frames (K, 4, 4); its actuators 1, 2, ... spell the state in binary."""
-    stack = np.array(frames, dtype=float)
-    bits = binary_code(len(stack))
+def gray_code(states: int) -> NDArray[np.uint8]:
+    """Returns the actuator states (states, A) in Gray's binary reflected code: neighbours differ in one actuator."""
+    bits = binary_code(states)
+    bits[:, 1:] ^= bits[:, :-1].copy()
+    return bits
+
+
+def spelled(stack: Frame, bits: NDArray[np.uint8], *, planar: bool) -> Module:
+    """Returns the module whose states are frames (K, 4, 4), spelled by actuators 1, 2, ... (K, A); its body a line."""
     body = np.zeros((len(stack), 1, 2, 3))
     body[:, 0, 1] = stack[:, :3, 3]
     names = tuple(str(k + 1) for k in range(bits.shape[1]))
     return Module(stack, bits, names, body, planar)
+
+
+def transforms(frames: ArrayLike, *, planar: bool) -> Module:
+    """Returns the module whose states are frames (K, 4, 4); its actuators 1, 2, ... spell the state in binary."""
+    stack = np.array(frames, dtype=float)
+    return spelled(stack, binary_code(len(stack)), planar=planar)

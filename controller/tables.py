@@ -1,0 +1,89 @@
+"""Measured frames in CSV files, a row for each state, and every fault in them by its line."""
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path, PurePath
+
+from controller.manipulator import frames
+
+PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
+LARGEST, TURN = 1e6, 6.2832  # greatest length, and angle; as in the arm's file
+MOST_ROWS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """The frames (4, 4) of a file's rows, and whether its columns are those of the plane."""
+
+    frames: list[frames.Frame]
+    planar: bool
+
+
+def read_table(folder: Path, name: str, path: str, faults: list[str]) -> Table | None:
+    """Returns the frames in a CSV file, or None and what is wrong in which lines.
+
+    The first line names the columns, in any order: x, y, th [rad], or x, y, z and a quaternion qx, qy, qz, qw.
+
+    Args:
+        folder: of the arm's file.
+        name: of the CSV file, relative to the folder.
+        path: of the field that names it.
+        faults: appended to, each beginning with `path`.
+    """
+    before = len(faults)
+    if PurePath(name).is_absolute() or ".." in PurePath(name).parts or not name.endswith(".csv"):
+        faults.append(f"{path}: a CSV file beside the arm's is needed, such as measured.csv, got {name!r}")
+        return None
+    try:
+        with (folder / name).open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before it
+            reader = csv.reader(file, skipinitialspace=True, strict=True)
+            columns = [column.strip() for column in next(reader, [])]
+            if sorted(columns) not in (sorted(PLANAR), sorted(SPATIAL)):
+                wanted, given = f"{','.join(PLANAR)} or {','.join(SPATIAL)}", ",".join(columns) or "none"
+                faults.append(f"{path}: {name}: columns {wanted} are needed, got {given}")
+                return None
+            rows = [
+                read_row(row, columns, f"{path}: {name} line {reader.line_num}", faults)
+                for row in islice(reader, MOST_ROWS + 1)
+                if row
+            ]
+    except (OSError, ValueError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        faults.append(f"{path}: {name} cannot be read: {reason}")
+        return None
+    if not 2 <= len(rows) <= MOST_ROWS:
+        faults.append(f"{path}: {name}: 2 to {MOST_ROWS} rows are needed, a state each, got {len(rows)}")
+    found = [frame for frame in rows if frame is not None]
+    return Table(found, "th" in columns) if len(faults) == before else None
+
+
+def read_row(row: Sequence[str], columns: Sequence[str], where: str, faults: list[str]) -> frames.Frame | None:
+    """Returns the frame of a row, or None and a fault."""
+    if len(row) != len(columns):
+        faults.append(f"{where}: {len(columns)} numbers are needed, got {len(row)}")
+        return None
+    values: dict[str, float] = {}
+    for column, text in zip(columns, row, strict=True):
+        try:
+            values[column] = float(text)
+        except ValueError:
+            values[column] = math.nan
+        most = TURN if column == "th" else LARGEST
+        if not abs(values[column]) <= most:
+            faults.append(f"{where}: {column}: a number from -{most:g} to {most:g} is needed, got {text!r}")
+            return None
+    if "th" in values:
+        return frames.planar(values["x"], values["y"], values["th"])
+    quaternion = [values[name] for name in SPATIAL[3:]]
+    if not is_unit(quaternion):
+        faults.append(f"{where}: a quaternion qx, qy, qz, qw of length 1 is needed, got {quaternion}")
+        return None
+    return frames.spatial([values["x"], values["y"], values["z"]], quaternion)
+
+
+def is_unit(quaternion: Sequence[float]) -> bool:
+    """Returns whether a quaternion is of length 1, as nearly as people write it."""
+    return math.isclose(math.hypot(*quaternion), 1.0, abs_tol=1e-3)
