@@ -23,6 +23,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LIGHTEST, DARKEST = 0.88, 0.55
 # Densities within this factor of the greatest are all drawn in the darkest gray.
 SATURATED = 1000.0
+CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,27 +137,33 @@ def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> 
 
 def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m") -> None:
     """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
+    from matplotlib.patheffects import withStroke
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 
+    axes.computed_zorder = False  # else an arm in front hides waypoints and targets
     everything = [manipulator.base[None, :3, 3]]
     for name, configuration, colour, width in styled(panel):
         body = manipulator.body(configuration)
-        axes.add_collection3d(Line3DCollection(body, colors=colour, linewidths=width, label=name))
+        width *= 1.0 if len(body) < CROWDED else 0.6
+        lines = Line3DCollection(body, colors=colour, linewidths=width, label=name, capstyle="round", zorder=3)
+        axes.add_collection3d(lines)
         everything.append(body.reshape(-1, 3))
+    halo = [withStroke(linewidth=3.2, foreground="white")]
     curve, targets = points(panel.curve, 3), points(panel.targets, 3)
     if len(curve):
-        axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints")
+        axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints", path_effects=halo, zorder=4)
     if len(targets):
-        axes.plot(*targets.T, "x", color="black", markersize=9, markeredgewidth=2, label="targets")
+        bold = [withStroke(linewidth=4.5, foreground="white")]
+        axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
     low, high = bounds([*everything, curve, targets])
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=panel.title)
     ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):
         axis.set_major_locator(MultipleLocator(ticks[1] - ticks[0]))
         axis.set_label_text(f"{name} [{unit}]")
-        axis.labelpad = 8
-    axes.set_box_aspect(high - low, zoom=0.8)  # smaller, so that the labels stay in the picture
+        axis.labelpad = 10
+    axes.set_box_aspect(high - low, zoom=0.9)  # smaller, so that the labels stay in the picture
     add_legend(axes)
 
 

@@ -17,17 +17,21 @@ import typer
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
+from scipy.ndimage import convolve
 
 from controller import plots
 from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
 from controller.commands.talk import connected
 from controller.config import Arm
 from controller.daemon.client import Client, Message, Unanswered
-from controller.manipulator.manipulator import Configuration
+from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
+from controller.workspace.densities import Densities
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 48
+MANY = 100.0  # configurations expected within the tolerance of each point of the curve
+MOST = 100.0  # natural logarithm of the largest number of configurations worth telling apart
 STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half, for each stage, where that is longer
 PATIENCE = 180.0  # [s] for the daemon to be ready; the first start compiles its kernels
 
@@ -40,7 +44,7 @@ def demo(
     arm = load_wired(file or shipped("planar16.yaml"))
     densities = densities_of(arm)
     targets = PAPER_TARGETS if file is None else sample(arm, 3)
-    curve = closed_curve(arm)
+    curve = closed_curve(arm, densities)
     rows: list[tuple[str, Message, float]] = []
     reached: dict[str, Configuration] = {}
     with (
@@ -60,7 +64,7 @@ def demo(
         result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
         rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
     console.print(summary(arm, rows))
-    title = f"{arm.settings.name}: {len(arm.manipulator.actuators)} two-state actuators"
+    title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
     plots.save(picture, arm.manipulator, densities, [plots.Panel(title, reached, targets, curve)])
     console.print(f"picture: {picture}")
 
@@ -72,15 +76,47 @@ def sample(arm: Arm, count: int) -> list[list[float]]:
     return [list(map(float, tip)) for tip in tips]
 
 
-def closed_curve(arm: Arm) -> NDArray[np.float64]:
-    """Returns waypoints (n, dimension) on an ellipse where the arm reaches best, its mean tip at the centre."""
-    states = np.random.default_rng(0).integers(0, arm.manipulator.states, (500, len(arm.manipulator.modules)))
-    tips = arm.manipulator.tips(states)[:, : arm.manipulator.dimension, 3]
-    turns = np.linspace(0.0, 2 * np.pi, CURVE_WAYPOINTS)
-    curve = np.tile(tips.mean(axis=0), (CURVE_WAYPOINTS, 1))
-    curve[:, 0] += 0.1 * arm.manipulator.length * np.cos(turns)
-    curve[:, 1] += 0.05 * arm.manipulator.length * np.sin(turns)
-    return curve
+def closed_curve(arm: Arm, densities: Densities) -> NDArray[np.float64]:
+    """Returns waypoints (n, dimension) on an ellipse, as large as the densities promise that the arm reaches all of it.
+
+    It lies around one of the arm's tips, in the plane in which they differ most. The smallest is within the tolerance.
+    """
+    chain, base = Manipulator(arm.manipulator.modules), arm.manipulator.base
+    states = np.random.default_rng(0).integers(0, chain.states, (500, len(chain.modules)))
+    tips = chain.tips(states)[:, :3, 3]
+    promised = expected(densities, arm.tolerance, chain.planar)
+    first, second = np.linalg.svd(tips - tips.mean(axis=0), full_matrices=False)[2][:2]
+    turns = np.linspace(0.0, 2 * np.pi, CURVE_WAYPOINTS)[:, None]
+    ellipse = np.cos(turns) * first + 0.5 * np.sin(turns) * second
+    size = 0.1 * chain.length
+    while True:
+        curves = tips[:, None] + size * ellipse
+        thinnest = looked_up(densities, promised, curves).min(axis=1)
+        best = int(np.argmax(thinnest))
+        if thinnest[best] >= MANY or size <= arm.tolerance / 2:
+            return np.asarray((curves[best] @ base[:3, :3].T + base[:3, 3])[:, : arm.manipulator.dimension])
+        size *= 0.9
+
+
+def expected(densities: Densities, tolerance: float, planar: bool) -> NDArray[np.float64]:
+    """Returns how many configurations to expect within the tolerance, for each pixel (z, y, x) of W_0.
+
+    Pixels are taken with their neighbours: where the last modules have few states, every other one may be empty.
+    """
+    values = densities.level(0).astype(float)
+    counts = np.where(values >= 0, np.exp(np.minimum(values, MOST)), 0.0)
+    around = np.ones((1, 3, 3) if planar else (3, 3, 3))
+    ball = np.pi * tolerance**2 if planar else 4 / 3 * np.pi * tolerance**3
+    share = ball / densities.volume(0, planar=planar) / around.size
+    return np.asarray(convolve(counts, around, mode="constant") * share)
+
+
+def looked_up(densities: Densities, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the values (z, y, x) of the pixels of W_0 in which points (..., 3) lie, 0 outside."""
+    index = np.round((points - densities.references[0]) / densities.pixels[0]).astype(int)[..., ::-1]
+    inside = ((index >= 0) & (index < values.shape)).all(axis=-1)
+    z, y, x = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
+    return np.where(inside, values[z, y, x], 0.0)
 
 
 def stages(arm: Arm) -> int:

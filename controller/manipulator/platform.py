@@ -160,10 +160,15 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
     body = []
     for frame in frames:
         ends = legs.joints(frame) * size
-        body.append([*zip(below, ends, strict=True), *zip(ends, np.roll(ends, -1, axis=0), strict=True)])
+        body.append([*zip(below, ends, strict=True), *around(below), *around(ends)])
     stack = np.array(frames)
     stack[:, :3, 3] *= size
     return Module(stack, bits, tuple(str(k + 1) for k in range(len(below))), np.array(body), planar=flat)
+
+
+def around(joints: Array) -> list[tuple[Array, Array]]:
+    """Returns the sides of a plate with these joints (L, 3)."""
+    return list(zip(joints, np.roll(joints, -1, axis=0), strict=True))
 
 
 def moved(frame: Frame, twist: Array) -> Frame:
