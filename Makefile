@@ -22,6 +22,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.mapping
 	$(BIN)/python -m tests.benchmarks.search
 	$(BIN)/python -m tests.benchmarks.lines
+	$(BIN)/python -m tests.benchmarks.arms
 	$(BIN)/python -m tests.benchmarks.daemon
 	$(BIN)/python -m tests.benchmarks.real_time
 

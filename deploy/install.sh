@@ -45,6 +45,15 @@ keep() {
 if [ $# -gt 0 ]; then
   install -D -m 644 "$arm" /etc/hyperbit/arm.yaml
   echo "wrote /etc/hyperbit/arm.yaml"
+  "$prefix/bin/python" -c '
+import sys, yaml
+for group in yaml.safe_load(open(sys.argv[1], encoding="utf-8"))["modules"]:
+    if "table" in group:
+        print(group["table"])
+' "$arm" | while IFS= read -r table; do
+    install -D -m 644 "$(dirname "$arm")/$table" "/etc/hyperbit/$table"
+    echo "wrote /etc/hyperbit/$table"
+  done
 else
   keep "$arm" /etc/hyperbit/arm.yaml
 fi

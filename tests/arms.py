@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
+from controller.manipulator.joints import revolute
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
 from controller.manipulator.vgt import vgt
@@ -27,7 +28,8 @@ def listed(strategy: st.SearchStrategy[Frame], *, planar: bool, most: int = 5) -
 
 lengths = st.tuples(st.floats(0.18, 0.21), st.floats(0.22, 0.26))
 vgts = st.builds(vgt, st.sampled_from(["BC", "AD"]), st.floats(0.18, 0.22), lengths, lengths, lengths)
-planar_modules = vgts | listed(planar_frames, planar=True)
+joints = st.builds(revolute, st.just((0, 0, 1)), st.lists(angles, min_size=2, max_size=5), planar_frames)
+planar_modules = vgts | joints | listed(planar_frames, planar=True)
 modules = planar_modules | listed(spatial_frames, planar=False)
 
 
