@@ -5,6 +5,8 @@ from functools import reduce
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
@@ -13,7 +15,7 @@ from controller.manipulator.module import transforms
 from controller.workspace import convolution
 from controller.workspace.convolution import by_convolution
 from controller.workspace.oriented_mapping import map_oriented
-from tests.arms import paper_arm, spatial_arm
+from tests.arms import paper_arm, planar_modules, short_arms, spatial_arm
 from tests.workspace.comparing import (
     convolved_points,
     enumerated_points,
@@ -54,6 +56,23 @@ def test_on_a_lattice_convolution_counts_exactly(modules):
     assert set(counts) <= set(found)
     assert_allclose([found[place] for place in counts], list(counts.values()), rtol=1e-6)
     assert sum(found.values()) == pytest.approx(sum(counts.values()))
+
+
+@settings(max_examples=25)
+@given(short_arms(planar_modules), st.sampled_from([0.02, 0.1, 1.0]), st.sampled_from([2000, 50_000]))
+def test_mass_and_mean_are_kept_for_any_planar_arm(arm, pixel, level_pixels):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(convolution, "ENUMERATED", 1)
+        density = by_convolution(arm, pixel, level_pixels, 64)
+    points, shares = convolved_points(density)
+    tips, _ = enumerated_points(arm)
+    assert density.shares.size <= level_pixels
+    assert shares.sum() == pytest.approx(1, abs=1e-12)
+    # An orientation between two slices is shared by both: their mean is shorter by up to the cosine of half a slice.
+    lever = len(arm.modules) * arm.length * (1 - math.cos(math.pi / 64))
+    assert np.abs(shares @ points[:, :2] - tips[:, :2].mean(axis=0)).max() < lever + 1e-6
+    # Nothing lies farther out than a slice and a pixel for each time that a share was spread.
+    assert np.linalg.norm(points[:, :2], axis=1).max() < arm.length + len(arm.modules) * 3 * density.pixel
 
 
 def test_it_agrees_with_enumeration():
