@@ -192,7 +192,24 @@ SPATIAL = {
     "modules": [*listed({"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}, {"position": [0, 1, 1]}, count=2), TRUSS],
     "tolerance": {"position": 0.01},
 }
-SEEDS = [document(), SPATIAL]
+CORNERS = [[0.1, 0.0], [-0.05, 0.087], [-0.05, -0.087]]
+MIXED = {
+    "name": "mixed",
+    "modules": [
+        {"type": "revolute", "axis": [1, 0, 0], "angles": [-0.3, 0, 0.3], "link": {"position": [0, 0, 0.1]}},
+        {"type": "prismatic", "axis": [0, 1], "lengths": [0.1, 0.2], "count": 2},
+        {
+            "type": "platform",
+            "base": [[*p, 0.0] for p in CORNERS],
+            "top": [[*p, 0] for p in CORNERS],
+            "lengths": [0.2, 0.22],
+        },
+        {"type": "platform", "base": CORNERS[::-1], "top": [[-0.1, 0], [-0.1, 0.02], [0.1, 0]], "lengths": [0.2, 0.22]},
+        {"type": "transforms", "table": "none.csv"},
+    ],
+    "tolerance": {"position": 0.01},
+}
+SEEDS = [document(), SPATIAL, MIXED]
 
 
 @settings(max_examples=300)

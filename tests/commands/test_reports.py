@@ -192,6 +192,26 @@ def test_map_fills_the_cache_once(hyperbit, tmp_path, spatial):
     assert kept.stat().st_mtime_ns > before
 
 
+@pytest.mark.parametrize("name", ["revolute24", "platform8", "motor12"])
+def test_every_arm_is_checked_mapped_and_planned(hyperbit, name, tmp_path):
+    arm = yaml.safe_load((Path(ARM).parent / f"{name}.yaml").read_text())
+    arm["workspace"] = {"memory": 4}  # coarser, so quicker
+    file = tmp_path / f"{name}.yaml"
+    file.write_text(yaml.safe_dump(arm))
+    assert json.loads(hyperbit("check", str(file), "--json")[1]) == {"ok": True, "faults": [], "boards": []}
+    assert json.loads(hyperbit("map", str(file), "--json")[1])["megabytes"] <= 4.2
+    joints = sum(group["count"] for group in arm["modules"])
+    states = [{"revolute24": k % 2, "platform8": 9 * k, "motor12": k}[name] for k in range(joints)]
+    written = ("" if name == "revolute24" else ",").join(map(str, states))
+    code, out, _ = hyperbit("fk", str(file), written, "--json")
+    goal = json.loads(out)["position"]
+    assert (code, len(goal)) == (0, 2 if name == "revolute24" else 3)
+    code, out, _ = hyperbit("plan", str(file), "--goal", ",".join(map(str, goal)), "--json")
+    found = json.loads(out)
+    assert (code, found["within_tolerance"]) == (0, True)
+    assert json.loads(hyperbit("fk", str(file), found["configuration"], "--json")[1])["position"] == found["position"]
+
+
 def test_check_names_every_fault_and_opens_nothing(hyperbit, tmp_path):
     file = tmp_path / "arm.yaml"
     arm = yaml.safe_load(Path(ARM).read_text())
