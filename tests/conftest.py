@@ -13,6 +13,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver
 from controller.workspace.cache import load_or_map
 from controller.workspace.densities import Densities
+from tests.daemon.waiting import SLOWNESS
 
 # The same examples on every run, and no deadline, which a busy machine would miss.
 settings.register_profile("hyperbit", derandomize=True, deadline=None)
@@ -35,8 +36,20 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture(scope="session")
-def arm() -> Arm:
-    return load(PAPER_ARM)
+def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The arm of the paper; where the machine is slow, its actuators are, and its boards are patient."""
+    settings = yaml.safe_load(PAPER_ARM.read_text())
+    settings["travel_time"] *= SLOWNESS
+    for name in ("heartbeat", "heartbeat_timeout", "boot_timeout"):
+        settings["boards"][name] *= SLOWNESS
+    path = tmp_path_factory.mktemp("arm") / "planar16.yaml"
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+@pytest.fixture(scope="session")
+def arm(arm_file: Path) -> Arm:
+    return load(arm_file)
 
 
 @pytest.fixture(scope="session")

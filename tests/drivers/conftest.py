@@ -12,12 +12,13 @@ from drivers.boards import Boards
 from drivers.faults import BusBusy, Fault
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Channel, Timing, Wiring
+from tests.daemon.waiting import SLOWNESS
 
 _unique = itertools.count()
 
 
 def wait(condition: Callable[[], object], patience: float = 20.0) -> None:
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + patience * SLOWNESS
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.001)

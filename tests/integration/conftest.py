@@ -12,7 +12,6 @@ from pathlib import Path
 import can
 import pytest
 import zenoh
-from can.interfaces.socketcan import SocketcanBus
 
 from controller.config import Arm
 from controller.daemon import session
@@ -27,7 +26,6 @@ from tests.integration.harness import Observer
 from tests.integration.motions import Motions
 
 CHANNELS = itertools.count()
-SO_RCVBUFFORCE = 33  # of asm-generic/socket.h, which Python does not name; beyond the system's bound, for root
 
 
 @pytest.fixture
@@ -94,8 +92,7 @@ def boards(wiring: Wiring, timing: Timing) -> Iterator[Simulation]:
 def listener(bus: BusSettings) -> Iterator[can.BusABC]:
     """Hears all that is on the bus from now on."""
     with can.Bus(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, ignore_config=True) as listening:
-        if isinstance(listening, SocketcanBus):  # room for all that comes until the test looks
-            listening.socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 64 << 20)
+        vcan.make_room(listening)
         yield listening
 
 

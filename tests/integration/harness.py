@@ -4,7 +4,7 @@ import time
 from typing import Any
 
 from controller.daemon.client import Client, Message
-from tests.daemon.waiting import SLOWNESS, eventually
+from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 
 KEYS = ("feedback", "result", "diagnostics", "state")  # state last: who hears that hears all
 
@@ -34,12 +34,12 @@ class Observer:
         return remember
 
     def ask(self, key: str, **payload: Any) -> Message:
-        return self.client.request(key, payload, timeout=30)
+        return self.client.request(key, payload, timeout=PATIENCE)
 
     def goal(self, *positions: tuple[float, float], times: list[float] | None = None, **fields: Any) -> Message:
-        """Sends a goal; without times, a single waypoint now, or one every 0.2 s."""
+        """Sends a goal; without times, a single waypoint now, or one every 0.2 s; on a slow machine slower."""
         times = times or [0.2 * k for k in range(len(positions))]
-        points = [{"t": t, "position": list(position)} for t, position in zip(times, positions, strict=True)]
+        points = [{"t": t * SLOWNESS, "position": list(position)} for t, position in zip(times, positions, strict=True)]
         answer = self.ask("goal", waypoints=points, **fields)
         self.accepted += [answer["id"]] * answer["accepted"]
         return answer

@@ -13,7 +13,7 @@ from controller.daemon.service import Daemon
 from controller.motion import codes
 from drivers import cia301
 from drivers.simulation import Simulation
-from tests.daemon.waiting import eventually
+from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 
@@ -68,18 +68,19 @@ def test_from_goal_to_the_tip(client: Observer, boards: Simulation, arm: Arm) ->
 def test_waypoints_are_settled_at_their_times(
     client: Observer, boards: Simulation, arm: Arm, listener: can.BusABC
 ) -> None:
-    stamp = time.time() + 1.5
-    answer = client.goal(MIDDLE, RIGHT, LEFT, times=[0.0, 0.5, 1.0], stamp=stamp, id="a")
+    stamp = time.time() + 1.5 * SLOWNESS
+    times = [0.0, 0.5, 1.0]
+    answer = client.goal(MIDDLE, RIGHT, LEFT, times=times, stamp=stamp, id="a")
     assert answer["accepted"], answer
     drain(listener)
     assert client.result("a")["status"] == "succeeded"
     switched = syncs(drain(listener))
     assert len(switched) == 3
-    travel = arm.settings.travel_time
-    for at, t in zip(switched, [0.0, 0.5, 1.0], strict=True):
-        assert stamp + t - travel - 0.05 < at, "switched too early"
-        assert at < stamp + t + 0.45, "switched far too late"
-    assert any(at < stamp + t for at, t in zip(switched, [0.0, 0.5, 1.0], strict=True)), "none was switched ahead"
+    due = [stamp + t * SLOWNESS for t in times]
+    for at, settled in zip(switched, due, strict=True):
+        assert settled - arm.settings.travel_time - 0.05 * SLOWNESS < at, "switched too early"
+        assert at < settled + 0.45 * SLOWNESS, "switched far too late"
+    assert any(at < settled for at, settled in zip(switched, due, strict=True)), "none was switched ahead"
 
 
 def test_a_new_goal_replaces_the_running_one(client: Observer, boards: Simulation, arm: Arm) -> None:
@@ -143,7 +144,7 @@ def test_bad_goals_are_refused_and_disturb_nothing(client: Observer, bench: Benc
     session, key = bench.session(), f"hyperbit/{bench.arm.settings.name}/goal"
     for name, (payload, code, words) in BAD.items():
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        (reply,) = list(session.get(key, payload=data, timeout=30))
+        (reply,) = list(session.get(key, payload=data, timeout=PATIENCE))
         answer = json.loads(reply.ok.payload.to_bytes())
         assert (answer["accepted"], answer["code"]) == (False, code), name
         assert words in answer["message"], name
@@ -196,7 +197,7 @@ def test_two_goals_at_once_have_one_outcome_each(client: Observer, bench: Bench,
     session, key = bench.session(), f"hyperbit/{arm.settings.name}/goal"
     goals = {"a": MIDDLE, "b": RIGHT}
     asked = {
-        name: session.get(key, payload=json.dumps({"id": name, "waypoints": [{"position": p}]}), timeout=30)
+        name: session.get(key, payload=json.dumps({"id": name, "waypoints": [{"position": p}]}), timeout=PATIENCE)
         for name, p in goals.items()
     }
     answers = {name: [json.loads(r.ok.payload.to_bytes()) for r in replies] for name, replies in asked.items()}

@@ -12,7 +12,7 @@ from controller.config import Arm
 from controller.motion import codes
 from drivers import cia301
 from drivers.simulation import Simulation
-from tests.daemon.waiting import eventually
+from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.harness import Observer
 from tests.integration.test_goals import LEFT, MIDDLE, RIGHT, drain, tip
 
@@ -65,7 +65,7 @@ def test_stages_are_told_and_end_in_time(client: Observer, boards: Simulation, l
         assert max(map(len, waypoint["stages"])) <= INRUSH
         assert sum(map(len, waypoint["stages"])) == waypoint["switches"]
         assert waypoint["excursion"] > 0
-    stamp = time.time() + 1.5
+    stamp = time.time() + 1.5 * SLOWNESS
     assert client.goal(MIDDLE, RIGHT, times=[0.0, 2.0], stamp=stamp, id="a")["accepted"]
     assert client.result("a")["status"] == "succeeded"
     told: Callable[[], object] = lambda: len(client.feedback("a")) == 2  # noqa: E731
@@ -78,7 +78,7 @@ def test_stages_are_told_and_end_in_time(client: Observer, boards: Simulation, l
 def test_a_goal_too_fast_for_the_bound_is_refused_naming_the_pair(client: Observer, boards: Simulation) -> None:
     answer = client.goal(MIDDLE, RIGHT, times=[0.0, 0.07], id="a")
     assert (answer["accepted"], answer["code"]) == (False, codes.INVALID_GOAL)
-    assert answer["message"].startswith("waypoints[0] to waypoints[1]: 0.07 s, ")
+    assert answer["message"].startswith(f"waypoints[0] to waypoints[1]: {0.07 * SLOWNESS:g} s, ")
     assert "switches, at most 2 at once, need" in answer["message"]
     assert boards.switches().sum() == 0
 

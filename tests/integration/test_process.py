@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.config import Arm
 from controller.daemon.ledger import read
-from tests.conftest import PAPER_ARM
 from tests.daemon.waiting import PATIENCE, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
@@ -20,9 +18,9 @@ from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT
 
 
 @pytest.fixture
-def process(arm: Arm, endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+def process(arm_file: Path, endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """The installed command with simulated boards, as an operator runs it."""
-    command = [str(Path(sys.executable).with_name("hyperbit")), "run", str(PAPER_ARM), "--simulate"]
+    command = [str(Path(sys.executable).with_name("hyperbit")), "run", str(arm_file), "--simulate"]
     command += ["--listen", endpoint, "--ledger", str(tmp_path / "ledger.sqlite")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "NOTIFY_SOCKET": ""})
     yield process

@@ -17,7 +17,7 @@ from controller.daemon.client import Client, Unanswered
 from controller.daemon.service import Daemon, embedded, running
 from drivers.simulation import Simulation
 from drivers.wiring import Wiring
-from tests.daemon.waiting import PATIENCE, eventually
+from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT
@@ -40,7 +40,7 @@ def test_state_comes_steadily_and_on_change(client: Observer) -> None:
     eventually(lambda: len(client.heard["state"]) > begun + 40)
     stamps = [state["stamp"] for state in client.heard["state"][begun:]]
     gaps = sorted(b - a for a, b in itertools.pairwise(stamps))
-    assert gaps[len(gaps) // 2] <= 0.1, "at least ten a second, by the middle gap"
+    assert gaps[len(gaps) // 2] <= 0.1 * SLOWNESS, "at least ten a second, by the middle gap"
     client.move(MIDDLE, goal="a")
     client.wait_for("executing", "goal a")
     assert any(state["goal"] == "a" for state in client.heard["state"])
@@ -87,7 +87,7 @@ def test_the_token_tells_that_the_daemon_is_there(bench: Bench, boards: Simulati
 
 def test_a_look_around_finds_what_tells_and_acts_on_nothing(client: Observer, bench: Bench) -> None:
     client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
-    replies = list(bench.session().get("hyperbit/**", timeout=30))
+    replies = list(bench.session().get("hyperbit/**", timeout=PATIENCE))
     answers = {str(r.ok.key_expr).rpartition("/")[2]: json.loads(r.ok.payload.to_bytes()) for r in replies if r.ok}
     assert answers["arm"]["name"] == "planar16"
     for key in ("goal", "cancel", "stop", "reset"):
@@ -100,15 +100,16 @@ def test_a_look_around_finds_what_tells_and_acts_on_nothing(client: Observer, be
 
 
 def test_a_stop_for_all_arms_is_taken(client: Observer, bench: Bench) -> None:
-    replies = list(bench.session().get("hyperbit/*/stop", timeout=30))
+    replies = list(bench.session().get("hyperbit/*/stop", timeout=PATIENCE))
     assert [json.loads(r.ok.payload.to_bytes())["accepted"] for r in replies] == [True]
     client.wait_for("stopped")
 
 
 def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, bench: Bench) -> None:
     flooding, prefix = bench.session(), "hyperbit/planar16"
-    far = json.dumps({"waypoints": [{"t": 0.2 * k, "position": p} for k, p in enumerate([LEFT, RIGHT] * 400)]})
-    flood = [flooding.get(f"{prefix}/plan", payload=far, timeout=60) for _ in range(60)]
+    there_and_back = enumerate([LEFT, RIGHT] * 400)
+    far = json.dumps({"waypoints": [{"t": 0.2 * k * SLOWNESS, "position": p} for k, p in there_and_back]})
+    flood = [flooding.get(f"{prefix}/plan", payload=far, timeout=2 * PATIENCE) for _ in range(60)]
     assert client.ask("stop")["accepted"]
     client.wait_for("stopped")
     answers = [json.loads(reply.ok.payload.to_bytes()) for replies in flood for reply in replies]
@@ -135,6 +136,7 @@ def test_a_frozen_reader_does_not_stall_the_arm(client: Observer, bench: Bench) 
         [sys.executable, "-c", FROZEN, bench.endpoint, "hyperbit/**"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
+    far = [{"t": 0.2 * k * SLOWNESS, "position": LEFT} for k in range(50)]
     try:
         assert reader.stdout
         assert reader.stdout.readline() == "heard\n"
@@ -143,7 +145,7 @@ def test_a_frozen_reader_does_not_stall_the_arm(client: Observer, bench: Bench) 
         for k in range(8):
             client.move((LEFT, RIGHT)[k % 2], goal=f"goal {k}")
             for _ in range(20):
-                assert client.ask("plan", waypoints=[{"t": 0.2 * k, "position": LEFT} for k in range(50)])["accepted"]
+                assert client.ask("plan", waypoints=far)["accepted"]
         eventually(lambda: len(client.heard["diagnostics"]) > begun + 2)
         status = [it["loop"] for it in client.heard["diagnostics"][begun:]]
         assert sum(it["ticks"] for it in status) >= 30 * len(status)

@@ -18,7 +18,7 @@ from controller.config import Arm
 from controller.daemon.service import Daemon, patient
 from drivers.simulation import Simulation
 from drivers.wiring import Timing
-from tests.daemon.waiting import eventually
+from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT, drain, syncs, tip
@@ -29,8 +29,9 @@ BAD = [b"{", b'{"position": [NaN, 1]}', b'{"position": [1, 2], "stamp": 1}', b'{
 
 
 def circle(t: float) -> tuple[float, float]:
-    """A goal that goes round at 0.1 m/s, from START on."""
-    return START[0] + 0.2 * math.sin(0.5 * t), START[1] + 0.2 * (1 - math.cos(0.5 * t))
+    """A goal that goes round at 0.1 m/s, on a slow machine slower, from START on."""
+    turn = 0.5 * t / SLOWNESS
+    return START[0] + 0.2 * math.sin(turn), START[1] + 0.2 * (1 - math.cos(turn))
 
 
 class Publisher:
@@ -104,7 +105,7 @@ def test_the_arm_follows_and_bad_setpoints_change_nothing(
     begun, results = len(client.heard["state"]), len(client.heard["result"])
     drain(listener)
     switched_before = boards.switches().sum()
-    publisher.stream(2.0, bad=True)
+    publisher.stream(2.0 * SLOWNESS, bad=True)
     goal = publisher.position
     client.wait_now("ready", "the stream of setpoints has stopped")
     transitions = syncs(drain(listener))

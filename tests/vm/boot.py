@@ -1,0 +1,68 @@
+"""Boots the virtual machine, shows what its tests say, and ends with their verdict.
+
+python -m tests.vm.boot [arguments of pytest; without tests among them: tests/vm and tests/integration]
+"""
+
+import shlex
+import signal
+import subprocess
+import sys
+
+from tests.vm.prepare import FOLDER, PROJECT, Missing, prepare, say
+
+TESTS = ["tests/vm", "tests/integration"]
+LONGEST = 1200.0  # [s]
+BASE = 16  # what the guest adds to pytest's exit code, so that it is none of QEMU's own
+
+# A processor without AVX: QEMU 7.2 emulates some of it wrongly, NumPy's argsort crashed in it.
+QEMU = [
+    *("qemu-system-x86_64", "-accel", "tcg,thread=multi", "-smp", "2", "-cpu", "Nehalem", "-m", "4G"),
+    *("-nodefaults", "-display", "none", "-serial", "stdio", "-no-reboot"),
+    *("-device", "virtio-rng-pci", "-device", "isa-debug-exit,iobase=0xf4,iosize=1"),
+    *("-kernel", str(FOLDER / "vmlinuz"), "-initrd", str(FOLDER / "initrd")),
+]
+KERNEL = "console=ttyS0 quiet panic=-1 mitigations=off fstab=no"
+SYSTEMD = "systemd.show_status=no systemd.unit=hyperbit-tests.service"
+
+
+def share(tag: str, path: str) -> list[str]:
+    """Options that let the guest read a folder."""
+    folder = f"local,id={tag},path={path},security_model=none,readonly=on,multidevs=remap"
+    return ["-fsdev", folder, "-device", f"virtio-9p-pci,fsdev={tag},mount_tag={tag}"]
+
+
+def boot(arguments: list[str]) -> int:
+    """Runs the tests in the machine; returns pytest's exit code, or another when there was no verdict."""
+    (FOLDER / "arguments").write_text(f"set -- {shlex.join(arguments)}\n")
+    shares = share("root", "/") + share("robot", str(FOLDER / "robot"))
+    command = [*QEMU, *shares, "-append", f"{KERNEL} {SYSTEMD} hyperbit={PROJECT}"]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL) as machine:
+        try:
+            code = machine.wait(LONGEST)
+        except subprocess.TimeoutExpired:
+            say(f"the machine was not done after {LONGEST:g} s")
+            return 124
+        finally:
+            machine.kill()
+    if code % 2 == 0 or code >> 1 < BASE:
+        say(f"the machine ended without a verdict, QEMU with {code}")
+        return 125
+    return (code >> 1) - BASE
+
+
+def main() -> int:
+    arguments = sys.argv[1:]
+    if not any(argument.startswith("tests") for argument in arguments):
+        arguments += TESTS
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the machine is ended, too
+    try:
+        prepare(robot=any(argument.startswith("tests/vm") for argument in arguments))
+    except Missing as error:
+        say(f"cannot run: {error}")
+        return 2
+    say("booting")
+    return boot(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,11 @@
+"""Imports all of hyperbit, so that its kernels are compiled and kept."""
+
+import importlib
+import pkgutil
+
+import controller
+import drivers
+
+for package in (controller, drivers):
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        importlib.import_module(module.name)

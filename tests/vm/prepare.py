@@ -1,0 +1,158 @@
+"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches it would fill too slowly."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+PROJECT = Path(__file__).parents[2]
+FOLDER = PROJECT / "build" / "vm"
+HERE = Path(__file__).parent
+
+# In the order in which they were asked for; what they need comes before them.
+MODULES = ("virtio_pci", "virtio_rng", "9pnet_virtio", "9p", "overlay", "can", "can_raw", "vcan", "sch_tbf")
+NEEDED = {
+    "qemu-system-x86_64": "qemu-system-x86",
+    "apt-get": "apt",
+    "dpkg-deb": "dpkg",
+    "/lib/systemd/systemd": "systemd",
+    "udevadm": "udev",
+    "ip": "iproute2",
+    "/usr/bin/python3": "python3-venv",
+}
+
+
+class Missing(Exception):
+    """What is missing, in one line."""
+
+
+def prepare(robot: bool) -> None:
+    """Makes what is not there yet.
+
+    Args:
+        robot: whether the machine shall be a robot's computer, with the service installed.
+
+    Raises:
+        Missing: something it needs is not on this computer.
+    """
+    lacking = [package for tool, package in NEEDED.items() if not shutil.which(tool, path=search_path())]
+    if lacking:
+        raise Missing(f"apt-get install {' '.join(lacking)}")
+    (FOLDER / "robot").mkdir(parents=True, exist_ok=True)
+    if older(FOLDER / "initrd", [HERE / "init", HERE / "prepare.py"]):
+        pack()
+    warm()
+    if robot and older(FOLDER / "robot.installed", [HERE / "robot.sh", HERE / "compile.py", *installed()]):
+        install()
+
+
+def search_path() -> str:
+    return f"{os.environ['PATH']}:/usr/sbin:/sbin"
+
+
+def older(made: Path, sources: Iterable[Path]) -> bool:
+    """Whether a file is not there, or from before one of its sources changed."""
+    return not made.exists() or made.stat().st_mtime < max(source.stat().st_mtime for source in sources)
+
+
+def installed() -> list[Path]:
+    """Returns the files that deploy/install.sh installs."""
+    folders = [PROJECT / name for name in ("controller", "drivers", "deploy")]
+    return [PROJECT / "pyproject.toml", *(path for folder in folders for path in folder.rglob("*.*"))]
+
+
+def fetch(package: str) -> Path:
+    """Returns the file of a package, from the folder or from Debian."""
+    if not (found := sorted(FOLDER.glob(f"{package}_*.deb"))):
+        say(f"fetching {package}")
+        run(["apt-get", "download", package], FOLDER)
+        found = sorted(FOLDER.glob(f"{package}_*.deb"))
+    return found[-1]
+
+
+def kernel_package() -> str:
+    """Returns the name of the package that Debian's own for the newest kernel stands for."""
+    if found := sorted(FOLDER.glob("linux-image-*.deb")):
+        return found[-1].name.partition("_")[0]
+    depends = subprocess.run(["apt-cache", "depends", "linux-image-amd64"], capture_output=True, text=True).stdout
+    if not (names := re.findall(r"Depends: (linux-image-[0-9]\S*)", depends)):
+        raise Missing("no package linux-image-amd64 is known: apt-get update, on Debian")
+    return names[0]
+
+
+def pack() -> None:
+    """Unpacks kernel and busybox, and packs the initramfs."""
+    kernel, busybox = fetch(kernel_package()), fetch("busybox-static")
+    say("packing the initramfs")
+    with tempfile.TemporaryDirectory(dir=FOLDER) as name:
+        unpacked, tree = Path(name) / "unpacked", Path(name) / "tree"
+        for package in (kernel, busybox):
+            run(["dpkg-deb", "--extract", str(package), str(unpacked)])
+        for directory in ("bin", "modules", "proc", "sys", "dev", "lower", "robot", "upper", "root"):
+            (tree / directory).mkdir(parents=True)
+        (tool,) = unpacked.glob("**/bin/busybox")
+        shutil.copy(tool, tree / "bin/busybox")
+        shutil.copy(HERE / "init", tree / "init")
+        (tree / "init").chmod(0o755)
+        for number, module in enumerate(in_order(unpacked)):
+            shutil.copy(module, tree / "modules" / f"{number:02}-{module.name}")
+        (image,) = unpacked.glob("boot/vmlinuz-*")
+        shutil.copy(image, FOLDER / "vmlinuz")
+        files = "\n".join(str(path.relative_to(tree)) for path in sorted(tree.rglob("*")))
+        with (FOLDER / "initrd.new").open("wb") as archive:
+            cpio = [str(tool), "cpio", "-o", "-H", "newc"]
+            subprocess.run(cpio, input=files.encode(), stdout=archive, stderr=subprocess.DEVNULL, cwd=tree, check=True)
+        (FOLDER / "initrd.new").replace(FOLDER / "initrd")
+
+
+def in_order(unpacked: Path) -> list[Path]:
+    """Returns the files of the modules, each after those it depends on."""
+    files = {path.stem.replace("-", "_"): path for path in unpacked.glob("lib/modules/**/*.ko")}
+    order: list[Path] = []
+
+    def add(name: str) -> None:
+        path = files[name.replace("-", "_")]
+        match = re.search(rb"\0depends=([^\0]*)\0", path.read_bytes())
+        for needed in match[1].decode().split(",") if match and match[1] else []:
+            add(needed)
+        if path not in order:
+            order.append(path)
+
+    for name in MODULES:
+        add(name)
+    return order
+
+
+def warm() -> None:
+    """Fills the caches of bytecode and kernels, for any processor: nothing is to be compiled in the machine."""
+    say("filling the caches of compiled code")
+    cache = FOLDER / "cache"
+    settings = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(cache / "numba"), "XDG_CACHE_HOME": str(cache)}
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | settings
+    bin = Path(sys.executable).parent
+    run([str(bin / "pytest"), "--collect-only", "-qq", "-p", "no:cacheprovider"], env=environment)
+    run([str(bin / "hyperbit"), "map", "deploy/planar16.yaml"], env=environment)
+
+
+def install() -> None:
+    """Installs the service as on a robot's computer."""
+    if os.geteuid() != 0:
+        raise Missing("root is needed to install the service: sudo make vm-test")
+    say("installing the service")
+    run(["unshare", "--mount", "sh", str(HERE / "robot.sh"), str(FOLDER / "robot")])
+    (FOLDER / "robot.installed").touch()
+
+
+def say(what: str) -> None:
+    print(f"vm-test: {what}", flush=True)
+
+
+def run(command: list[str], folder: Path = PROJECT, env: dict[str, str] | None = None) -> None:
+    """Runs a command that must succeed; its output is only shown if it does not."""
+    done = subprocess.run(command, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    if done.returncode != 0:
+        raise Missing(f"`{' '.join(command)}` failed with {done.returncode}:\n{done.stdout}")
