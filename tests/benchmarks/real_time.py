@@ -151,7 +151,7 @@ def measured(seconds: float, real_time: bool, nice: int) -> dict:
         periods.clear()
         began, planned = time.monotonic(), 0
         while time.monotonic() - began < seconds:
-            answer = client.request("goal", {"waypoints": curve(planned)}, timeout=60)
+            answer = client.request("goal", {"waypoints": curve(planned), "tolerance": {"position": 0.01}}, timeout=60)
             if not answer["accepted"]:
                 raise SystemExit(f"the goal was refused: {answer['message']}")
             planned += WAYPOINTS

@@ -25,7 +25,7 @@ from tests.soak.measuring import Memory
 
 STEP = 0.04  # [s] between waypoints
 SAMPLES = 500
-ACTS = {"goal": 0.75, "trajectory": 0.1, "follow": 0.12, "cancel": 0.02, "stop": 0.009, "supply": 0.001}
+ACTS = {"goal": 0.91, "trajectory": 0.04, "follow": 0.03, "cancel": 0.015, "stop": 0.004, "supply": 0.001}
 
 
 class LongWorld(World):

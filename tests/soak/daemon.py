@@ -48,6 +48,7 @@ class Answers:
         self.nameless = self.switches = 0
         self.statuses: Counter[str] = Counter()
         self.most_waiting: Counter[str] = Counter()
+        self.aborted: list[str] = []
         self.mode = ""
         self.diagnostics: dict[str, Any] = {}
         self.told = 0
@@ -62,6 +63,8 @@ class Answers:
 
     def result(self, message: dict[str, Any]) -> None:
         self.statuses[message["status"]] += 1
+        if message["status"] == "aborted" and len(self.aborted) < 10:
+            self.aborted.append(message["message"])
         if message["id"] is None:
             self.nameless += 1
         else:
@@ -233,6 +236,7 @@ def checked(
         "setpoints_received": answers.diagnostics["setpoint"]["received"],
         "accepted": int(sum(ended.values())),
         "results": dict(answers.statuses),
+        "aborted": answers.aborted,
         "switches": int(written.sum()),
         "switches_following": int(written.sum()) - answers.switches,
         "syncs": counter.syncs,
