@@ -23,9 +23,8 @@ Array = NDArray[np.float64]
 RESIDUAL = 1e-12  # of every leg's length, in shares of the middle length
 STIFFNESS = 1e-3  # least: where it is less, a leg's error makes one of the pose a thousand times as large
 FIRST_STEP, LAST_STEP = 1 / 8, 2.0**-12  # shares of the way from the middle lengths
-CLOSE = 0.2  # most that Newton's first step moves and turns the plate, in middle lengths and radians
-MANY = 100  # Newton's steps from a guess
-FEW = 8  # from nearby
+MANY, FEW = 100, 8  # Newton's steps from a guess, and from nearby
+CLOSE = 0.2  # most that a step moves and turns the plate, in middle lengths and radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +57,9 @@ class Legs:
         missed = np.concatenate([found - lengths, np.einsum("ij,ij->i", self.normals, ends[: len(self.normals)])])
         return missed, np.hstack([directions, np.cross(arms, directions)])[:, self.free]
 
-    def settled(self, frame: Frame, lengths: Array, most: int) -> Frame | None:
-        """Returns the pose that Newton's method finds from a near one; None if it finds none, or only far away."""
-        for step in range(most):
+    def settled(self, frame: Frame, lengths: Array, steps: int, reach: float = np.inf) -> Frame | None:
+        """Returns the pose that so many of Newton's steps find, the first no longer than `reach`, or None."""
+        for step in range(steps):
             missed, change = self.misfit(frame, lengths)
             if np.abs(missed).max() < RESIDUAL:
                 return frame
@@ -70,9 +69,9 @@ class Legs:
             except np.linalg.LinAlgError:
                 return None
             size = float(np.linalg.norm(twist))
-            if size > CLOSE and step == 0 and most == FEW:
+            if step == 0 and size > reach:
                 return None
-            frame = moved(frame, twist * min(1.0, CLOSE / size))
+            frame = moved(frame, twist * (CLOSE / max(size, CLOSE)))
         return None
 
     def stiffness(self, frame: Frame) -> tuple[float, float]:
@@ -112,7 +111,7 @@ class Legs:
         done, step = 0.0, FIRST_STEP
         while done < 1.0:
             share = min(done + step, 1.0)
-            following = self.settled(frame, 1.0 + share * (lengths - 1.0), FEW)
+            following = self.settled(frame, 1.0 + share * (lengths - 1.0), FEW, CLOSE)
             if following is not None and self._firm(following, side):
                 frame, done = following, share
             elif step > LAST_STEP:
