@@ -20,7 +20,7 @@ IDS = [*(base + node for node in NODES for base in BASES), 0x000, 0x080, 0x77F, 
 OBJECTS = (0, 0x1000, 0x6200, 0x6000, 0x1800, 0x1017, 0x1400, 0x1A00)  # that the driver asks for
 LENGTHS = (0, 1, 2, 3, 8, 12, 16, 20, 24, 32, 48, 64)  # of FD frames
 ERRORS = (0x004, 0x040, 0x100, 0x020, 0x204)
-LINES = 40  # most journal lines between two resets: one a source and code, and the modes
+LINES = 40  # most journal lines between two starts of the boards: one a source and code, and the modes
 
 
 def message(kind: int, number: int, length: int, data: bytes) -> can.Message:
@@ -59,7 +59,7 @@ class Daemon:
 
     def __call__(self, data: bytes) -> int:
         world, frames = self.world, 0
-        world.journal.lines, resets, before = 0, 1, world.syncs
+        world.journal.lines, before, starts = 0, world.syncs, world.starts
         for kind, number, length, body in acts(data):
             match kind:
                 case 0xF0 | 0xF1 | 0xF2 | 0xF3:
@@ -71,7 +71,6 @@ class Daemon:
                     world.request((Cancel, Stop)[number % 2])
                     world.go(1)
                 case 0xF7 | 0xF8:
-                    resets += 1
                     world.request(Reset)
                     world.go(2)
                 case 0xF9 | 0xFA | 0xFB | 0xFC:
@@ -89,7 +88,7 @@ class Daemon:
         world.check_outputs()
         world.recover()
         self.syncs += world.syncs - before
-        if world.journal.lines > LINES * (resets + 1):
+        if world.journal.lines > LINES * (world.starts - starts + 2):
             raise Flood(f"{world.journal.lines} lines of {frames} frames, the last: {world.journal.last}")
         return frames
 
@@ -163,6 +162,7 @@ SEEDS = [
     ),
     *(act(KNOWN, number, length, b"\x05\x06") for number in range(len(IDS)) for length in (0, 2, 8)),
     *(act(kind, number, 1, b"\x07") for kind in range(8) for number in range(16)),
+    act(0xFD, 0) + act(0xF0, 0x0F0B) * 12 + act(0xFE, 0) + act(0xF0, 0x0F0B) * 12,
     act(0xFD, 0) + act(0xF0, 11) + act(0xFE, 0) + act(0xF7) + act(0xF0, 11),
     b"".join(act(KNOWN, 6, 8, start) for start in STARTS),
     b"".join(act(4, number, 8, bytes(8)) + act(5, number, 8, b"\0\x08\0\0\0\0\x80\x80") for number in range(8)),

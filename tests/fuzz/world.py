@@ -33,6 +33,7 @@ CHANNELS = tuple(
 )
 RPDOS = tuple(cia301.RPDO1 + node for node in NODES)
 TPDOS = tuple(cia301.TPDO1 + node for node in NODES)
+QUESTIONS = (b"\x00\x10", b"\x00\x60")  # objects that may be asked for at any time: device type and inputs
 # What boards obey, whoever sends it.
 COMMANDS = {cia301.NMT, cia301.SYNC, *RPDOS, *(cia301.SDO_REQUEST + node for node in NODES)}
 _channels = itertools.count()
@@ -163,7 +164,7 @@ class World:
         self._starting = False
         self._latched: dict[int, bytes] = {}
         self._answers: list[tuple[int, int, bytes]] = []
-        self.syncs = 0
+        self.syncs = self.starts = 0
         self.dirty = True
         self.loop.begin()
         self.recover()
@@ -193,6 +194,7 @@ class World:
             self.tick()
             while (start := self._bring_up.due) is not None:
                 self._bring_up.due, self._starting = None, True
+                self.starts += 1
                 start()
                 self._starting = False
                 self.tick()
@@ -284,6 +286,8 @@ class World:
             asked = [stage.tolist() for way in execution.plan.transitions for stage in way.stages]
             if self._sent() not in asked:
                 raise Moved(f"{self._sent()} was switched, the goal asks for {asked}")
+            return
+        if cob_id & 0x780 == cia301.SDO_REQUEST and data[0] == 0x40 and data[1:3] in QUESTIONS:
             return
         if self._starting and (cob_id == cia301.NMT or cob_id & 0x780 == cia301.SDO_REQUEST):
             if cob_id != cia301.NMT and data[:1] != b"\x80" and data[1:3] == b"\x00\x62" and data[0] & 0xE0 == 0x20:
