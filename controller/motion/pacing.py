@@ -64,7 +64,12 @@ class Pace:
         return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self._fewest(actuators)))
 
     def staged(
-        self, manipulator: Manipulator, before: Configuration, after: Configuration, available: float | None = None
+        self,
+        manipulator: Manipulator,
+        before: Configuration,
+        after: Configuration,
+        available: float | None = None,
+        reckon: bool = True,
     ) -> Staged:
         """Returns how a transition is carried out.
 
@@ -73,6 +78,7 @@ class Pace:
             before: configuration, shape (B,).
             after: configuration, shape (B,).
             available: time from the waypoint before to the one after [s]; None: as much as wanted.
+            reckon: whether to reckon the excursion where there is no bound on what switches at once.
 
         Raises:
             Unfit: that is too little; the message says what is needed.
@@ -80,6 +86,8 @@ class Pace:
         n = manipulator.switches(before, after)
         if n == 0:
             return Staged(manipulator.actuator_states(after)[None], 0.0)
+        if self.inrush is None and not reckon:
+            return Staged(manipulator.actuator_states(after)[None], None)
         if self.inrush is None or n <= 1:
             return at_once(manipulator, before, after)
         fewest = self._fewest(n)

@@ -14,7 +14,9 @@ from controller.motion.trajectory import Trajectory, upwards
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solution, Solver
 
-PLANNING_TIME = 0.03  # [s] for the whole of a trajectory; what is left then is planned with the first answers
+# [s] for the whole of a trajectory: the arm is to begin soon. First answers are kept time for, and given when the rest
+# is over; how far the tip strays there is left to looking ahead.
+PLANNING_TIME, FIRST_ANSWER = 0.03, 0.0002
 
 
 AT_ONCE = Pace(0.0)
@@ -94,20 +96,22 @@ def plan(
         Refusal: a point is out of reach, the message has the nearest point found; or the time to it is too short.
     """
     solutions, transitions = list[Solution](), list[Staged]()
-    until = time.perf_counter() + PLANNING_TIME
+    reserved = min(FIRST_ANSWER * len(trajectory.times), 0.8 * PLANNING_TIME)
+    until = time.perf_counter() + PLANNING_TIME - reserved
     for k, goal in enumerate(trajectory.positions):
         proceed()
         tolerance = float(trajectory.tolerances[k])
-        if trajectory.between(k) and (kept := held(solutions[-1], goal, tolerance)) is not None:
+        if trajectory.between(k) and (same := held(solutions[-1], goal, tolerance)) is not None:
             transitions.append(Staged(transitions[-1].stages[-1:], 0.0))
-            solutions.append(kept)
+            solutions.append(same)
             continue
         left = max(until - time.perf_counter(), 0.0)
+        reckon = left > 0 or method != "minimum-switch"
         solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left))
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:
-            transitions.append(staged(solver, trajectory, previous, solution, k, pace))
+            transitions.append(staged(solver, trajectory, previous, solution, k, pace, reckon))
         except Refusal:  # perhaps a search with more time finds what switches less
             solution = solver.solve(goal, previous, tolerance, method)
             transitions.append(staged(solver, trajectory, previous, solution, k, pace))
@@ -142,7 +146,13 @@ def place(trajectory: Trajectory, point: int) -> str:
 
 
 def staged(
-    solver: Solver, trajectory: Trajectory, previous: Configuration, solution: Solution, k: int, pace: Pace
+    solver: Solver,
+    trajectory: Trajectory,
+    previous: Configuration,
+    solution: Solution,
+    k: int,
+    pace: Pace,
+    reckon: bool = True,
 ) -> Staged:
     """Returns the transition to point k; the first is late where there is too little time for it.
 
@@ -157,7 +167,7 @@ def staged(
     else:
         available = None
     try:
-        return pace.staged(solver.manipulator, previous, solution.configuration, available)
+        return pace.staged(solver.manipulator, previous, solution.configuration, available, reckon)
     except Unfit as error:
         number = trajectory.next(k)
         if number == 0:

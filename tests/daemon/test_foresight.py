@@ -38,6 +38,16 @@ def test_the_whole_is_better_and_meets_every_waypoint(first):
     assert [s.switches for s in better.solutions[1:]] == following
 
 
+def test_a_hurried_plan_leaves_it_to_looking_ahead_to_reckon_how_far_the_tip_strays(first, monkeypatch):
+    solver, rough = first
+    monkeypatch.setattr("controller.motion.plan.PLANNING_TIME", 0.0)
+    start, pace = np.zeros(16, dtype=np.int64), Pace(0.06)
+    hurried = plan(solver, rough.trajectory, start, "minimum-switch", pace=pace)
+    assert {transition.excursion for transition in hurried.transitions} == {None}
+    better = Foresight(solver, hurried, pace).whole()
+    assert all(transition.excursion is not None for transition in better.transitions[1:])
+
+
 def test_no_waypoint_changes_once_it_is_due(first, monkeypatch):
     """The clock runs a waypoint ahead with every one that is planned: each has to be decided at once."""
     solver, rough = first
