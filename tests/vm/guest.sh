@@ -8,10 +8,13 @@ export HYPERBIT_SLOWNESS=10
 ip link set lo up
 mountpoint -q /dev/shm || mount -t tmpfs -o mode=1777 tmpfs /dev/shm
 
-echo "booted: $(uname -sr), $(nproc) processors"
+echo "booted: $(uname -sr), $(nproc --all) processors"
 . build/vm/arguments
-.venv/bin/python -m pytest -p no:cacheprovider --bus socketcan --timeout 600 -p tests.vm.live -v --color=no "$@"
+.venv/bin/python -m pytest -p no:cacheprovider -p tests.vm.live --bus socketcan --timeout 600 --color=no -vv \
+  --numprocesses 2 --dist loadfile --durations 15 "$@"
 verdict=$?
+find build/vm/cache /var/cache/private/hyperbit/numba -name '*.nbc' -newer build/vm/arguments \
+  -exec echo "compiled here, which is slow:" {} \;
 
 # isa-debug-exit: QEMU ends with twice the byte written to port f4h, plus 1.
 printf "\\$(printf %o $((16 + verdict)))" | dd of=/dev/port bs=1 seek=244 status=none

@@ -92,7 +92,7 @@ def pack() -> None:
         unpacked, tree = Path(name) / "unpacked", Path(name) / "tree"
         for package in (kernel, busybox):
             run(["dpkg-deb", "--extract", str(package), str(unpacked)])
-        for directory in ("bin", "modules", "proc", "sys", "dev", "lower", "robot", "upper", "root"):
+        for directory in ("bin", "modules", "proc", "sys", "dev", "lower", "robot", "upper", "root", "project"):
             (tree / directory).mkdir(parents=True)
         (tool,) = unpacked.glob("**/bin/busybox")
         shutil.copy(tool, tree / "bin/busybox")

@@ -20,7 +20,13 @@ mkdir -p -m 700 "$memory/files/var/cache/private"
 NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba" \
   /opt/hyperbit/bin/python -P "$project/tests/vm/compile.py"
 mkdir /etc/systemd/system/hyperbit.service.d
-printf '[Service]\nEnvironment=NUMBA_CPU_NAME=generic\n' > /etc/systemd/system/hyperbit.service.d/emulated.conf
+cat > /etc/systemd/system/hyperbit.service.d/emulated.conf << 'UNIT'
+[Service]
+Environment=NUMBA_CPU_NAME=generic
+# Ten times the unit's own, as the tests' times.
+WatchdogSec=20
+TimeoutStopSec=150
+UNIT
 
 rm -rf "$layer"
 cp -a "$memory/files" "$layer"

@@ -18,7 +18,7 @@ import pytest
 import zenoh
 
 from controller.daemon import session
-from controller.daemon.client import Client, Message
+from controller.daemon.client import Client
 from controller.daemon.ledger import read
 from tests import vcan
 from tests.daemon.waiting import eventually
@@ -33,7 +33,7 @@ ASKING = {0x580, 0x600}  # SDO answers and requests (CiA 301, 7.3.5)
 
 pytestmark = pytest.mark.skipif(
     not Path("/etc/systemd/system/hyperbit-tests.service").exists(),
-    reason="installs a service and restarts it: only in the virtual machine of `make vm-test`",
+    reason="needs the installed service: only in the virtual machine of `make vm-test`",
 )
 
 
@@ -103,11 +103,10 @@ def shown(name: str) -> str:
     return systemctl("show", "hyperbit", "--value", "--property", name).strip()
 
 
-def ready(client: Observer) -> Message:
-    """Waits until the service says that it is ready, to systemd too; returns its state."""
-    state = client.wait_now("ready")
-    eventually(lambda: shown("StatusText").startswith("ready: "))
-    return state
+def comes_up() -> None:
+    """Waits until the service says how it is, which must be ready."""
+    status = eventually(lambda: re.match("(ready|fault): .*", shown("StatusText")))
+    assert status[1] == "ready", journal()
 
 
 def test_the_unit_is_confined() -> None:
@@ -127,18 +126,17 @@ def test_the_boards_are_asked_before_the_service_runs(frames: can.BusABC) -> Non
 def test_it_starts_moves_nothing_and_is_ready(frames: can.BusABC) -> None:
     drain(frames)
     systemctl("start", "hyperbit")
-    eventually(lambda: shown("StatusText").startswith("ready: "))
+    comes_up()
     assert shown("ActiveState") == "active"
     assert syncs(drain(frames)) == []
 
 
 def test_a_goal_is_reached_by_the_frames_on_the_bus(frames: can.BusABC, client: Observer) -> None:
-    ready(client)
     drain(frames)
     result = client.move(MIDDLE, goal="first")
     counts = changes(drain(frames))
     assert sum(counts) == result["switches"] > 0
-    state = ready(client)
+    state = client.wait_now("ready")
     assert state["measured"] == state["commanded"]
     assert sum(state["measured"]) == result["switches"], "all began contracted"
     assert "reached (0.4" in hyperbit("send", str(ARM), "--to", "0.4,2.9")
@@ -158,22 +156,22 @@ def test_it_runs_confined_and_writes_its_cache_and_ledger() -> None:
 
 
 def test_a_restart_moves_nothing(frames: can.BusABC, client: Observer) -> None:
-    before = ready(client)["measured"]
+    before = client.wait_now("ready")["measured"]
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="never")
     pid = shown("MainPID")
     drain(frames)
     systemctl("restart", "hyperbit")
     assert client.result("never")["message"] == "the daemon is shutting down; the arm holds"
     assert shown("MainPID") != pid
-    eventually(lambda: shown("StatusText").startswith("ready: "))
+    comes_up()
     assert syncs(drain(frames)) == []
-    assert ready(client)["measured"] == before
+    assert client.wait_now("ready")["measured"] == before
 
 
 def test_it_lives_on_when_the_interface_goes_down_and_up(
     can0: vcan.Interface, frames: can.BusABC, client: Observer
 ) -> None:
-    before, pid = ready(client)["measured"], shown("MainPID")
+    before, pid = client.wait_now("ready")["measured"], shown("MainPID")
     drain(frames)
     can0.down()
     client.wait_now("fault", "can0")
@@ -181,7 +179,7 @@ def test_it_lives_on_when_the_interface_goes_down_and_up(
     told = len(client.heard["diagnostics"])
     eventually(lambda: any(it["buses"][0]["state"] == "active" for it in client.heard["diagnostics"][told:]))
     client.ask("reset")
-    assert ready(client)["measured"] == before
+    assert client.wait_now("ready")["measured"] == before
     with can.Bus(interface="socketcan", channel=can0.name, ignore_config=True) as listening:
         client.move(RIGHT, goal="after the interface was down")
         assert syncs(drain(listening))
@@ -189,13 +187,14 @@ def test_it_lives_on_when_the_interface_goes_down_and_up(
 
 
 def test_systemd_starts_it_again_after_sigkill(frames: can.BusABC, client: Observer) -> None:
-    before, pid = ready(client)["measured"], shown("MainPID")
+    before, pid = client.wait_now("ready")["measured"], shown("MainPID")
     drain(frames)
     os.kill(int(pid), signal.SIGKILL)
     eventually(lambda: shown("NRestarts") == "1")
-    eventually(lambda: shown("MainPID") not in ("0", pid) and shown("StatusText").startswith("ready: "))
+    eventually(lambda: shown("MainPID") not in ("0", pid))
+    comes_up()
     assert syncs(drain(frames)) == []
-    assert ready(client)["measured"] == before
+    assert client.wait_now("ready")["measured"] == before
 
 
 def test_it_stops_in_order(frames: can.BusABC) -> None:
