@@ -82,9 +82,7 @@ class Outstanding:
             self._written_off.clear()
 
     def _write_off(self, key: _Key) -> None:
-        times = self._sent.pop(key)
-        if self.last < math.inf:
-            self._written_off[key] += len(times)
+        self._written_off[key] += len(self._sent.pop(key))
 
     def _take(self, key: _Key) -> bool:
         times = self._sent.get(key)
