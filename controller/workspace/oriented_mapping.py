@@ -7,11 +7,13 @@ no room for boxes: levels are tables of the pixels that have points, and a pixel
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator import frames
+from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.frame_pixels import SIDE, extent, superpose
 from controller.workspace.mapping import grid, rescale
@@ -45,48 +47,88 @@ def map_oriented(
         raise ValueError(
             f"pixel {pixel:g}, pixels per level {level_pixels} and weight of rotation {weight:g} must be positive"
         )
-    planar, power = manipulator.planar, 1 if manipulator.planar else 3
-    slots = np.empty(1 << (2 * level_pixels - 1).bit_length(), dtype=np.int32)
-    keys = np.empty(level_pixels, dtype=np.int64)
-    rooms = [(np.empty(level_pixels), np.empty((level_pixels, 7))) for _ in range(2)]  # source and target, in turns
-    counts, centroids, exponent = np.ones(1), np.array([[0.0, 0, 0, 0, 0, 0, 1]]), 0
-    shape, turns, reference = np.ones(3, dtype=np.int64), cells_along(pixel, weight, planar=planar), np.zeros(3)
-    identity = np.array([0 if planar else turns**3 // 2])
-    levels = [(identity, logarithms(counts, exponent), shape, reference, pixel, turns)]
+    planar, identity = manipulator.planar, np.array([[0.0, 0, 0, 0, 0, 0, 1]])
+    room = Room(level_pixels)
+    shape, turns = np.ones(3, dtype=np.int64), cells_along(pixel, weight, planar=planar)
+    key = np.array([0 if planar else turns**3 // 2])  # of the tip as seen from itself
+    level = Level(key, np.ones(1), identity, 0, shape, np.zeros(3), pixel, turns)
+    levels = [packed(level)]
     progress(1)
     for i in reversed(range(len(manipulator.modules))):
-        rotations = manipulator.rotations[i, : manipulator.states[i]]
-        translations = manipulator.translations[i, : manipulator.states[i]]
-        quaternions = np.array([frames.quaternion(frame) for frame in manipulator.frames[i, : manipulator.states[i]]])
-        low, high = extent(centroids, rotations, translations)
-        used, finer = -1, pixel
-        while used < 0:
-            pixel, finer = finer, finer * GROWTH
-            (nz, ny, nx), reference = grid(low, high, pixel)
-            shape, turns = np.array((nz, ny, nx)), cells_along(pixel, weight, planar=planar)
-            if int(nz) * int(ny) * int(nx) * turns**power >= 2**63:
-                raise ValueError(f"pixel {pixel:g} with weight of rotation {weight:g} is too fine: keys have 63 bits")
-            target = reference, pixel, shape, planar, turns
-            used = superpose(
-                counts, centroids, quaternions, rotations, translations, *target, slots, keys, *rooms[i % 2]
-            )
-        counts, centroids = (room[:used] for room in rooms[i % 2])
-        exponent += rescale(counts)
-        order = np.argsort(keys[:used])
-        levels.append((keys[order], logarithms(counts[order], exponent), shape, reference, pixel, turns))
+        level = below(level, manipulator.modules[i].frames, weight, room, planar=planar)
+        levels.append(packed(level))
         progress(len(levels))
     levels.reverse()
-    all_keys, values, shapes, references, pixels, turns_along = zip(*levels, strict=True)
+    keys, values, shapes, references, pixels, turns_along = zip(*levels, strict=True)
     return OrientedDensities(
-        keys=np.concatenate(all_keys),
+        keys=np.concatenate(keys),
         values=np.concatenate(values),
-        offsets=np.cumsum([0] + [len(own) for own in all_keys]),
+        offsets=np.cumsum([0] + [len(own) for own in keys]),
         shapes=np.array(shapes),
         references=np.array(references),
         pixels=np.array(pixels),
         turns=np.array(turns_along),
         planar=planar,
     )
+
+
+class Room:
+    """The arrays that levels are mapped in: the hash table, keys, and those of source and target, in turns."""
+
+    def __init__(self, level_pixels: int) -> None:
+        self.slots = np.empty(1 << (2 * level_pixels - 1).bit_length(), dtype=np.int32)
+        self.keys = np.empty(level_pixels, dtype=np.int64)
+        self.target = np.empty(level_pixels), np.empty((level_pixels, 7))
+        self.other = np.empty(level_pixels), np.empty((level_pixels, 7))
+
+    def turn(self) -> None:
+        """Makes the source's arrays the next target's."""
+        self.target, self.other = self.other, self.target
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One intermediate workspace while it is mapped: counts times two to `exponent`, in no order; views of a Room."""
+
+    keys: NDArray[np.int64]
+    counts: NDArray[np.float64]
+    centroids: NDArray[np.float64]
+    exponent: int
+    shape: NDArray[np.int64]
+    reference: NDArray[np.float64]
+    pixel: float
+    turns: int
+
+
+def below(level: Level, motions: Frame, weight: float, room: Room, *, planar: bool) -> Level:
+    """Returns the next level towards the base: the superposition of `level` moved by a module's frames (n, 4, 4)."""
+    rotations, translations = (np.ascontiguousarray(part) for part in (motions[:, :3, :3], motions[:, :3, 3]))
+    quaternions = np.array([frames.quaternion(frame) for frame in motions])
+    low, high = extent(level.centroids, rotations, translations)
+    used, pixel, finer = -1, level.pixel, level.pixel
+    while used < 0:
+        pixel, finer = finer, finer * GROWTH
+        (nz, ny, nx), reference = grid(low, high, pixel)
+        shape, turns = np.array((nz, ny, nx)), cells_along(pixel, weight, planar=planar)
+        if int(nz) * int(ny) * int(nx) * turns ** (1 if planar else 3) >= 2**63:
+            raise ValueError(f"pixel {pixel:g} with weight of rotation {weight:g} is too fine: keys have 63 bits")
+        moved = level.counts, level.centroids, quaternions, rotations, translations
+        target = reference, pixel, shape, planar, turns
+        used = superpose(*moved, *target, room.slots, room.keys, *room.target)
+    counts, centroids = (array[:used] for array in room.target)
+    room.turn()
+    exponent = level.exponent + rescale(counts)
+    return Level(room.keys[:used], counts, centroids, exponent, shape, reference, pixel, turns)
+
+
+Packed = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64], NDArray[np.float64], float, int]
+
+
+def packed(level: Level) -> Packed:
+    """Returns keys, values, shape, reference, pixel and turns of a level as they are kept, keys in order."""
+    order = np.argsort(level.keys)
+    values = logarithms(level.counts[order], level.exponent)
+    return level.keys[order], values, level.shape, level.reference, level.pixel, level.turns
 
 
 def cells_along(pixel: float, weight: float, *, planar: bool) -> int:
