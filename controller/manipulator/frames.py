@@ -68,6 +68,20 @@ def quaternion(frame: Frame) -> NDArray[np.float64]:
     return np.asarray(q if q[3] >= 0 else -q)
 
 
+@njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)
+def angle_between(first: Frame, second: Frame) -> float:
+    """Returns the angle [rad] of the rotation that leads from one frame's orientation to another's, in [0, pi]."""
+    trace = 0.0
+    turned = np.zeros((3, 3))  # R^T R'
+    for a in range(3):
+        for b in range(3):
+            for c in range(3):
+                turned[a, b] += first[c, a] * second[c, b]
+        trace += turned[a, a]
+    x, y, z = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
+    return math.atan2(math.sqrt(x * x + y * y + z * z), trace - 1.0)  # twice its sine, twice its cosine
+
+
 @njit("f8(f8[:,:], f8[:,:], f8)", cache=True, nogil=True)
 def distance(first: Frame, second: Frame, weight: float) -> float:
     """Returns how far apart two frames (4, 4) are: sqrt(|b - b'|^2 + (weight * angle between them)^2).
@@ -80,14 +94,7 @@ def distance(first: Frame, second: Frame, weight: float) -> float:
         second: another one.
         weight: of the rotation, a length in the unit of the arm; 0 compares positions only.
     """
-    square, trace = 0.0, 0.0
-    turned = np.zeros((3, 3))  # R^T R'
+    square = 0.0
     for a in range(3):
         square += (first[a, 3] - second[a, 3]) ** 2
-        for b in range(3):
-            for c in range(3):
-                turned[a, b] += first[c, a] * second[c, b]
-        trace += turned[a, a]
-    x, y, z = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
-    angle = math.atan2(math.sqrt(x * x + y * y + z * z), trace - 1.0)  # twice its sine, twice its cosine
-    return math.sqrt(square + (weight * angle) ** 2)
+    return math.sqrt(square + (weight * angle_between(first, second)) ** 2)

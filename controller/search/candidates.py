@@ -9,6 +9,7 @@ from controller.search.found import CLOSE
 from controller.search.halves import middle
 from controller.search.meeting import seen
 from controller.search.segment import Storage, build_segment, coordinates, motions, write_rows
+from controller.search.target import Target
 
 Array = NDArray[np.float64]
 
@@ -29,27 +30,24 @@ class Candidates:
         self._motions = motions(manipulator)
         size, width = coordinates(self._motions), self._motions.shape[1]
         self._lower, self._upper = Storage(ROWS + 1, width), Storage(ROWS + 1, width)
-        self._cells, self._asking = Cells(ROWS + 1, size), np.empty((ROWS + 1, size))
+        self._cells, self._asking = Cells(ROWS + 1, size), np.empty((ROWS + 1, width))
         self._pairs, self._costs = np.empty((most, 2), dtype=np.int64), np.empty(most)
 
-    def find(
-        self, goal: Array, centre: Configuration, costs: Array, tolerance: float
-    ) -> tuple[NDArray[np.int64], Array]:
-        """Returns configurations (n, B) whose tips are within the tolerance, and what they cost (n,).
+    def find(self, target: Target, centre: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
+        """Returns configurations (n, B) whose tips are within the tolerances, and what they cost (n,).
 
         Args:
-            goal: in frame F_0, shape (3,).
+            target: in frame F_0.
             centre: the configuration that costs nothing, shape (B,).
             costs: of every state of every module, shape (B, Kmax).
-            tolerance: of the tip's distance from the goal.
         """
         count = len(self._m.modules)
         lower = build_segment(self._motions, self._m.states, self._lower, centre, costs, costs, 0, self._half)
         upper = build_segment(self._motions, self._m.states, self._upper, centre, costs, costs, self._half, count)
-        self._cells.fill(upper.frames, upper.costs, tolerance * CLOSE)
+        self._cells.fill(upper.frames, upper.costs, target.tolerance * CLOSE)
         asking = self._asking[: len(lower.costs)]
-        seen(goal, lower.frames, asking)
-        found = self._cells.collect(asking, lower.costs, self._pairs, self._costs)
+        seen(target.row, lower.frames, asking)
+        found = self._cells.collect(asking, lower.costs, target.limit, self._pairs, self._costs)
         configurations = np.tile(centre, (found, 1))
         for segment, rows in zip((lower, upper), self._pairs[:found].T, strict=True):
             chosen = np.ascontiguousarray(rows)

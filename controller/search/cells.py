@@ -19,7 +19,8 @@ class Cells:
     def __init__(self, most: int, size: int) -> None:
         self._starts, self._cells = np.empty(CELLS + 1, dtype=np.int32), np.empty(most, dtype=np.int32)
         self._order, self._points, self._prices = np.empty(most, dtype=np.int32), np.empty((most, size)), np.empty(most)
-        self._grid, self._count, self._tolerance = np.empty(7), 0, 0.0
+        self._grid, self._tolerance = np.empty(7), 0.0
+        self._rows = np.empty((0, size))
 
     def claim(self) -> None:
         """Has the system hand out the memory now, not in the middle of a search."""
@@ -27,9 +28,11 @@ class Cells:
             array.fill(0)
 
     def fill(self, rows: Array, costs: Array, tolerance: float) -> None:
-        """Takes points, the first numbers of rows (n, ...), and their costs (n,)."""
-        n, self._tolerance = len(rows), tolerance
-        self._count = n
+        """Takes points, the first numbers of rows (n, ...), and their costs (n,).
+
+        The rows must stay as they are where rotations will be asked for: they are frames then, (n, 4) or (n, 12).
+        """
+        n, self._rows, self._tolerance = len(rows), rows, tolerance
         sort_into_cells(rows, self._points.shape[1], tolerance, self._starts, self._cells, self._grid)
         put_into_cells(rows, costs, self._starts, self._cells, self._order, self._points[:n], self._prices[:n])
 
@@ -39,14 +42,16 @@ class Cells:
         target_costs: Array,
         frames: Array,
         frame_costs: Array,
+        limit: float,
+        weight: float,
         best: float,
         best_square: float,
         *,
         carried: bool = False,
     ) -> tuple[int, int, int, float, float]:
         """Returns the best target, frame and row, see meeting.match; targets are seen from the frames, or carried."""
-        n = self._count
-        target, frame, k, cost, square = match(
+        n = len(self._rows)
+        return match(
             targets,
             target_costs,
             frames,
@@ -55,16 +60,19 @@ class Cells:
             self._points[:n],
             self._prices[:n],
             self._starts,
+            self._order,
             self._grid,
+            self._rows,
             self._tolerance,
+            limit,
+            weight,
             best,
             best_square,
         )
-        return target, frame, int(self._order[k]) if k >= 0 else -1, cost, square
 
-    def collect(self, asking: Array, costs: Array, pairs: NDArray[np.int64], pair_costs: Array) -> int:
-        """Writes the cheapest pairs of asking points and rows, see meeting.collect; returns their number."""
-        n = self._count
+    def collect(self, asking: Array, costs: Array, limit: float, pairs: NDArray[np.int64], pair_costs: Array) -> int:
+        """Writes the cheapest pairs of asking frames and rows, see meeting.collect; returns their number."""
+        n = len(self._rows)
         return collect(
             asking,
             costs,
@@ -73,7 +81,9 @@ class Cells:
             self._starts,
             self._order,
             self._grid,
+            self._rows,
             self._tolerance,
+            limit,
             pairs,
             pair_costs,
         )

@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
-from controller.search.found import Found
+from controller.search.found import CLOSE, Found
 from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
+from controller.search.target import Target
 
 Array = NDArray[np.float64]
 
@@ -73,17 +74,18 @@ class Halves:
             self._cells.fill(self.upper.frames, self.upper.costs, tolerance)
             self._sorted = tolerance
 
-    def meet(self, goal: Array, tolerance: float, best: Found) -> Found:
-        """Returns the cheapest pair's configuration, or `best` if none is better.
-
-        Args:
-            goal: in frame F_0, shape (3,).
-            tolerance: of the tip's distance from the goal.
-            best: found before.
-        """
-        self.sort(tolerance)
+    def meet(self, target: Target, best: Found) -> Found:
+        """Returns the cheapest pair's configuration, or `best`, found before, if none is better."""
+        self.sort(target.tolerance * CLOSE)
         _, i, j, cost, square = self._cells.match(
-            goal[None], ONE_TARGET, self.lower.frames, self.lower.costs, best.cost, best.square
+            target.row[None],
+            ONE_TARGET,
+            self.lower.frames,
+            self.lower.costs,
+            target.limit,
+            target.weight,
+            best.cost,
+            best.square,
         )
         if i < 0:
             return best

@@ -2,7 +2,8 @@
 
 Rigid motions keep distances. So with the arm cut in two, the tip of a pair of rows is as far from the goal as the upper
 row's tip is from the goal seen from the top of the lower row, R^T (goal - b). One side's points are sorted into cells;
-the other side asks for what is near. Frames are rows of numbers, see segment.
+the other side asks for what is near. Frames are rows of numbers, see segment. Rotations are compared only of what is
+near, by the square of their chord, 2 (1 - cos angle): half the sum of the squares by which the matrices differ.
 """
 
 import numpy as np
@@ -18,18 +19,40 @@ POINTS_A_CELL = 0.5  # at least, on the average
 
 
 @njit("void(f8[::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
-def seen(point: Array, frames: Array, out: Array) -> None:
-    """Writes a point as seen from each frame, R^T (point - b), to `out` (n, 2) or (n, 3)."""
-    x, y, z = point[0], point[1], point[2]
+def seen(frame: Array, frames: Array, out: Array) -> None:
+    """Writes a frame (4,) or (12,) as seen from each of others to `out`, or its position where `out` is no wider."""
+    whole = out.shape[1] == frames.shape[1]
     for n in range(len(frames)):
         f = frames[n]
         if len(f) == 4:
-            dx, dy = x - f[0], y - f[1]
+            dx, dy = frame[0] - f[0], frame[1] - f[1]
             out[n, 0], out[n, 1] = f[2] * dx + f[3] * dy, f[2] * dy - f[3] * dx
+            if whole:
+                out[n, 2], out[n, 3] = f[2] * frame[2] + f[3] * frame[3], f[2] * frame[3] - f[3] * frame[2]
         else:
-            dx, dy, dz = x - f[0], y - f[1], z - f[2]
+            dx, dy, dz = frame[0] - f[0], frame[1] - f[1], frame[2] - f[2]
             for a in range(3):
                 out[n, a] = f[3 + a] * dx + f[6 + a] * dy + f[9 + a] * dz
+                if whole:
+                    for b in range(3):
+                        out[n, 3 + 3 * a + b] = (
+                            f[3 + a] * frame[3 + b] + f[6 + a] * frame[6 + b] + f[9 + a] * frame[9 + b]
+                        )
+
+
+@njit("f8(f8[:,::1], i8, f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+def chord(turned: Array, i: int, by: Array, j: int, other: Array, k: int) -> float:
+    """Returns the squared chord between the rotation of turned[i], turned by that of by[j], and that of other[k]."""
+    total = 0.0
+    if turned.shape[1] == 4:
+        c = by[j, 2] * turned[i, 2] - by[j, 3] * turned[i, 3] - other[k, 2]
+        s = by[j, 3] * turned[i, 2] + by[j, 2] * turned[i, 3] - other[k, 3]
+        return float(c * c + s * s)
+    for a in range(3, 12, 3):
+        for b in range(3):
+            d = by[j, a] * turned[i, 3 + b] + by[j, a + 1] * turned[i, 6 + b] + by[j, a + 2] * turned[i, 9 + b]
+            total += (d - other[k, a + b]) ** 2
+    return 0.5 * total
 
 
 @njit("i8(f8[:,::1], i8, f8, i4[::1], i4[::1], f8[::1])", cache=True, nogil=True, error_model="numpy")
@@ -105,8 +128,8 @@ def put_into_cells(
 
 
 @njit(
-    "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], f8[::1], f8,"
-    " f8, f8)",
+    "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
+    " f8[::1], f8[:,::1], f8, f8, f8, f8, f8)",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -121,41 +144,50 @@ def match(
     points: Array,
     prices: Array,
     starts: Index32,
+    order: Index32,
     grid: Array,
+    rows: Array,
     tolerance: float,
+    limit: float,
+    weight: float,
     best: float,
     best_square: float,
 ) -> tuple[int, int, int, float, float]:
     """Returns the target, frame and point of least cost together that fit, the nearer between equals.
 
-    They fit where the point is within the tolerance of the target as seen from the frame, or as carried by it.
+    They fit where the point is within the tolerance of the target as seen from the frame, or as carried by it, and its
+    row's rotation within the limit.
 
     Args:
-        targets: shape (t, 3), z of no meaning in the plane.
+        targets: frames, shape (t, 4) or (t, 12).
         target_costs: shape (t,).
         frames: shape (n, 4) or (n, 12).
         frame_costs: shape (n,).
         away: whether targets are seen from the frames, R^T (target - b), or carried by them, b + R target.
-        points: and the next three: see Cells.
+        points: and the next five: see Cells.
         prices: see Cells.
         starts: see Cells.
+        order: see Cells.
         grid: see Cells.
+        rows: see Cells; not read where no rotation is asked for.
         tolerance: of the distance.
+        limit: of the rotations' squared chord, infinite where any will do.
+        weight: length with which chords count in the squared distance; 0 where they do not.
         best: cost to be bettered, or equalled by what is nearer.
         best_square: square of its distance.
 
     Returns:
-        Rows of target, frame and point, (-1, -1, -1) if none is better; the best's cost and squared distance.
+        Rows of target, frame and asked row, (-1, -1, -1) if none is better; the best's cost and squared distance.
     """
     least = np.inf
     for k in range(len(prices)):
         least = min(least, prices[k])
     first, second, third = -1, -1, -1
-    limit, flat = tolerance * tolerance, frames.shape[1] == 4
+    farthest, flat, oriented = tolerance * tolerance, frames.shape[1] == 4, limit < np.inf or weight > 0.0
     nx, ny, nz = int(grid[4]), int(grid[5]), int(grid[6])
     dz = 0.0
     for t in range(len(targets)):
-        x, y, z = targets[t, 0], targets[t, 1], targets[t, 2]
+        x, y, z = targets[t, 0], targets[t, 1], 0.0 if flat else targets[t, 2]
         for q in range(len(frames)):
             price = target_costs[t] + frame_costs[q]
             if price + least > best:
@@ -197,16 +229,24 @@ def match(
                         if not flat:
                             dz = pz - points[k, 2]
                             square += dz * dz
-                        if square > limit:
+                        if square > farthest:
                             continue
                         cost = price + prices[k]
                         if cost < best or (cost == best and square < best_square):
+                            if oriented:
+                                if away:
+                                    apart = chord(rows, order[k], frames, q, targets, t)
+                                else:
+                                    apart = chord(targets, t, frames, q, rows, order[k])
+                                square += weight * weight * apart
+                                if apart > limit or (cost == best and square >= best_square):
+                                    continue
                             first, second, third, best, best_square = t, q, k, cost, square
-    return first, second, third, best, best_square
+    return first, second, int(order[third]) if third >= 0 else -1, best, best_square
 
 
 @njit(
-    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8, i8[:,::1], f8[::1])",
+    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8[:,::1], f8, f8, i8[:,::1], f8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -219,16 +259,19 @@ def collect(
     starts: Index32,
     order: Index32,
     grid: Array,
+    rows: Array,
     tolerance: float,
+    limit: float,
     pairs: Index,
     pair_costs: Array,
 ) -> int:
-    """Writes the cheapest pairs of an asking point (n, 2 or 3) and a row within the tolerance, as many as find room.
+    """Writes the cheapest pairs of an asking frame (n, 4 or 12) and a row that fit, see match, as many as find room.
 
     Returns their number; `pairs` is of shape (n, 2), their costs `pair_costs` of shape (n,). The rest: see Cells.
     """
-    count, room, worst, limit = 0, len(pair_costs), np.inf, tolerance * tolerance
-    flat = asking.shape[1] == 2
+    count, room, worst, farthest = 0, len(pair_costs), np.inf, tolerance * tolerance
+    size = points.shape[1]
+    flat, oriented = size == 2, limit < np.inf
     nx, ny, nz = int(grid[4]), int(grid[5]), int(grid[6])
     for q in range(len(asking)):
         if asking_costs[q] > worst:
@@ -246,10 +289,16 @@ def collect(
                     if cost > worst or (count == room and cost == worst):
                         continue
                     square = 0.0
-                    for a in range(asking.shape[1]):
+                    for a in range(size):
                         square += (asking[q, a] - points[k, a]) ** 2
-                    if square > limit:
+                    if square > farthest:
                         continue
+                    if oriented:
+                        apart, n = 0.0, order[k]
+                        for a in range(size, asking.shape[1]):
+                            apart += (asking[q, a] - rows[n, a]) ** 2
+                        if apart > (limit if flat else 2.0 * limit):
+                            continue
                     at = count
                     if count == room:  # the dearest gives way
                         at = int(np.argmax(pair_costs))

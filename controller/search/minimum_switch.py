@@ -19,6 +19,7 @@ from controller.search.halves import Halves
 from controller.search.nearest import Nearest
 from controller.search.quarters import Quarters
 from controller.search.reach import Reach
+from controller.search.target import Target
 
 Array = NDArray[np.float64]
 
@@ -58,10 +59,9 @@ class MinimumSwitch:
 
     def improve(
         self,
-        goal: Array,
+        target: Target,
         centre: Configuration,
         costs: Array,
-        tolerance: float,
         first: Callable[[], Found],
         widen: Callable[[Found, int], Found],
         until: float,
@@ -69,33 +69,30 @@ class MinimumSwitch:
         """Returns the cheapest configuration within the tolerance, and what is proven of its cost.
 
         Args:
-            goal: in frame F_0, shape (3,).
+            target: in frame F_0.
             centre: the configuration that costs nothing, shape (B,).
             costs: of every state of every module, at least 0, shape (B, Kmax).
-            tolerance: of the tip's distance from the goal.
             first: gives an answer from far and wide, of infinite cost if it is not within the tolerance.
             widen: looks for a better one farther from the centre, with a beam of a width.
             until: `time.perf_counter()` at which to be done, nearly.
         """
-        tolerance *= CLOSE
         best, near = Found(centre, np.inf, np.inf), self._near
         if time.perf_counter() < until:
             near.list(centre, costs, costs)
-            best = self._proven(near, goal, centre, costs, tolerance, best, until)
-        if best.cost == np.inf and self._reach.excludes(goal, tolerance):
+            best = self._proven(near, target, centre, costs, best, until)
+        if best.cost == np.inf and self._reach.excludes(target.position, target.tolerance):
             best = replace(best, bound=np.inf)
         if best.bound < best.cost or best.cost == np.inf:
             best = replace(best.better(first()), bound=best.bound)
         if not best.settled:
-            best = self._further(goal, centre, costs, tolerance, best, widen, until)
-        return best if best.cost < np.inf else replace(self._nearest.improve(goal, best, until), bound=best.bound)
+            best = self._further(target, centre, costs, best, widen, until)
+        return best if best.cost < np.inf else replace(self._nearest.improve(target, best, until), bound=best.bound)
 
     def _further(
         self,
-        goal: Array,
+        target: Target,
         centre: Configuration,
         costs: Array,
-        tolerance: float,
         best: Found,
         widen: Callable[[Found, int], Found],
         until: float,
@@ -107,22 +104,22 @@ class MinimumSwitch:
         best = widen(best, BEAMS[0])
         beam_time = time.perf_counter() - began
         if best.cost == np.inf:  # what is nearer is nearer to what is within the tolerance, too
-            best = self._nearest.improve(goal, best, until)
-        best = self._wander(goal, costs, tolerance, best, NEAR, until)
-        best = self._proven(self._near, goal, centre, costs, tolerance, best, until)
+            best = self._nearest.improve(target, best, until)
+        best = self._wander(target, costs, best, NEAR, until)
+        best = self._proven(self._near, target, centre, costs, best, until)
         for most in LADDER:
             if best.settled or time.perf_counter() + most * self._row_time > until:
                 break
             self._list(centre, costs, costs, most)
-            best = self._proven(self._wide, goal, centre, costs, tolerance, best, until)
+            best = self._proven(self._wide, target, centre, costs, best, until)
             if not best.settled:
-                better = self._wander(goal, costs, tolerance, best, most, until - most * self._row_time)
+                better = self._wander(target, costs, best, most, until - most * self._row_time)
                 best = replace(better, bound=best.bound)
         for before, width in pairwise(BEAMS):
             beam_time *= 1.5 * width / before
             if best.settled or time.perf_counter() + beam_time > until:
                 break
-            better = self._wander(goal, costs, tolerance, widen(best, width), NEAR, until)
+            better = self._wander(target, costs, widen(best, width), NEAR, until)
             best = replace(better, bound=best.bound)
         return best
 
@@ -133,13 +130,13 @@ class MinimumSwitch:
         rows = len(self._wide.lower.costs) + len(self._wide.upper.costs)
         self._row_time = 4.0 * (time.perf_counter() - began) / rows
 
-    def _wander(self, goal: Array, costs: Array, tolerance: float, best: Found, most: int, until: float) -> Found:
+    def _wander(self, target: Target, costs: Array, best: Found, most: int, until: float) -> Found:
         """Returns the cheapest configuration that is near the best, again and again until it is the best itself."""
         while time.perf_counter() < until:
             own = self._m.bits[np.arange(len(best.configuration)), best.configuration]
             distances = (self._m.bits != own[:, None]).sum(axis=2).astype(float)
             self._list(best.configuration, distances, costs, most)
-            better = self._wide.meet(goal, tolerance, best)
+            better = self._wide.meet(target, best)
             if better.cost >= best.cost:
                 return better
             best = better
@@ -148,15 +145,14 @@ class MinimumSwitch:
     def _proven(
         self,
         halves: Halves,
-        goal: Array,
+        target: Target,
         centre: Configuration,
         costs: Array,
-        tolerance: float,
         best: Found,
         until: float,
     ) -> Found:
         """Returns the best of all pairs listed, and a bound on the cost of those left out, checked if they are few."""
-        best = halves.meet(goal, tolerance, best)
+        best = halves.meet(target, best)
         lower, upper = halves.lower, halves.upper
         bound = min(lower.beyond, upper.beyond)
         if bound < best.cost:
@@ -165,5 +161,5 @@ class MinimumSwitch:
             if len(below) + len(above) <= MOST_CHECKS:
                 below, above = below[np.argsort(lower.costs[below])], above[np.argsort(upper.costs[above])]
                 self._quarters.list(centre, costs)
-                return self._quarters.check(goal, tolerance, halves, below, above, best, until)
+                return self._quarters.check(target, halves, below, above, best, until)
         return Found(best.configuration, best.cost, best.square, bound)

@@ -1,6 +1,8 @@
 """The nearest configuration, where none is known within the tolerance: cost plays no part."""
 
+import math
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.search.found import Found
 from controller.search.halves import Halves, rows
 from controller.search.segment import Storage, build_segment, motions
+from controller.search.target import Target
 
 Array = NDArray[np.float64]
 
@@ -33,17 +36,17 @@ class Nearest:
         """Has the system hand out all memory now, not in the middle of a search with a deadline."""
         self._storage.claim()
 
-    def improve(self, goal: Array, best: Found, until: float) -> Found:
+    def improve(self, target: Target, best: Found, until: float) -> Found:
         """Returns the nearest configuration found; of infinite cost, as the one given.
 
         Args:
-            goal: in frame F_0, shape (3,).
+            target: in frame F_0.
             best: to begin with.
             until: `time.perf_counter()` at which to be done, nearly.
         """
         seconds = 0.0
         while (began := time.perf_counter()) + 1.5 * seconds < until:
-            better = self._paired(goal, self._changed(goal, best))
+            better = self._paired(target, self._changed(target, best))
             seconds = time.perf_counter() - began
             if better.square >= best.square * (1 - 1e-9):
                 break
@@ -54,9 +57,8 @@ class Nearest:
         own = self._m.bits[np.arange(len(best.configuration)), best.configuration]
         return np.asarray((self._m.bits != own[:, None]).sum(axis=2), dtype=float)
 
-    def _changed(self, goal: Array, best: Found) -> Found:
+    def _changed(self, target: Target, best: Found) -> Found:
         """Returns the nearest of all that differ in few actuators, wherever they are."""
-        size = self._m.dimension
         segment = build_segment(
             self._motions,
             self._m.states,
@@ -67,7 +69,7 @@ class Nearest:
             0,
             len(self._m.modules),
         )
-        squares = ((segment.frames[:, :size] - goal[:size]) ** 2).sum(axis=1)
+        squares = target.squares(segment.frames)
         row = int(squares.argmin())
         if squares[row] >= best.square:
             return best
@@ -75,7 +77,7 @@ class Nearest:
         segment.write(row, configuration)
         return Found(configuration, np.inf, float(squares[row]))
 
-    def _paired(self, goal: Array, best: Found) -> Found:
+    def _paired(self, target: Target, best: Found) -> Found:
         """Returns the nearest of all that differ in few actuators of either half, if it is very near."""
         halves, size = self._halves, self._m.dimension
         halves.list(best.configuration, self._distances(best), self._free, ROWS)
@@ -83,5 +85,6 @@ class Nearest:
         within = min(float(np.sqrt(best.square)), extent / GRID[size])
         if within == 0.0:
             return best
-        found = halves.meet(goal, within, Found(best.configuration, 0.0, best.square))
+        anyhow = replace(target, tolerance=within, turn=math.inf)
+        found = halves.meet(anyhow, Found(best.configuration, 0.0, best.square))
         return Found(found.configuration, np.inf, found.square)

@@ -1,6 +1,7 @@
 """Paths of probability: the densities' descent from the base, finished by the exact tail."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from controller.search.descent import descend, spread
 from controller.search.found import Found
 from controller.search.method import PaperMethod
 from controller.search.tail import build_tail, finish
+from controller.search.target import Target
 from controller.workspace.densities import Densities
 
 Vector = NDArray[np.float64]
@@ -31,40 +33,36 @@ class Paths:
         self._tail = build_tail(manipulator)
         self._edge = edge(densities)
 
-    def follow(self, goal: Vector, previous: Configuration, tolerance: float, method: PaperMethod) -> Configuration:
-        """Returns the first configuration within the tolerance as the threshold rises, else the nearest seen.
+    def follow(self, target: Target, previous: Configuration, method: PaperMethod) -> Configuration:
+        """Returns the first configuration within the tolerances as the threshold rises, else the nearest seen.
 
         Args:
-            goal: in frame F_0, shape (3,).
+            target: in frame F_0.
             previous: configuration to stay close to, shape (B,).
-            tolerance: distance from the goal that is good enough.
             method: the algorithm, and for IPOP the secondary criterion.
         """
-        goal = self._towards(goal)
         if method == "pop":
-            return self._descend(goal, 0.0, criteria.indifferent(self.manipulator), np.inf)[0]
+            anyhow = replace(target, tolerance=0.0)  # the nearest
+            return self._descend(anyhow, criteria.indifferent(self.manipulator), np.inf)[0]
         if method == "ipop-previous":
             penalties = criteria.similarity(self.manipulator, previous)
         else:
             penalties = criteria.contraction(self.manipulator)
-        best, best_error = previous, np.inf
+        best, least = previous, np.inf
         for enough in ENOUGH:
-            configuration, error = self._descend(goal, tolerance, penalties, enough)
-            if error < best_error:
-                best, best_error = configuration, error
-            if error <= tolerance:
+            configuration, square, within = self._descend(target, penalties, enough)
+            if square < least or within:
+                best, least = configuration, square
+            if within:
                 break
         return best
 
-    def spread(
-        self, goal: Vector, costs: criteria.Penalties, tolerance: float, worth: float, width: int, best: Found
-    ) -> Found:
-        """Returns the best of a beam's configurations for a goal in F_0, or `best` if none is cheaper.
+    def spread(self, target: Target, costs: criteria.Penalties, worth: float, width: int, best: Found) -> Found:
+        """Returns the best of a beam's configurations, or `best` if none is cheaper.
 
         Args:
-            goal: in frame F_0, shape (3,).
+            target: in frame F_0.
             costs: of every module's states, shape (B, Kmax).
-            tolerance: distance from the goal that is good enough.
             worth: cost that one more unit of the measure makes up for.
             width: how many partial configurations are kept at each module.
             best: found before.
@@ -73,7 +71,7 @@ class Paths:
         configurations = np.zeros((width, len(m.modules)), dtype=np.int64)
         wanted, prices = np.zeros((width, 3)), np.zeros(width)
         count = spread(
-            goal,
+            target.position,
             m.rotations,
             m.translations,
             m.states,
@@ -92,10 +90,10 @@ class Paths:
         modules = np.arange(len(m.modules))
         for configuration, (x, y, z), price in zip(configurations[:count], wanted, prices, strict=False):
             if price < best.cost:
-                error = self._finish(x, y, z, tolerance, costs, configuration)
+                square, within = self._finish(x, y, z, target, costs, configuration)
                 cost = float(costs[modules, configuration].sum())
-                if error <= tolerance and cost < best.cost:
-                    best = Found(configuration, cost, error**2)
+                if within and cost < best.cost:
+                    best = Found(configuration, cost, square)
         return best
 
     def _towards(self, goal: Vector) -> Vector:
@@ -109,13 +107,13 @@ class Paths:
         return np.asarray(self._edge[np.argmin(((self._edge - goal) ** 2).sum(axis=1))])
 
     def _descend(
-        self, goal: Vector, tolerance: float, penalties: criteria.Penalties, enough: float
-    ) -> tuple[Configuration, float]:
-        """Returns configuration and error of one descent to `goal` (3,) in the base frame."""
+        self, target: Target, penalties: criteria.Penalties, enough: float
+    ) -> tuple[Configuration, float, bool]:
+        """Returns the configuration of one descent, the square by which it misses, and whether it is within."""
         m, d, t = self.manipulator, self.densities, self._tail
         configuration = np.zeros(len(m.modules), dtype=np.int64)
         wanted = descend(
-            goal,
+            self._towards(target.position),
             m.rotations,
             m.translations,
             m.states,
@@ -125,31 +123,35 @@ class Paths:
             d.references,
             d.pixels,
             penalties,
-            self._thresholds(tolerance, enough),
+            self._thresholds(target, enough),
             t.root,
             configuration,
         )
-        return configuration, self._finish(*wanted, tolerance, penalties, configuration)
+        return configuration, *self._finish(*wanted, target, penalties, configuration)
 
     def _finish(
         self,
         x: float,
         y: float,
         z: float,
-        tolerance: float,
+        target: Target,
         penalties: criteria.Penalties,
         configuration: Configuration,
-    ) -> float:
-        """Fixes the modules that the densities leave, for a goal in frame F_root; returns the error."""
+    ) -> tuple[float, bool]:
+        """Fixes the modules that the densities leave, for a goal in frame F_root, see tail.finish."""
         m, t = self.manipulator, self._tail
         return finish(
             x,
             y,
             z,
-            tolerance,
+            target.rotation,
+            target.tolerance,
+            target.limit,
+            target.weight,
             t.root,
             t.depth,
             t.points,
+            t.turns,
             t.cell,
             t.corner,
             t.shape,
@@ -162,11 +164,16 @@ class Paths:
             configuration,
         )
 
-    def _thresholds(self, tolerance: float, enough: float) -> NDArray[np.float64]:
-        """Returns, for each level, the ln of a pixel's count at which `enough` points are within the tolerance."""
+    def _thresholds(self, target: Target, enough: float) -> NDArray[np.float64]:
+        """Returns, for each level, the ln of a pixel's count at which `enough` points are within the tolerances.
+
+        Orientations are taken for evenly spread.
+        """
         if np.isinf(enough):
             return np.full(len(self.densities.pixels), np.inf)
+        tolerance = target.tolerance
         ball = math.pi * tolerance**2 if self.manipulator.planar else 4 / 3 * math.pi * tolerance**3
+        ball *= target.share
         volumes = self.densities.pixels**self.manipulator.dimension
         return np.log(np.maximum(enough * volumes / ball, 1.0))
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
-from controller.search.found import Found
+from controller.search.found import CLOSE, Found
 from controller.search.halves import Halves, middle, rows
 from controller.search.meeting import seen
 from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
+from controller.search.target import Target
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -37,7 +38,7 @@ class Quarters:
         first, second = middle(manipulator, 0, cut), middle(manipulator, cut, count)
         self._ends = ((0, first), (first, cut), (cut, second), (second, count))
         self._storages = [Storage(rows(manipulator, *ends, ROWS), self._motions.shape[1]) for ends in self._ends]
-        self._goals = np.empty((self._storages[0].rows, size))
+        self._goals = np.empty((self._storages[0].rows, self._motions.shape[1]))
         self._below, self._above = (Cells(self._storages[k].rows, size) for k in (0, 3))
         self._key: tuple[NDArray[np.generic], ...] = ()
         self._sorted = 0.0
@@ -75,14 +76,11 @@ class Quarters:
             self._above.fill(self._segments[3].frames, self._segments[3].costs, tolerance)
             self._sorted = tolerance
 
-    def check(
-        self, goal: Array, tolerance: float, halves: Halves, below: Index, above: Index, best: Found, until: float
-    ) -> Found:
+    def check(self, target: Target, halves: Halves, below: Index, above: Index, best: Found, until: float) -> Found:
         """Returns the best of all pairs that were not listed but may cost less than the best, and the bound proven.
 
         Args:
-            goal: in frame F_0, shape (3,).
-            tolerance: of the tip's distance from the goal.
+            target: in frame F_0.
             halves: listed around the same centre.
             below: lower rows to go through with everything above, the cheapest first, shape (n,).
             above: upper rows to go through with everything below, likewise.
@@ -93,23 +91,23 @@ class Quarters:
         lower, upper = halves.lower, halves.upper
         best = Found(best.configuration, best.cost, best.square, lower.beyond + upper.beyond)
         # A lower row with quarters c and d: the goal as seen from the row is seen from c, and is where d must be.
-        self.sort(tolerance)
-        targets = np.zeros((len(below), 3))
-        seen(goal, np.ascontiguousarray(lower.frames[below]), targets)
-        best = self._through(lower, below, targets, upper.beyond, (c, d), self._above, best, until)
+        self.sort(target.tolerance * CLOSE)
+        frames = np.empty((len(below), lower.frames.shape[1]))
+        seen(target.row, np.ascontiguousarray(lower.frames[below]), frames)
+        best = self._through(target, lower, below, frames, upper.beyond, (c, d), self._above, best, until)
         # An upper row with quarters a and b: its tip carried by b is where the goal seen from a must be.
-        points = self._goals[: len(a.frames)]
-        seen(goal, a.frames, points)
-        self._below.fill(points, a.costs, tolerance)
-        targets = np.zeros((len(above), 3))
-        targets[:, : points.shape[1]] = upper.positions[above]
-        return self._through(upper, above, targets, lower.beyond, (b, a), self._below, best, until, carried=True)
+        goals = self._goals[: len(a.frames)]
+        seen(target.row, a.frames, goals)
+        self._below.fill(goals, a.costs, target.tolerance * CLOSE)
+        frames = np.ascontiguousarray(upper.frames[above])
+        return self._through(target, upper, above, frames, lower.beyond, (b, a), self._below, best, until, carried=True)
 
     def _through(
         self,
+        target: Target,
         half: Segment,
         chosen: Index,
-        targets: Array,
+        frames: Array,
         beyond: float,
         quarters: tuple[Segment, Segment],
         cells: Cells,
@@ -121,9 +119,10 @@ class Quarters:
         """Returns the best after rows of one half, and the bound proven.
 
         Args:
+            target: in frame F_0.
             half: whose rows they are.
             chosen: the rows, the cheapest first, shape (n,).
-            targets: of the quarter that asks, for each row, shape (n, 3).
+            frames: targets of the quarter that asks, for each row, shape (n, 4) or (n, 12).
             beyond: what the other half costs at least, or else the pair was listed.
             quarters: of the other half, the one that asks and the one in the cells.
             cells: to be asked.
@@ -142,10 +141,12 @@ class Quarters:
                 return replace(best, bound=min(best.bound, cost + beyond))
             best = replace(best, bound=min(best.bound, cost + gap))
             t, i, j, found, square = cells.match(
-                targets[part],
+                frames[part],
                 half.costs[chosen[part]],
                 asking.frames,
                 asking.costs,
+                target.limit,
+                target.weight,
                 best.cost,
                 best.square,
                 carried=carried,

@@ -1,8 +1,9 @@
 """Inverse kinematics of one goal, by any method."""
 
+import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +18,7 @@ from controller.search.method import Method
 from controller.search.minimum_switch import MinimumSwitch
 from controller.search.paths import Paths
 from controller.search.reach import Reach
+from controller.search.target import Target
 from controller.workspace.densities import Densities
 
 Vector = NDArray[np.float64]
@@ -33,10 +35,11 @@ class Solution:
         tip: the frame it brings the tip to, in the world, shape (4, 4).
         error: distance of the tip from the goal.
         switches: actuators that differ from the previous configuration.
-        within_tolerance: whether the error is within the tolerance asked for.
+        within_tolerance: whether error and angle are within the tolerances asked for.
         seconds: time the search took.
         cost: weighted number of switches.
         lower_bound: no configuration within the tolerance costs less; infinite where there is proven to be none.
+        angle: between the tip's orientation and the goal's [rad]; 0 where any will do.
     """
 
     configuration: Configuration
@@ -47,6 +50,7 @@ class Solution:
     seconds: float
     cost: float
     lower_bound: float = 0.0
+    angle: float = 0.0
 
     @property
     def optimal(self) -> bool:
@@ -102,28 +106,29 @@ class Solver:
         tolerance: float,
         method: Method = "minimum-switch",
         deadline: float = DEADLINE,
+        turn: float = math.inf,
     ) -> Solution:
         """Returns the configuration that a method takes for a goal.
 
         Args:
-            goal: tip position in the world, shape (2,) or (3,).
+            goal: tip position in the world, shape (2,) or (3,), or the tip's frame, shape (4, 4).
             previous: configuration to stay close to, and to count switches from, shape (B,).
             tolerance: distance from the goal that is good enough.
             method: fewest switches, or the algorithm of section 3.2 and for IPOP the secondary criterion.
             deadline: time that the search for fewest switches may take [s]; it is never worse than IPOP.
+            turn: angle from the goal's orientation that is good enough [rad]; infinite where any will do.
         """
         began = time.perf_counter()
         chosen = np.asarray(previous, dtype=np.int64)
-        world = self._world(goal)
-        local = self._local(world)
+        world = self._target(goal, tolerance, turn)
         bound = 0.0
-        if method in ("minimum-switch", "ipop-previous") and self._error(chosen, world) <= tolerance:
+        if method in ("minimum-switch", "ipop-previous") and world.met(self.manipulator.tip(chosen)):
             best = chosen.copy()
         elif method == "minimum-switch":
-            best, bound = self._fewest(local, world, chosen, tolerance, began + deadline)
+            best, bound = self._fewest(world, chosen, began + deadline)
         else:
-            best = self._paths.follow(local, chosen, tolerance, method)
-        return self.described(best, goal, chosen, tolerance, time.perf_counter() - began, bound)
+            best = self._paths.follow(self._local(world), chosen, method)
+        return self._described(best, world, chosen, time.perf_counter() - began, bound)
 
     def described(
         self,
@@ -131,48 +136,57 @@ class Solver:
         goal: ArrayLike,
         previous: Configuration,
         tolerance: float,
+        turn: float = math.inf,
+    ) -> Solution:
+        """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
+        return self._described(configuration, self._target(goal, tolerance, turn), previous)
+
+    def _described(
+        self,
+        configuration: Configuration,
+        world: Target,
+        previous: Configuration,
         seconds: float = 0.0,
         bound: float = 0.0,
     ) -> Solution:
-        """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
         tip = self.manipulator.tip(configuration)
-        error = float(np.linalg.norm(tip[:3, 3] - self._world(goal)))
         return Solution(
             configuration=configuration,
             tip=tip,
-            error=error,
+            error=world.distance(tip),
             switches=self.manipulator.switches(configuration, previous),
-            within_tolerance=error <= tolerance,
+            within_tolerance=world.met(tip),
             seconds=seconds,
             cost=self._cost(configuration, previous),
             lower_bound=bound,
+            angle=world.angle(tip),
         )
 
     def candidates(
-        self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int
+        self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int, turn: float = math.inf
     ) -> tuple[NDArray[np.int64], Vector]:
-        """Returns at most `most` of the cheapest configurations (n, B) within the tolerance, and their costs (n,).
+        """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
 
         Only those that switch little are looked at; there may be none.
         """
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
         costs = criteria.switching(self.manipulator, previous, self._weights)
-        return self._candidates[1].find(self._local(self._world(goal)), previous, costs, tolerance)
+        return self._candidates[1].find(self._local(self._target(goal, tolerance, turn)), previous, costs)
 
-    def _world(self, goal: ArrayLike) -> Vector:
-        """Returns a goal of two or three coordinates with three."""
-        given, world = np.asarray(goal, dtype=float), np.zeros(3)
-        world[: len(given)] = given
-        return world
+    def _target(self, goal: ArrayLike, tolerance: float, turn: float) -> Target:
+        """Returns what a goal asks for, in the world; see solve."""
+        given, frame = np.asarray(goal, dtype=float), np.eye(4)
+        if given.ndim == 2:
+            frame = given
+        else:
+            frame[: len(given), 3] = given
+        weight = tolerance / turn if turn < math.pi else 0.0  # so that both tolerances count alike
+        return Target(frame, self.manipulator.planar, tolerance, turn, weight)
 
-    def _local(self, world: Vector) -> Vector:
-        """Returns a point in the world (3,) in frame F_0."""
-        return np.asarray(self._to_base[:3, :3] @ world + self._to_base[:3, 3])
-
-    def _error(self, configuration: Configuration, world: Vector) -> float:
-        """Returns the distance of a configuration's tip from a point in the world."""
-        return float(np.linalg.norm(self.manipulator.tip(configuration)[:3, 3] - world))
+    def _local(self, world: Target) -> Target:
+        """Returns a target in the world in frame F_0."""
+        return replace(world, frame=self._to_base @ world.frame)
 
     def _cost(self, configuration: Configuration, previous: Configuration) -> float:
         """Returns the weighted number of switches between two configurations."""
@@ -180,23 +194,22 @@ class Solver:
         new = self.manipulator.bits[np.arange(len(previous)), configuration]
         return float(((own != new) * self._weights).sum())
 
-    def _fewest(
-        self, goal: Vector, world: Vector, previous: Configuration, tolerance: float, until: float
-    ) -> tuple[Configuration, float]:
+    def _fewest(self, world: Target, previous: Configuration, until: float) -> tuple[Configuration, float]:
         """Returns the cheapest configuration found, and the bound proven."""
+        target = self._local(world)
         costs = criteria.switching(self.manipulator, previous, self._weights)
         worth = float(self._weights.sum() / len(self.manipulator.actuators))
 
         def first() -> Found:
-            configuration = self._paths.follow(goal, previous, tolerance, "ipop-previous")
-            error = self._error(configuration, world)
-            cost = self._cost(configuration, previous) if error <= tolerance else np.inf
-            return Found(configuration, cost, error**2)
+            configuration = self._paths.follow(target, previous, "ipop-previous")
+            tip = self.manipulator.tip(configuration)
+            cost = self._cost(configuration, previous) if world.met(tip) else np.inf
+            return Found(configuration, cost, world.square(tip))
 
         def widen(best: Found, width: int) -> Found:
-            return self._paths.spread(goal, costs, tolerance, worth, width, best)
+            return self._paths.spread(target, costs, worth, width, best)
 
-        found = self._minimum.improve(goal, previous, costs, tolerance, first, widen, until)
+        found = self._minimum.improve(target, previous, costs, first, widen, until)
         return found.configuration, min(found.bound, found.cost)
 
     @cached_property

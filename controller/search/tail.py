@@ -24,6 +24,7 @@ class Tail:
         root: number of modules that the densities decide; those from root+1 to depth are all tried over the table.
         depth: number of modules below the table.
         points: tips, in the order of the mixed-radix number their states write, first module most significant, (n, 3).
+        turns: their rotations, likewise, shape (n, 3, 3).
         cell: side of a cell.
         corner: least corner of the cells' box, shape (3,).
         shape: cells along x, y, z, shape (3,).
@@ -34,6 +35,7 @@ class Tail:
     root: int
     depth: int
     points: Array
+    turns: Array
     cell: float
     corner: Array
     shape: Index
@@ -47,11 +49,12 @@ def build_tail(manipulator: Manipulator) -> Tail:
     The modules before them that have together at most MOST_BRANCHES configurations are tried one and all.
     """
     depth = lowest(manipulator.states, len(manipulator.modules) - 1, MOST_POINTS)
-    points = np.zeros((1, 3))
+    points, turns = np.zeros((1, 3)), np.eye(3)[None]
     for i in reversed(range(depth, len(manipulator.modules))):
         k = manipulator.states[i]
         turned = np.einsum("jab,nb->jna", manipulator.rotations[i, :k], points)
         points = (turned + manipulator.translations[i, :k, None]).reshape(-1, 3)
+        turns = (manipulator.rotations[i, :k, None] @ turns).reshape(-1, 3, 3)
     points = np.ascontiguousarray(points)
     low, size = points.min(axis=0), np.ptp(points, axis=0)
     # The greatest of what a line, a plane and a space of points ask, so that flat and thin boxes have few cells too.
@@ -62,7 +65,17 @@ def build_tail(manipulator: Manipulator) -> Tail:
     flat = (cells[:, 2] * shape[1] + cells[:, 1]) * shape[0] + cells[:, 0]
     starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=int(shape.prod())))])
     root = lowest(manipulator.states, depth, MOST_BRANCHES)
-    return Tail(root, depth, points, cell, low, shape, starts.astype(np.int64), np.argsort(flat, kind="stable"))
+    return Tail(
+        root,
+        depth,
+        points,
+        np.ascontiguousarray(turns),
+        cell,
+        low,
+        shape,
+        starts.astype(np.int64),
+        np.argsort(flat, kind="stable"),
+    )
 
 
 def lowest(states: Index, top: int, most: int) -> int:
@@ -75,8 +88,8 @@ def lowest(states: Index, top: int, most: int) -> int:
 
 
 @njit(
-    "Tuple((i8, f8, f8))(f8, f8, f8, f8, f8, f8, f8[:,::1], f8, f8[::1], i8[::1], i8[::1], i8[::1], f8[:,::1],"
-    " i8[::1], i8)",
+    "Tuple((i8, f8, f8))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, f8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
+    " i8[::1], i8[::1], f8[:,::1], i8[::1], i8)",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -85,10 +98,14 @@ def nearest(
     x: float,
     y: float,
     z: float,
+    rotation: Array,
     tolerance: float,
+    limit: float,
+    weight: float,
     best_penalty: float,
     best_square: float,
     points: Array,
+    turns: Array,
     cell: float,
     corner: Array,
     shape: Index,
@@ -98,11 +115,12 @@ def nearest(
     states: Index,
     depth: int,
 ) -> tuple[int, float, float]:
-    """Finds the row of `points` to take for the tip to come to (x, y, z), if it is better than the best so far.
+    """Finds the row of `points` to take for the tip to come to (x, y, z), turned, if it is better than the best so far.
 
-    Within `tolerance` the less penalty is better, and the nearer between equals; outside, where the penalty counts as
-    infinite, the nearer. Returns row (-1 if none is better), penalty and square of the distance of the best.
+    Within `tolerance` and `limit` the less penalty is better, and the nearer between equals; outside, where the penalty
+    counts as infinite, the nearer. Returns row (-1 if none is better), penalty and square of the distance of the best.
     """
+    oriented = weight > 0.0
     cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
     cy = min(max(int(np.floor((y - corner[1]) / cell)), 0), shape[1] - 1)
     cz = min(max(int(np.floor((z - corner[2]) / cell)), 0), shape[2] - 1)
@@ -127,8 +145,15 @@ def nearest(
                         n = order[k]
                         dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                         square = dx * dx + dy * dy + dz * dz
-                        penalty = np.inf
-                        if square <= tolerance * tolerance:
+                        penalty, within = np.inf, square <= tolerance * tolerance
+                        if oriented:
+                            apart = 0.0
+                            for a in range(3):
+                                for b in range(3):
+                                    apart += 0.5 * (turns[n, a, b] - rotation[a, b]) ** 2
+                            square += weight * weight * apart
+                            within = within and apart <= limit
+                        if within:
                             penalty, rest = 0.0, n
                             for i in range(len(states) - 1, depth - 1, -1):
                                 penalty += penalties[i, rest % states[i]]
@@ -138,9 +163,20 @@ def nearest(
     return best, best_penalty, best_square
 
 
+@njit("f8[:,::1](f8[:,:], f8[:,::1])", cache=True, nogil=True)
+def carried_back(rotation: Array, other: Array) -> Array:
+    """Returns R^T R' (3, 3)."""
+    result = np.zeros((3, 3))
+    for a in range(3):
+        for b in range(3):
+            for c in range(3):
+                result[a, b] += rotation[c, a] * other[c, b]
+    return result
+
+
 @njit(
-    "f8(f8, f8, f8, f8, i8, i8, f8[:,::1], f8, f8[::1], i8[::1], i8[::1], i8[::1], f8[:,::1], f8[:,:,:,::1],"
-    " f8[:,:,::1], i8[::1], i8[::1])",
+    "Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, i8, i8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1], i8[::1],"
+    " i8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -149,10 +185,14 @@ def finish(
     x: float,
     y: float,
     z: float,
+    rotation: Array,
     tolerance: float,
+    limit: float,
+    weight: float,
     root: int,
     depth: int,
     points: Array,
+    turns: Array,
     cell: float,
     corner: Array,
     shape: Index,
@@ -163,20 +203,24 @@ def finish(
     translations: Array,
     states: Index,
     configuration: Index,
-) -> float:
-    """Fixes modules root+1 to B; writes their states to `configuration`, returns the distance of the tip from the goal.
+) -> tuple[float, bool]:
+    """Fixes modules root+1 to B; writes their states to `configuration`.
 
-    Of all their configurations whose tip is within `tolerance` of the goal, the one with the least sum of penalties is
-    taken, the nearer deciding between equals; if there is none, the nearest of all.
+    Of all their configurations whose tip is within `tolerance` and `limit` of the goal, the one with the least sum of
+    penalties is taken, the nearer deciding between equals; if there is none, the nearest of all.
 
     Args:
         x: goal in frame F_root; `y` and `z` likewise.
         y: see x.
         z: see x.
+        rotation: of the goal in frame F_0, shape (3, 3).
         tolerance: distance within which penalties decide.
-        root: and the next seven: see Tail.
+        limit: and the next: see Target.
+        weight: see Target.
+        root: and the next eight: see Tail.
         depth: see Tail.
         points: see Tail.
+        turns: see Tail.
         cell: see Tail.
         corner: see Tail.
         shape: see Tail.
@@ -186,14 +230,20 @@ def finish(
         rotations: configuration sets, shape (B, Kmax, 3, 3).
         translations: configuration sets, shape (B, Kmax, 3).
         states: K_i, shape (B,).
-        configuration: written, shape (B,).
+        configuration: written, shape (B,); its first `root` modules are those that the goal was carried through.
+
+    Returns:
+        the square by which the tip misses, see Target, and whether it is within.
     """
-    branches = 1
-    for i in range(root, depth):
-        branches *= states[i]
+    branches, wanted = 1, rotation
+    for i in range(depth):
+        if i >= root:
+            branches *= states[i]
+        elif weight > 0.0:
+            wanted = carried_back(rotations[i, configuration[i]], wanted)
     best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, np.inf
     for branch in range(branches):
-        qx, qy, qz, base, rest = x, y, z, 0.0, branch
+        qx, qy, qz, base, rest, turned = x, y, z, 0.0, branch, wanted
         for i in range(root, depth):
             j = rest % states[i]
             rest //= states[i]
@@ -203,14 +253,20 @@ def finish(
             qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
             qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
             base += penalties[i, j]
+            if weight > 0.0:
+                turned = carried_back(r, turned)
         row, penalty, square = nearest(
             qx,
             qy,
             qz,
+            turned,
             tolerance,
+            limit,
+            weight,
             best_penalty - base,
             best_square,
             points,
+            turns,
             cell,
             corner,
             shape,
@@ -228,4 +284,4 @@ def finish(
     for i in range(len(states) - 1, depth - 1, -1):
         configuration[i] = best_row % states[i]
         best_row //= states[i]
-    return float(np.sqrt(best_square))
+    return best_square, best_penalty < np.inf

@@ -14,6 +14,7 @@ from controller.manipulator.module import transforms
 from controller.search import tail as tail_module
 from controller.search.tail import build_tail, finish, lowest, nearest
 from tests.arms import (
+    any_frames,
     coordinates,
     every_configuration,
     listed,
@@ -25,6 +26,7 @@ from tests.arms import (
 )
 
 arms = short_arms(planar_modules) | short_arms(listed(spatial_frames, planar=False))
+NO_TURN = np.eye(3)
 tolerances = st.sampled_from([0.0, 0.05, 0.3, 10.0])
 
 
@@ -39,16 +41,20 @@ def searches(draw):
     return manipulator, goal, penalties, draw(tolerances)
 
 
-def run_finish(manipulator, goal, penalties, tolerance):
-    """Returns error and configuration that `finish` gives."""
+def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0):
+    """Returns the square missed, whether it is within, and the configuration that `finish` gives."""
     t = build_tail(manipulator)
     configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
-    error = finish(
+    square, within = finish(
         *goal,
+        rotation,
         tolerance,
+        limit,
+        weight,
         t.root,
         t.depth,
         t.points,
+        t.turns,
         t.cell,
         t.corner,
         t.shape,
@@ -60,14 +66,15 @@ def run_finish(manipulator, goal, penalties, tolerance):
         manipulator.states,
         configuration,
     )
-    return error, configuration
+    return square, within, configuration
 
 
 def run_nearest(manipulator, goal, penalties, best_penalty, best_square):
     """Returns row, penalty and squared distance that `nearest` gives without tolerance."""
     t = build_tail(manipulator)
-    cells = t.points, t.cell, t.corner, t.shape, t.starts, t.order
-    return nearest(*goal, 0.0, best_penalty, best_square, *cells, penalties, manipulator.states, t.depth)
+    cells = t.points, t.turns, t.cell, t.corner, t.shape, t.starts, t.order
+    anyhow = NO_TURN, 0.0, math.inf, 0.0
+    return nearest(*goal, *anyhow, best_penalty, best_square, *cells, penalties, manipulator.states, t.depth)
 
 
 def cost(penalties, configurations):
@@ -77,11 +84,13 @@ def cost(penalties, configurations):
 
 def check_finish(manipulator, goal, penalties, tolerance):
     """Holds `finish` to the best of all configurations."""
-    error, configuration = run_finish(manipulator, goal, penalties, tolerance)
+    square, within, configuration = run_finish(manipulator, goal, penalties, tolerance)
+    error = math.sqrt(square)
     every = every_configuration(manipulator)
     errors = np.linalg.norm(manipulator.tips(every)[:, :3, 3] - goal, axis=1)
     assert error == pytest.approx(np.linalg.norm(manipulator.tip(configuration)[:3, 3] - goal), abs=1e-9)
     good = errors <= tolerance
+    assert within == good.any()
     if good.any():
         costs = cost(penalties, every)
         assert cost(penalties, configuration[None])[0] == costs[good].min()
@@ -94,6 +103,28 @@ def check_finish(manipulator, goal, penalties, tolerance):
 @given(searches())
 def test_finish_takes_the_least_penalty_within_tolerance_or_else_the_nearest(search):
     check_finish(*search)
+
+
+@settings(max_examples=200)
+@given(searches(), any_frames, st.floats(0.01, 3.0))
+def test_finish_does_so_of_poses(search, frame, turn):
+    manipulator, goal, penalties, tolerance = search
+    rotation = np.ascontiguousarray(frame[:3, :3])
+    weight, limit = 0.3, (2 * math.sin(turn / 2)) ** 2
+    square, within, configuration = run_finish(manipulator, goal, penalties, tolerance, rotation, limit, weight)
+    every = every_configuration(manipulator)
+    tips = manipulator.tips(every)
+    away = ((tips[:, :3, 3] - goal) ** 2).sum(axis=1)
+    chords = ((tips[:, :3, :3] - rotation) ** 2).sum(axis=(1, 2)) / 2
+    missed = away + weight**2 * chords
+    assume(np.abs(np.sqrt(away) - tolerance).min() > 1e-9 and np.abs(chords - limit).min() > 1e-9)
+    good = (away <= tolerance**2) & (chords <= limit)
+    assert within == good.any()
+    if within:
+        costs = cost(penalties, every)
+        assert cost(penalties, configuration[None])[0] == costs[good].min()
+        missed = missed[good & (costs == costs[good].min())]
+    assert square == pytest.approx(missed.min(), abs=1e-9)
 
 
 @settings(max_examples=100)
@@ -151,8 +182,8 @@ def test_thin_and_flat_tables_have_few_cells(exponents, seed):
 
 def test_a_table_of_one_point_over_and_over():
     same = transforms([frames.planar(0.1, 0.2)] * 3, planar=True)
-    error, _ = run_finish(Manipulator([same, same]), np.array([0.2, 0.4, 0.0]), np.zeros((2, 3)), 1e-9)
-    assert error == pytest.approx(0, abs=1e-12)
+    square, _, _ = run_finish(Manipulator([same, same]), np.array([0.2, 0.4, 0.0]), np.zeros((2, 3)), 1e-9)
+    assert square == pytest.approx(0, abs=1e-24)
 
 
 @pytest.mark.parametrize(

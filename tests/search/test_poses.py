@@ -1,0 +1,113 @@
+"""Goals with orientation, held to brute force on arms whose every configuration can be tried."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.manipulator.frames import Frame, angle_between, turned
+from controller.manipulator.manipulator import Manipulator
+from controller.search.method import METHODS
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
+
+SURE = 1e-7  # a tip nearer to a tolerance than this may count as within or not
+bases = planar_frames | st.just(np.eye(4))
+
+
+def solver_of(arm: Manipulator, weights: np.ndarray | None = None) -> Solver:
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights)
+
+
+def missed(arm: Manipulator, configurations: np.ndarray, goal: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (n,) and angles (n,) of tips from a pose."""
+    tips = arm.tips(configurations)
+    return np.linalg.norm(tips[:, :3, 3] - goal[:3, 3], axis=1), np.array([angle_between(tip, goal) for tip in tips])
+
+
+def near(arm: Manipulator, rng: np.random.Generator, tolerance: float, turn: float) -> Frame:
+    """A pose near a random configuration's, within the tolerances or a little beyond."""
+    axis = (0, 0, 1) if arm.planar else rng.normal(size=3)
+    goal = arm.tip(rng.integers(0, arm.states)) @ turned(axis, turn * rng.uniform(-1.2, 1.2))
+    goal[:3, 3] += rng.normal(0, tolerance / 2, 3) * (1, 1, not arm.planar)
+    return goal
+
+
+@settings(max_examples=100)
+@given(short_arms(bases=bases), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5), st.floats(1e-3, 4.0), st.booleans())
+def test_brute_force_agrees(arm, seed, tolerance, turn, weighted):
+    rng = np.random.default_rng(seed)
+    weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
+    previous = rng.integers(0, arm.states)
+    goal = near(arm, rng, tolerance, turn)
+    found = solver_of(arm, weights).solve(goal, previous, tolerance, turn=turn)
+    every = every_configuration(arm)
+    away, angles = missed(arm, every, goal)
+    own = arm.actuator_states(previous)
+    costs = np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every])
+    narrow, wide = (
+        costs[(away <= tolerance + slack) & (angles <= turn + slack)].min(initial=np.inf) for slack in (-SURE, SURE)
+    )
+    if found.within_tolerance:
+        assert wide - 1e-9 <= found.cost <= narrow + 1e-9
+        assert found.lower_bound == pytest.approx(found.cost)
+    else:
+        assert narrow == np.inf
+        assert found.lower_bound == np.inf
+    assert found.within_tolerance == (found.error <= tolerance and found.angle <= turn)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("arm", [paper_arm(5), spatial_arm(5)], ids=["planar", "spatial"])
+def test_every_method_comes_to_a_pose_that_the_table_holds(arm, method):
+    """All modules stand in the table or are tried over it, so that only what is compared there decides."""
+    solver, rng = solver_of(arm), np.random.default_rng(2)
+    previous = rng.integers(0, arm.states)
+    for goal in arm.tips(rng.integers(0, arm.states, (20, 5))):
+        found = solver.solve(goal, previous, 1e-6, method, turn=1e-6)
+        assert found.within_tolerance
+        previous = found.configuration
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.0))
+@settings(max_examples=30)
+def test_candidates_are_the_cheapest_within_both_tolerances(seed, turn):
+    rng = np.random.default_rng(seed)
+    arm = (paper_arm(4), spatial_arm(4))[seed % 2]
+    previous, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, turn)
+    configurations, costs = solver_of(arm).candidates(goal, previous, 0.05, 8, turn)
+    every = every_configuration(arm)
+    away, angles = missed(arm, every, goal)
+    switches = np.array([arm.switches(c, previous) for c in every])
+    good = np.sort(switches[(away <= 0.05) & (angles <= turn)])[:8]
+    assert sorted(costs.tolist()) == good.tolist()
+    assert [arm.switches(c, previous) for c in configurations] == costs.tolist()
+
+
+def test_long_arms_keep_both_tolerances_and_claim_no_false_bound(arm, densities):
+    solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(7)
+    previous = rng.integers(0, 8, 16)
+    for goal in arm.manipulator.tips(rng.integers(0, 8, (8, 16))):
+        position = solver.solve(goal[:2, 3], previous, 0.005, deadline=2.0)
+        found = solver.solve(goal, previous, 0.005, deadline=2.0, turn=0.03)
+        assert found.within_tolerance
+        assert found.error <= 0.005
+        assert found.angle <= 0.03
+        assert angle_between(found.tip, goal) == pytest.approx(found.angle)
+        assert found.lower_bound <= found.cost
+        assert position.lower_bound <= found.cost  # what is asked more costs no less
+        previous = found.configuration
+
+
+def test_whatever_orientation_will_do_is_a_goal_of_position(arm, densities):
+    solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(4)
+    previous = rng.integers(0, 8, 16)
+    for goal in arm.manipulator.tips(rng.integers(0, 8, (5, 16))):
+        plain = solver.solve(goal[:2, 3], previous, 0.005, deadline=10.0)
+        whole = solver.solve(goal, previous, 0.005, deadline=10.0, turn=np.pi)
+        assert whole.configuration.tolist() == plain.configuration.tolist()
+        assert whole.angle == 0
+        previous = plain.configuration
