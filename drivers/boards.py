@@ -210,6 +210,10 @@ class Boards:
         """
         return self._watch.moving(self.measured(), now)
 
+    def passive(self) -> tuple[Fault, ...]:
+        """Buses whose controller is error-passive: they still work, and may soon not."""
+        return tuple(fault for bus in self._buses.values() if (fault := bus.passive()) is not None)
+
     def status(self) -> Status:
         """For diagnostics."""
         return Status(

@@ -162,6 +162,14 @@ class CanBus:
             self._rates = (frames - frames_before) / (now - since), (bits - bits_before) / (now - since)
             self._counted = now, frames, bits
 
+    def passive(self) -> Fault | None:
+        """A warning while the controller is error-passive, which stops nothing."""
+        if self.state != "passive":
+            return None
+        errors = f"{self._tx_errors} errors in sending and {self._rx_errors} in receiving"
+        text = f"{self.name} is error-passive after {errors}: check cable, termination, bit rate before it is bus-off"
+        return Fault("bus-passive", self.name, text)
+
     def status(self, worst_case: Traffic) -> BusStatus:
         """State and counters, beside the computed worst case."""
         frames, bits = self._rates

@@ -29,7 +29,7 @@ class Fault:
     Attributes:
         code: a short stable word: "board-missing", "board-lost", "board-rebooted", "board-stopped", "wrong-device",
             "wrong-length", "sdo-refused", "emergency", "stuck", "unexpected-motion", "bus-off", "bus-down", "bus-busy",
-            "foreign-master" or "halted".
+            "bus-passive", "foreign-master" or "halted".
         source: a board ("can0/5"), a bus ("can0") or an actuator ("5.left (can0/5 output 0)").
         message: a sentence for a person.
     """

@@ -32,7 +32,7 @@ class Segment:
         self.lock = threading.RLock()
         self.boards: dict[int, SimulatedBoard] = {}
         self._settings = settings
-        self._bus = self._open()
+        self._bus: can.BusABC | None = self._open()
         self._booted = False
 
     def add(self, node: int, wired: Sequence[Wired]) -> None:
@@ -64,7 +64,8 @@ class Segment:
 
     def close(self) -> None:
         """Shuts the bus."""
-        self._bus.shutdown()
+        if self._bus is not None:
+            self._bus.shutdown()
 
     def _open(self) -> can.BusABC:
         s = self._settings
@@ -72,18 +73,19 @@ class Segment:
 
     def _receive(self, patience: float) -> can.Message | None:
         try:
+            if self._bus is None:
+                self._bus = self._open()
             return self._bus.recv(patience)
         except (can.CanError, OSError):  # the interface is down or gone: the boards live on and hear nothing
+            self.close()
+            self._bus = None  # a kernel tells a socket once only that its interface is gone
             time.sleep(patience)
-        with contextlib.suppress(can.CanError, OSError):  # one that is made anew must be opened anew
-            bus = self._open()
-            self._bus.shutdown()
-            self._bus = bus
-        return None
+            return None
 
     def _send(self, cob_id: int, data: bytes) -> None:
-        with contextlib.suppress(can.CanError, OSError):  # a board does not know, either
-            self._bus.send(cia301.frame(cob_id, data))
+        if self._bus is not None:
+            with contextlib.suppress(can.CanError, OSError):  # a board does not know, either
+                self._bus.send(cia301.frame(cob_id, data))
 
 
 class Simulation:

@@ -21,7 +21,7 @@ from typing import Any
 import can
 import can.interfaces
 
-FRAME = struct.Struct("<IB8s?")  # identifier with SocketCAN's flags, length, data, whether it is the receiver's own
+FRAME = struct.Struct("<IB8s?d")  # identifier with SocketCAN's flags, length, data, whether the receiver's own, when
 EXTENDED, REMOTE, ERROR = 1 << 31, 1 << 30, 1 << 29
 UP, DOWN, GONE = range(3)
 BUS_OFF, RESTARTED = 0x40, 0x100  # classes of error frames
@@ -101,7 +101,7 @@ class Interface:
         with self._lock:
             for client, queued in self._clients.items():
                 if queued:
-                    _send(client, FRAME.pack(kind | ERROR, 8, data, False))
+                    _send(client, FRAME.pack(kind | ERROR, 8, data, False, time.time()))
 
     def close(self) -> None:
         self._closing = True
@@ -142,15 +142,14 @@ class Interface:
     def _forward(self, sender: socket.socket, packet: bytes) -> None:
         if self._state[0] != UP:
             return
-        identifier, length, data, _ = FRAME.unpack(packet)
+        identifier, length, data, _, _ = FRAME.unpack(packet)
+        now = time.time()
         if self._clients.get(sender, True):
             self.on_sent(identifier, data[:length])
         for client, queued in self._clients.items():
-            if client is sender:
-                if queued:
-                    _send(client, FRAME.pack(identifier, length, data, True))
-            elif not (queued and self._off):
-                _send(client, packet)
+            own = client is sender
+            if queued if own else not (queued and self._off):
+                _send(client, FRAME.pack(identifier, length, data, own, now))
 
     def _drop(self, client: socket.socket) -> None:
         del self._clients[client]
@@ -164,7 +163,7 @@ class EmulatedBus(can.BusABC):
         self._state = _mapped(Path(channel))
         if self._state[0] == GONE:
             raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
-        self._queued = receive_own_messages
+        self._queued, self._orphan = receive_own_messages, False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 << 20)
         self._socket.connect(f"{channel}/socket")
@@ -177,13 +176,16 @@ class EmulatedBus(can.BusABC):
         if self._queued and self._state[1] >= QUEUE:
             raise _failed(errno.ENOBUFS)
         identifier = msg.arbitration_id | EXTENDED * msg.is_extended_id | REMOTE * msg.is_remote_frame
-        packet = FRAME.pack(identifier | ERROR * msg.is_error_frame, msg.dlc, bytes(msg.data), False)
+        packet = FRAME.pack(identifier | ERROR * msg.is_error_frame, msg.dlc, bytes(msg.data), False, 0.0)
         try:
             self._socket.send(packet)
         except OSError as error:
             raise _failed(errno.ENODEV) from error
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self._orphan:  # as in the kernel: its own interface will never come back, and that is told once
+            time.sleep(0.01 if timeout is None else timeout)
+            return None, False
         self._check()
         if not select.select([self._socket], [], [], timeout)[0]:
             return None, False
@@ -192,10 +194,11 @@ class EmulatedBus(can.BusABC):
         except OSError:
             packet = b""
         if not packet:
+            self._orphan = True
             raise _failed(errno.ENODEV)
-        identifier, length, data, own = FRAME.unpack(packet)
+        identifier, length, data, own, stamp = FRAME.unpack(packet)
         message = can.Message(
-            timestamp=time.time(),
+            timestamp=stamp,
             arbitration_id=identifier & (0x1FFFFFFF if identifier & EXTENDED else 0x7FF),
             is_extended_id=bool(identifier & EXTENDED),
             is_remote_frame=bool(identifier & REMOTE),
@@ -212,6 +215,7 @@ class EmulatedBus(can.BusABC):
 
     def _check(self) -> None:
         if self._state[0] != UP:
+            self._orphan |= self._state[0] == GONE
             raise _failed(errno.ENETDOWN if self._state[0] == DOWN else errno.ENODEV)
 
 

@@ -55,6 +55,7 @@ class ControlLoop:
         inrush: most actuators that may switch at once; None: no bound.
         rest: time that an actuator rests between two travels [s].
         collect: collects garbage; told after each tick, when most of a period is left, whether the loop is idle.
+        reachable: whether anybody is connected of those that the daemon was told to connect to.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class ControlLoop:
         inrush: int | None = None,
         rest: float = 0.0,
         collect: Callable[[bool], None] = lambda idle: None,
+        reachable: Callable[[], bool] = lambda: True,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
@@ -81,7 +83,7 @@ class ControlLoop:
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
         self._faults = FaultList()
         self._bring_up = BringUp(boards, self.inbox.put)
-        self._teller = Teller(boards, self._runner, ledger, telemetry)
+        self._teller = Teller(boards, self._runner, ledger, telemetry, reachable)
         self._ended = False
         self._next_beat = self._next_try = 0.0
         self._clock, self._time = clock, Timekeeper(PERIOD)

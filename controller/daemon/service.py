@@ -23,6 +23,7 @@ from controller.daemon.outbox import Outbox
 from controller.daemon.planner import Planner
 from controller.daemon.realtime import RealTime
 from controller.daemon.server import Server
+from controller.daemon.session import reachable
 from controller.daemon.telemetry import Publisher
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
@@ -147,6 +148,7 @@ class Daemon:
                 inrush=arm.settings.inrush,
                 rest=arm.settings.rest_time,
                 collect=self._garbage.collect,
+                reachable=reachable(session, config),
             )
             closing.callback(self.loop.inbox.close)
             follower = Follower(arm, follower_solver, self.loop)

@@ -1,6 +1,7 @@
 """Zenoh sessions: no router, no scouting, explicit endpoints."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import zenoh
@@ -55,3 +56,10 @@ def from_file(path: Path) -> zenoh.Config:
                 raise ValueError(f"{path}: {name}: {file}: {error.strerror}") from None
             config.insert_json5(f"{TLS}/{name}", json.dumps(str(file.absolute())))
     return config
+
+
+def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
+    """Returns what tells whether a session is connected with any of the endpoints it is to connect to, if there are."""
+    if not json.loads(config.get_json("connect/endpoints")):
+        return lambda: True
+    return lambda: bool(session.info.routers_zid() or session.info.peers_zid())

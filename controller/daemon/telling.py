@@ -1,10 +1,12 @@
 """When the control loop tells of itself: its state 20 times a second and on change, diagnostics once a second."""
 
 import time
+from collections.abc import Callable
 
 from controller.daemon.ledger import Ledger
 from controller.daemon.runner import Runner
 from controller.daemon.state import Diagnostics, LoopStatus, Mode, Snapshot, Telemetry
+from controller.daemon.worries import Worries
 from drivers.boards import Boards
 from drivers.faults import Fault
 
@@ -23,10 +25,14 @@ class Teller:
         runner: of the goals.
         ledger: of switches and goals.
         telemetry: takes the snapshots.
+        reachable: whether anybody is connected of those that the daemon was told to connect to.
     """
 
-    def __init__(self, boards: Boards, runner: Runner, ledger: Ledger, telemetry: Telemetry) -> None:
+    def __init__(
+        self, boards: Boards, runner: Runner, ledger: Ledger, telemetry: Telemetry, reachable: Callable[[], bool]
+    ) -> None:
         self.changed = True
+        self._worries = Worries(boards, ledger, reachable)
         self._boards, self._runner, self._ledger, self._telemetry = boards, runner, ledger, telemetry
         self._next_state = self._next_diagnostics = 0.0
 
@@ -47,7 +53,7 @@ class Teller:
                 measured=self._boards.measured(),
                 goal=execution.goal.id if execution else None,
                 waypoint=execution.waypoint if execution and execution.waypoint >= 0 else None,
-                faults=faults + self._ledger.faults(),
+                faults=faults + self._worries.look(),
             )
         )
 

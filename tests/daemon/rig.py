@@ -65,6 +65,9 @@ class FakeBoards:
     def settle(self, now: float) -> bool:
         return True
 
+    def passive(self) -> tuple[Fault, ...]:
+        return ()
+
     def back(self) -> bool:
         return self.returned
 
