@@ -14,10 +14,11 @@ import pytest
 import zenoh
 
 from controller.config import Arm
-from controller.daemon import session
+from controller.daemon import follower, loop, planner, session, telling
 from controller.daemon.client import Client
 from controller.daemon.service import Daemon, running, simulated, timing_of, wiring_of
 from controller.workspace.densities import Densities
+from drivers import simulation
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Timing, Wiring
 from tests import emulated, vcan
@@ -26,6 +27,12 @@ from tests.integration.harness import Observer
 from tests.integration.motions import Motions
 
 CHANNELS = itertools.count()
+
+# Where the machine is slow, so are the control loop and the boards, who would have no time left for their work.
+if SLOWNESS > 1:
+    loop.PERIOD = follower.PERIOD = planner.PERIOD = 0.01 * SLOWNESS
+    telling.STATE_EVERY = 0.05 * SLOWNESS
+    simulation._LONGEST_WAIT = 0.01 * SLOWNESS
 
 
 @pytest.fixture
@@ -43,7 +50,7 @@ def bus(request: pytest.FixtureRequest) -> Iterator[BusSettings]:
     if reason := vcan.missing():
         (pytest.fail if request.config.getoption("bus") else pytest.skip)(reason)
     with vcan.made() as interface:
-        yield BusSettings("can0", "socketcan", interface.name)
+        yield BusSettings("can0", "socketcan", interface.name, round(1_000_000 / SLOWNESS))
 
 
 @pytest.fixture
@@ -66,6 +73,14 @@ def interface(request: pytest.FixtureRequest, bus: BusSettings) -> emulated.Inte
 
 
 @pytest.fixture
+def queue(interface: emulated.Interface | vcan.Interface) -> emulated.Interface | vcan.Interface:
+    """The interface, where its frames can be made to wait."""
+    if isinstance(interface, vcan.Interface) and (reason := vcan.queueless()):
+        pytest.skip(reason)
+    return interface
+
+
+@pytest.fixture
 def wiring(arm: Arm, bus: BusSettings) -> Wiring:
     return replace(wiring_of(arm), buses=(bus,))
 
@@ -84,8 +99,11 @@ def timing(arm: Arm) -> Timing:
 @pytest.fixture
 def boards(wiring: Wiring, timing: Timing) -> Iterator[Simulation]:
     """The simulated boards, running."""
-    with simulated(wiring, timing) as simulation:
-        yield simulation
+    with simulated(wiring, timing) as boards:
+        for segment in boards._segments.values():
+            assert segment._bus
+            vcan.give_way(segment._bus, vcan.FIRST)  # in the queues of an interface, which theirs would not be in
+        yield boards
 
 
 @pytest.fixture

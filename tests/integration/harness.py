@@ -17,6 +17,7 @@ class Observer:
         heard: what came on each key, oldest first.
         times: when it came, UNIX seconds.
         accepted: ids of the goals it sent that were accepted.
+        sent: when, by id, UNIX seconds.
     """
 
     def __init__(self, client: Client) -> None:
@@ -24,6 +25,7 @@ class Observer:
         self.heard: dict[str, list[Message]] = {key: [] for key in KEYS}
         self.times: dict[str, list[float]] = {key: [] for key in KEYS}
         self.accepted: list[str] = []
+        self.sent: dict[str, float] = {}
         self._subscribers = [client.subscribe(key, self._remember(key)) for key in KEYS]
 
     def _remember(self, key: str) -> Any:
@@ -40,7 +42,9 @@ class Observer:
         """Sends a goal; without times, a single waypoint now, or one every 0.2 s; on a slow machine slower."""
         times = times or [0.2 * k for k in range(len(positions))]
         points = [{"t": t * SLOWNESS, "position": list(position)} for t, position in zip(times, positions, strict=True)]
+        sent = time.time()
         answer = self.ask("goal", waypoints=points, **fields)
+        self.sent |= {answer["id"]: sent} if answer["accepted"] else {}
         self.accepted += [answer["id"]] * answer["accepted"]
         return answer
 
@@ -84,6 +88,11 @@ class Observer:
 
     def results(self, goal: str | None) -> list[Message]:
         return [result for result in self.heard["result"] if result["id"] == goal]
+
+    def span(self, goal: str) -> tuple[float, float]:
+        """From when to when a goal may have moved the arm: from sending it to hearing its result [UNIX s]."""
+        heard = [time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if it["id"] == goal]
+        return self.sent[goal], heard[-1]
 
     def feedback(self, goal: str) -> list[Message]:
         return [feedback for feedback in self.heard["feedback"] if feedback["id"] == goal]

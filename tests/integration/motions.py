@@ -22,6 +22,7 @@ class Motions:
         outputs: (A,) the actuators' outputs.
         switched: (A,) how often each was switched by RPDO and SYNC.
         fell: (A,) how often each fell off with its board.
+        moved_at: when a SYNC switched any, UNIX seconds.
     """
 
     def __init__(self, wiring: Wiring, listener: can.BusABC, outputs: NDArray[np.uint8] | None = None) -> None:
@@ -29,6 +30,7 @@ class Motions:
         count = len(wiring.channels)
         self.outputs = np.zeros(count, dtype=np.uint8) if outputs is None else outputs.astype(np.uint8)
         self.switched, self.fell = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
+        self.moved_at: list[float] = []
         self._latched: dict[int, bytes] = {}  # of boards by their index
         self._operational = [True] * len(self._layout.boards)
 
@@ -36,10 +38,10 @@ class Motions:
         """Takes in what was on the bus since the last call."""
         while (frame := self._listener.recv(0)) is not None:
             if not frame.is_error_frame:
-                self._take(frame.arbitration_id, bytes(frame.data))
+                self._take(frame.arbitration_id, bytes(frame.data), frame.timestamp)
 
     def check(self, client: Observer, boards: Simulation) -> None:
-        """Sees that all that moved was switched from the bus for accepted goals, which all have one result each."""
+        """Sees that all that moved was switched from the bus while and as accepted goals asked, of one result each."""
         for goal in client.accepted:
             client.result(goal)
 
@@ -51,16 +53,19 @@ class Motions:
         results = [result for goal in client.accepted for result in client.results(goal)]
         assert len(results) == len(client.accepted), "each accepted goal has one result"
         asked = sum(result["switches"] for result in results)
+        spans = [client.span(goal) for goal in client.accepted]
+        unasked = [stamp for stamp in self.moved_at if not any(a <= stamp <= b for a, b in spans)]
+        assert not unasked, f"the arm moved at {unasked} with no goal, those were at {spans}"
         assert self.switched.sum() == asked, "what was switched on the bus is what the goals' results tell"
 
-    def _take(self, cob_id: int, data: bytes) -> None:
+    def _take(self, cob_id: int, data: bytes, stamp: float) -> None:
         function, node = cia301.split(cob_id)
         if cob_id == cia301.NMT and len(data) == 2:
             for k, board in enumerate(self._layout.boards):
                 if data[1] in (0, board.node):
                     self._set(k, data[0] == Command.START)
         elif cob_id == cia301.SYNC:
-            self._sync()
+            self._sync(stamp)
         elif function == cia301.RPDO1:
             self._latch(cob_id, data)
         else:
@@ -86,12 +91,14 @@ class Motions:
                 start = starts[cob_id]
                 self._latched[k] = data[board.image.start - start : board.image.stop - start]
 
-    def _sync(self) -> None:
+    def _sync(self, stamp: float) -> None:
         layout, after = self._layout, self.outputs.copy()
         for k, data in self._latched.items():
             mine = np.flatnonzero(layout.board == k)
             image = np.frombuffer(data, np.uint8)[layout.byte[mine] - layout.boards[k].image.start]
             after[mine] = image >> layout.bit[mine] & 1
         self._latched.clear()
+        if (after != self.outputs).any():
+            self.moved_at.append(stamp)
         self.switched += after != self.outputs
         self.outputs = after

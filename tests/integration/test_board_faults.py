@@ -14,7 +14,7 @@ from drivers import cia301
 from drivers.cia301 import Command, State
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Timing
-from tests.daemon.waiting import eventually
+from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench, bearing
 from tests.integration.harness import Observer
 from tests.integration.motions import Motions
@@ -151,7 +151,7 @@ def test_a_board_that_answers_late_or_wrongly_at_start_is_named_and_brought_up_l
         return [] if late else [(cob_id, data[:1] + b"\x55\x55\x55" + data[4:])]  # of an object nobody asked for
 
     with answering(boards, "can0/3", answer):
-        bench.run(replace(timing, boot_timeout=0.5))
+        bench.run(replace(timing, boot_timeout=0.5 * SLOWNESS))
         client = bench.observer()
         state = client.wait_for("fault")
         assert "can0/3" in state["reason"]

@@ -59,7 +59,7 @@ def test_never_more_at_once_on_the_bus(client: Observer, boards: Simulation, arm
 
 
 def test_stages_are_told_and_end_in_time(client: Observer, boards: Simulation, listener: can.BusABC) -> None:
-    points = [{"t": 0.0, "position": MIDDLE}, {"t": 2.0, "position": RIGHT}]
+    points = [{"t": 0.0, "position": MIDDLE}, {"t": 2.0 * SLOWNESS, "position": RIGHT}]
     plan = client.ask("plan", waypoints=points)
     for waypoint in plan["waypoints"]:
         assert max(map(len, waypoint["stages"])) <= INRUSH

@@ -107,7 +107,7 @@ def test_a_stop_for_all_arms_is_taken(client: Observer, bench: Bench) -> None:
 
 def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, bench: Bench) -> None:
     flooding, prefix = bench.session(), "hyperbit/planar16"
-    there_and_back = enumerate([LEFT, RIGHT] * 400)
+    there_and_back = enumerate([LEFT, RIGHT] * int(400 / SLOWNESS))
     far = json.dumps({"waypoints": [{"t": 0.2 * k * SLOWNESS, "position": p} for k, p in there_and_back]})
     flood = [flooding.get(f"{prefix}/plan", payload=far, timeout=2 * PATIENCE) for _ in range(60)]
     assert client.ask("stop")["accepted"]
@@ -136,7 +136,7 @@ def test_a_frozen_reader_does_not_stall_the_arm(client: Observer, bench: Bench) 
         [sys.executable, "-c", FROZEN, bench.endpoint, "hyperbit/**"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    far = [{"t": 0.2 * k * SLOWNESS, "position": LEFT} for k in range(50)]
+    far = [{"t": 0.2 * k * SLOWNESS, "position": LEFT} for k in range(int(50 / SLOWNESS))]
     try:
         assert reader.stdout
         assert reader.stdout.readline() == "heard\n"

@@ -21,7 +21,7 @@ QEMU = [
     *("-device", "virtio-rng-pci", "-device", "isa-debug-exit,iobase=0xf4,iosize=1"),
     *("-kernel", str(FOLDER / "vmlinuz"), "-initrd", str(FOLDER / "initrd")),
 ]
-KERNEL = "console=ttyS0 loglevel=3 panic=-1 mitigations=off fstab=no"
+KERNEL = "console=ttyS0 loglevel=3 panic=-1 mitigations=off fstab=no apparmor=0 audit=0 tsc=reliable clocksource=tsc"
 SYSTEMD = "systemd.show_status=no systemd.unit=hyperbit-tests.service"
 
 

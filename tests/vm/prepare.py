@@ -14,7 +14,10 @@ FOLDER = PROJECT / "build" / "vm"
 HERE = Path(__file__).parent
 
 # In the order in which they were asked for; what they need comes before them.
-MODULES = ("virtio_pci", "virtio_rng", "9pnet_virtio", "9p", "overlay", "can", "can_raw", "vcan", "sch_tbf")
+MODULES = (
+    *("virtio_pci", "virtio_rng", "9pnet_virtio", "9p", "overlay"),
+    *("can", "can_raw", "vcan", "sch_tbf", "sch_prio", "sch_plug"),
+)
 NEEDED = {
     "qemu-system-x86_64": "qemu-system-x86",
     "apt-get": "apt",

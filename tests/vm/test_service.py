@@ -31,10 +31,13 @@ CACHE, STATE = Path("/var/cache/private/hyperbit"), Path("/var/lib/private/hyper
 ENVIRONMENT = {**os.environ, "NUMBA_CACHE_DIR": str(CACHE / "numba")}  # where its kernels are compiled already
 ASKING = {0x580, 0x600}  # SDO answers and requests (CiA 301, 7.3.5)
 
-pytestmark = pytest.mark.skipif(
-    not Path("/etc/systemd/system/hyperbit-tests.service").exists(),
-    reason="needs the installed service: only in the virtual machine of `make vm-test`",
-)
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.skipif(
+        not Path("/etc/systemd/system/hyperbit-tests.service").exists(),
+        reason="needs the installed service: only in the virtual machine of `make vm-test`",
+    ),
+]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +62,7 @@ def boards(can0: vcan.Interface) -> Iterator[None]:
         process.terminate()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def frames(can0: vcan.Interface) -> Iterator[can.BusABC]:
     """Hears all that is on the bus."""
     with can.Bus(interface="socketcan", channel=can0.name, ignore_config=True) as listening:
