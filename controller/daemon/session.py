@@ -7,6 +7,7 @@ from pathlib import Path
 import zenoh
 
 ENDPOINT = "tcp/127.0.0.1:7447"
+LEASE = 1.0  # [s] after which a peer that is frozen is given up, also where a message waits for room
 TLS = "transport/link/tls"
 TLS_FILES = (
     *("root_ca_certificate", "listen_certificate", "listen_private_key"),
@@ -27,10 +28,12 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "listen": {"endpoints": [listen] if listen else []},
         "connect": {"endpoints": [connect] if connect else []},
-        # A peer that is frozen is given up after a second, also where a message waits for room.
         "transport": {
             "link": {
-                "tx": {"lease": 1000, "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}}}
+                "tx": {
+                    "lease": round(LEASE * 1e3),
+                    "queue": {"congestion_control": {"block": {"wait_before_close": round(LEASE * 1e6)}}},
+                }
             }
         },
     }

@@ -33,6 +33,7 @@ if SLOWNESS > 1:
     loop.PERIOD = follower.PERIOD = planner.PERIOD = 0.01 * SLOWNESS
     telling.STATE_EVERY = 0.05 * SLOWNESS
     simulation._LONGEST_WAIT = 0.01 * SLOWNESS
+    session.LEASE = SLOWNESS
 
 
 @pytest.fixture
@@ -89,6 +90,11 @@ def bearing(arm: Arm) -> Timing:
     """The arm's times, but that a board or the daemon may wait for its turn on a loaded machine; faults still show."""
     timing = timing_of(arm)
     return replace(timing, heartbeat_timeout=timing.heartbeat_timeout + 0.25 * SLOWNESS, settle_margin=0.3 * SLOWNESS)
+
+
+def enduring(timing: Timing) -> Timing:
+    """Times for what is not about the boards' own, however loaded the machine is."""
+    return replace(timing, heartbeat_timeout=timing.heartbeat_timeout + SLOWNESS, settle_margin=0.5 * SLOWNESS)
 
 
 @pytest.fixture

@@ -17,12 +17,12 @@ from controller.daemon.client import Client, Unanswered
 from controller.daemon.follower import Follower
 from controller.daemon.inbox import Inbox
 from controller.daemon.planner import Planner
-from controller.daemon.service import Daemon, patient, timing_of
+from controller.daemon.service import Daemon, timing_of
 from controller.workspace.densities import Densities
 from drivers.simulation import Simulation
 from drivers.wiring import Timing, Wiring
 from tests.daemon.waiting import PATIENCE, eventually
-from tests.integration.conftest import Bench
+from tests.integration.conftest import Bench, enduring
 from tests.integration.harness import KEYS, Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT, drain, syncs
 from tests.keys import DEPLOY, certificates, made, openssl
@@ -64,7 +64,7 @@ class GuardedBench(Bench):
         return config
 
     def daemon(self, timing: Timing | None = None) -> Daemon:
-        timing = timing or patient(timing_of(self.arm))
+        timing = timing or enduring(timing_of(self.arm))
         return Daemon(self.arm, self._densities, self._wiring, self.config("daemon"), self.ledger, timing)
 
     def session(self, who: str = "operator") -> zenoh.Session:

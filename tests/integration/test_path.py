@@ -9,29 +9,30 @@ import pytest
 
 from controller.config import Arm
 from controller.daemon.client import Message
-from controller.daemon.service import Daemon, patient
+from controller.daemon.service import Daemon
 from controller.motion import codes
 from drivers.simulation import Simulation
 from drivers.wiring import Timing
-from tests.integration.conftest import Bench
+from tests.daemon.waiting import SLOWNESS
+from tests.integration.conftest import Bench, enduring
 from tests.integration.harness import Observer
 from tests.integration.test_goals import LEFT, MIDDLE, drain, tip
 from tests.integration.test_inrush import changes
 
 PATH = 0.03
 CORNER = (0.55, 2.8)
-POINTS, TIMES = (MIDDLE, CORNER, LEFT), [0.0, 2.0, 5.0]
+POINTS, TIMES = (MIDDLE, CORNER, LEFT), [0.0, 2.0, 5.0]  # on a slow machine these are slow
 LAG = 1.0  # [s] by which this computer may be late
 
 
 @pytest.fixture
 def daemon(bench: Bench, boards: Simulation, timing: Timing) -> Daemon:
     """A daemon that is patient with boards which a loaded machine keeps waiting."""
-    return bench.run(patient(timing))
+    return bench.run(enduring(timing))
 
 
 def wanted(t: float) -> np.ndarray:
-    return np.array([np.interp(t, TIMES, column) for column in np.array(POINTS).T])
+    return np.array([np.interp(t / SLOWNESS, TIMES, column) for column in np.array(POINTS).T])
 
 
 def followed(client: Observer, boards: Simulation, arm: Arm, stamp: float) -> list[tuple[float, float]]:
@@ -39,7 +40,7 @@ def followed(client: Observer, boards: Simulation, arm: Arm, stamp: float) -> li
     seen = []
     while not client.results("a"):
         t, positions = time.time() - stamp, boards.positions()
-        if 0 <= t <= TIMES[-1] and np.isin(positions, (0, 1)).all():
+        if 0 <= t <= TIMES[-1] * SLOWNESS and np.isin(positions, (0, 1)).all():
             at = arm.manipulator.tip(arm.manipulator.configuration(positions))[:2, 3]
             seen.append((t, float(np.linalg.norm(at - wanted(t)))))
         time.sleep(0.002)
@@ -49,7 +50,7 @@ def followed(client: Observer, boards: Simulation, arm: Arm, stamp: float) -> li
 def test_the_tip_stays_by_the_moving_point_and_little_switches(
     client: Observer, boards: Simulation, arm: Arm, listener: can.BusABC
 ) -> None:
-    stamp = time.time() + 1.5
+    stamp = time.time() + 1.5 * SLOWNESS
     answer = client.goal(*POINTS, times=TIMES, stamp=stamp, id="a", path_tolerance=PATH)
     assert answer["accepted"], answer
     seen = followed(client, boards, arm, stamp)
@@ -70,11 +71,11 @@ def test_the_tip_stays_by_the_moving_point_and_little_switches(
 
 
 def test_a_plan_tells_all_points_and_the_lines_are_kept_by_each(client: Observer, boards: Simulation) -> None:
-    points = [{"t": t, "position": p} for t, p in zip(TIMES, POINTS, strict=True)]
+    points = [{"t": t * SLOWNESS, "position": p} for t, p in zip(TIMES, POINTS, strict=True)]
     answer: Message = client.ask("plan", waypoints=points, path_tolerance=PATH)
     assert answer["accepted"], answer
     told = answer["waypoints"]
-    assert [w["t"] for w in told if not w["between"]] == TIMES
+    assert [w["t"] for w in told if not w["between"]] == [t * SLOWNESS for t in TIMES]
     for own, following in pairwise(told):
         for t in np.linspace(own["t"], following["t"], 9):
             assert np.linalg.norm(wanted(t) - own["position"]) <= PATH + 1e-9

@@ -148,8 +148,8 @@ def test_a_frozen_reader_does_not_stall_the_arm(client: Observer, bench: Bench) 
                 assert client.ask("plan", waypoints=far)["accepted"]
         eventually(lambda: len(client.heard["diagnostics"]) > begun + 2)
         status = [it["loop"] for it in client.heard["diagnostics"][begun:]]
-        assert sum(it["ticks"] for it in status) >= 30 * len(status)
-        assert max(it["longest_work"] for it in status) < 1.0
+        assert sum(it["ticks"] for it in status) >= 30 / SLOWNESS * len(status)
+        assert max(it["longest_work"] for it in status) < 1.0 * SLOWNESS
     finally:
         reader.send_signal(signal.SIGKILL)
         reader.communicate()

@@ -15,11 +15,11 @@ import pytest
 import zenoh
 
 from controller.config import Arm
-from controller.daemon.service import Daemon, patient
+from controller.daemon.service import Daemon
 from drivers.simulation import Simulation
 from drivers.wiring import Timing
 from tests.daemon.waiting import SLOWNESS, eventually
-from tests.integration.conftest import Bench
+from tests.integration.conftest import Bench, enduring
 from tests.integration.harness import Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT, drain, syncs, tip
 
@@ -82,7 +82,7 @@ class Publisher:
 @pytest.fixture
 def daemon(bench: Bench, boards: Simulation, timing: Timing) -> Daemon:
     """A daemon that is patient with boards which a loaded machine keeps waiting."""
-    return bench.run(patient(timing))
+    return bench.run(enduring(timing))
 
 
 @pytest.fixture
