@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.search.meeting import CELLS, collect, match, put_into_cells, sort_into_cells
+from controller.search.pose_meeting import match_poses, write_points
 
 Array = NDArray[np.float64]
 
@@ -13,28 +14,40 @@ class Cells:
 
     Args:
         most: room for so many points.
-        size: their coordinates, 2 or 3.
+        size: coordinates of a position, 2 or 3.
     """
 
     def __init__(self, most: int, size: int) -> None:
         self._starts, self._cells = np.empty(CELLS + 1, dtype=np.int32), np.empty(most, dtype=np.int32)
-        self._order, self._points, self._prices = np.empty(most, dtype=np.int32), np.empty((most, size)), np.empty(most)
-        self._grid, self._tolerance = np.empty(7), 0.0
-        self._rows = np.empty((0, size))
+        self._order, self._prices = np.empty(most, dtype=np.int32), np.empty(most)
+        self._size, self._whole = size, 3 if size == 2 else 6
+        self._room, self._unsorted = np.empty(most * self._whole), np.empty(most * self._whole)
+        self._points, self._rows = self._room.reshape(-1, self._whole)[:0], np.empty((0, size))
+        self._grid, self._tolerance, self._limit = np.empty(13), 0.0, np.inf
 
     def claim(self) -> None:
         """Has the system hand out the memory now, not in the middle of a search."""
-        for array in (self._starts, self._cells, self._order, self._points, self._prices):
+        for array in (self._starts, self._cells, self._order, self._prices, self._room, self._unsorted):
             array.fill(0)
 
-    def fill(self, rows: Array, costs: Array, tolerance: float) -> None:
+    def fill(self, rows: Array, costs: Array, tolerance: float, limit: float = np.inf) -> None:
         """Takes points, the first numbers of rows (n, ...), and their costs (n,).
 
-        The rows must stay as they are where rotations will be asked for: they are frames then, (n, 4) or (n, 12).
+        Args:
+            rows: frames, (n, 4) or (n, 12), where rotations will be asked for; they must stay as they are then.
+            costs: shape (n,).
+            tolerance: of the distances to be asked for.
+            limit: of the rotations' squared chord, see Target; infinite where any will do.
         """
-        n, self._rows, self._tolerance = len(rows), rows, tolerance
-        sort_into_cells(rows, self._points.shape[1], tolerance, self._starts, self._cells, self._grid)
-        put_into_cells(rows, costs, self._starts, self._cells, self._order, self._points[:n], self._prices[:n])
+        n, self._rows, self._tolerance, self._limit = len(rows), rows, tolerance, limit
+        size, points = self._size, rows
+        if limit < np.inf:
+            size = self._whole
+            points = self._unsorted[: n * size].reshape(n, size)
+            write_points(rows, tolerance / np.sqrt(limit), points)
+        self._points = self._room[: n * size].reshape(n, size)
+        sort_into_cells(points, size, tolerance, self._starts, self._cells, self._grid)
+        put_into_cells(points, costs, self._starts, self._cells, self._order, self._points, self._prices[:n])
 
     def match(
         self,
@@ -42,7 +55,6 @@ class Cells:
         target_costs: Array,
         frames: Array,
         frame_costs: Array,
-        limit: float,
         weight: float,
         best: float,
         best_square: float,
@@ -50,21 +62,39 @@ class Cells:
         carried: bool = False,
     ) -> tuple[int, int, int, float, float]:
         """Returns the best target, frame and row, see meeting.match; targets are seen from the frames, or carried."""
-        n = len(self._rows)
+        prices = self._prices[: len(self._rows)]
+        if self._limit < np.inf:
+            return match_poses(
+                targets,
+                target_costs,
+                frames,
+                frame_costs,
+                not carried,
+                self._points,
+                prices,
+                self._starts,
+                self._order,
+                self._grid,
+                self._rows,
+                self._tolerance,
+                self._limit,
+                weight,
+                best,
+                best_square,
+            )
         return match(
             targets,
             target_costs,
             frames,
             frame_costs,
             not carried,
-            self._points[:n],
-            self._prices[:n],
+            self._points,
+            prices,
             self._starts,
             self._order,
             self._grid,
             self._rows,
             self._tolerance,
-            limit,
             weight,
             best,
             best_square,
@@ -76,7 +106,7 @@ class Cells:
         return collect(
             asking,
             costs,
-            self._points[:n],
+            self._points,
             self._prices[:n],
             self._starts,
             self._order,

@@ -1,5 +1,7 @@
 """Both halves of the arm, each with its configurations near a centre, to be met for one goal after another."""
 
+import time
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from controller.search.target import Target
 Array = NDArray[np.float64]
 
 ONE_TARGET = np.zeros(1)
+AT_ONCE = 1 << 15  # lower rows that ask between two looks at the clock
 
 
 class Halves:
@@ -20,6 +23,7 @@ class Halves:
     Attributes:
         lower: rows of the modules below the cut.
         upper: rows of those above.
+        unasked: least cost of the lower rows that the last meeting had no time for; infinite if all have met.
 
     Args:
         manipulator: the arm.
@@ -28,6 +32,7 @@ class Halves:
 
     lower: Segment
     upper: Segment
+    unasked: float = np.inf
 
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._states, self._motions = manipulator.states, motions(manipulator)
@@ -39,7 +44,7 @@ class Halves:
         ]
         self._cells = Cells(self._storages[1].rows, coordinates(self._motions))
         self._key: tuple[NDArray[np.generic], ...] = ()
-        self._sorted = 0.0
+        self._sorted: tuple[float, ...] = ()
 
     def claim(self) -> None:
         """Has the system hand out all memory now, not in the middle of a search with a deadline."""
@@ -60,39 +65,50 @@ class Halves:
         key = (centre, distances, costs, np.array([0 if most is None else most]))
         if self._key and all(map(np.array_equal, key, self._key)):
             return
-        self._key, self._sorted = (), 0.0  # until it is done
+        self._key, self._sorted = (), ()  # until it is done
         self.lower, self.upper = (
             build_segment(self._motions, self._states, storage, centre, distances, costs, *ends, most)
             for storage, ends in zip(self._storages, ((0, self.cut), (self.cut, self._count)), strict=True)
         )
         self._key = tuple(np.array(part) for part in key)
 
-    def sort(self, tolerance: float) -> None:
-        """Sorts the upper rows for a tolerance; does nothing if they are already."""
-        if self._sorted != tolerance:
-            self._sorted = 0.0
-            self._cells.fill(self.upper.frames, self.upper.costs, tolerance)
-            self._sorted = tolerance
+    def sort(self, tolerance: float, limit: float = np.inf) -> None:
+        """Sorts the upper rows for tolerances, see Cells.fill; does nothing if they are already."""
+        if self._sorted != (tolerance, limit):
+            self._sorted = ()
+            self._cells.fill(self.upper.frames, self.upper.costs, tolerance, limit)
+            self._sorted = (tolerance, limit)
 
-    def meet(self, target: Target, best: Found) -> Found:
-        """Returns the cheapest pair's configuration, or `best`, found before, if none is better."""
-        self.sort(target.tolerance * CLOSE)
-        _, i, j, cost, square = self._cells.match(
-            target.row[None],
-            ONE_TARGET,
-            self.lower.frames,
-            self.lower.costs,
-            target.limit,
-            target.weight,
-            best.cost,
-            best.square,
-        )
-        if i < 0:
-            return best
-        configuration = self._key[0].astype(np.int64)
-        self.lower.write(i, configuration)
-        self.upper.write(j, configuration)
-        return Found(configuration, cost, square)
+    def meet(self, target: Target, best: Found, until: float = np.inf) -> Found:
+        """Returns the cheapest pair's configuration, or `best`, found before, if none is better.
+
+        Args:
+            target: in frame F_0.
+            best: found before.
+            until: `time.perf_counter()` at which no more pairs are looked at.
+        """
+        self.sort(target.tolerance * CLOSE, target.limit)
+        self.unasked, lower = np.inf, self.lower
+        for start in range(0, len(lower.costs), AT_ONCE):
+            if start > 0 and time.perf_counter() > until:
+                self.unasked = float(lower.costs[start:].min())
+                break
+            part = slice(start, start + AT_ONCE)
+            _, i, j, cost, square = self._cells.match(
+                target.row[None],
+                ONE_TARGET,
+                lower.frames[part],
+                lower.costs[part],
+                target.weight,
+                best.cost,
+                best.square,
+            )
+            if i >= 0:
+                configuration = self._key[0].astype(np.int64)
+                lower.write(start + i, configuration)
+                self.upper.write(j, configuration)
+                best = Found(configuration, cost, square)
+        return best
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:

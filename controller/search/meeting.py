@@ -61,13 +61,13 @@ def sort_into_cells(rows: Array, size: int, tolerance: float, starts: Index32, c
 
     Args:
         rows: each begins with a point's coordinates, shape (n, ...).
-        size: how many they are, 2 or 3.
+        size: how many they are, at most 6.
         tolerance: of the questions to come.
         starts: written: where each cell's points end, shape (cells + 1,).
         cells: written: the cell of each point, shape (n,).
-        grid: written: the least corner (3,), cells per unit of length, cells along x, y and z.
+        grid: written: the least corner (6,), cells per unit of length, cells along each coordinate (6,).
     """
-    low, high, shape = np.zeros(3), np.zeros(3), np.ones(3)
+    low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
     low[:size], high[:size] = np.inf, -np.inf
     for n in range(len(rows)):
         for a in range(size):
@@ -77,20 +77,18 @@ def sort_into_cells(rows: Array, size: int, tolerance: float, starts: Index32, c
     while True:
         for a in range(size):
             shape[a] = np.floor((high[a] - low[a]) / side) + 1.0
-        if shape[0] * shape[1] * shape[2] <= most:
+        if shape.prod() <= most:
             break
         side *= 1.25
     per = 1.0 / side
-    grid[:3], grid[3], grid[4:] = low, per, shape
-    nx, ny = int(shape[0]), int(shape[1])
-    count = nx * ny * int(shape[2])
+    grid[:6], grid[6], grid[7:] = low, per, shape
+    count = int(shape.prod())
     starts[: count + 1] = 0
     for n in range(len(rows)):
-        # Rounding may put the outermost just outside.
-        ix = min(int((rows[n, 0] - low[0]) * per), nx - 1)
-        iy = min(int((rows[n, 1] - low[1]) * per), ny - 1)
-        iz = min(int((rows[n, 2] - low[2]) * per), int(shape[2]) - 1) if size == 3 else 0
-        c = (iz * ny + iy) * nx + ix
+        c = 0
+        for a in range(size - 1, -1, -1):
+            # Rounding may put the outermost just outside.
+            c = c * int(shape[a]) + min(int((rows[n, a] - low[a]) * per), int(shape[a]) - 1)
         cells[n] = c
         starts[c] += 1
     for c in range(count):
@@ -115,7 +113,7 @@ def put_into_cells(
         starts: see sort_into_cells.
         cells: see sort_into_cells.
         order: written: the row of each point, shape (n,).
-        points: written, shape (n, 2) or (n, 3).
+        points: written, as many coordinates as were sorted by, shape (n, ...).
         prices: written, shape (n,).
     """
     for n in range(len(rows) - 1, -1, -1):
@@ -129,7 +127,7 @@ def put_into_cells(
 
 @njit(
     "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
-    " f8[::1], f8[:,::1], f8, f8, f8, f8, f8)",
+    " f8[::1], f8[:,::1], f8, f8, f8, f8)",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -148,15 +146,13 @@ def match(
     grid: Array,
     rows: Array,
     tolerance: float,
-    limit: float,
     weight: float,
     best: float,
     best_square: float,
 ) -> tuple[int, int, int, float, float]:
     """Returns the target, frame and point of least cost together that fit, the nearer between equals.
 
-    They fit where the point is within the tolerance of the target as seen from the frame, or as carried by it, and its
-    row's rotation within the limit.
+    They fit where the point is within the tolerance of the target as seen from the frame, or as carried by it.
 
     Args:
         targets: frames, shape (t, 4) or (t, 12).
@@ -169,10 +165,9 @@ def match(
         starts: see Cells.
         order: see Cells.
         grid: see Cells.
-        rows: see Cells; not read where no rotation is asked for.
+        rows: see Cells; not read where rotations do not count.
         tolerance: of the distance.
-        limit: of the rotations' squared chord, infinite where any will do.
-        weight: length with which chords count in the squared distance; 0 where they do not.
+        weight: length with which the chord between rotations counts in the squared distance; 0 where it does not.
         best: cost to be bettered, or equalled by what is nearer.
         best_square: square of its distance.
 
@@ -183,8 +178,8 @@ def match(
     for k in range(len(prices)):
         least = min(least, prices[k])
     first, second, third = -1, -1, -1
-    farthest, flat, oriented = tolerance * tolerance, frames.shape[1] == 4, limit < np.inf or weight > 0.0
-    nx, ny, nz = int(grid[4]), int(grid[5]), int(grid[6])
+    farthest, flat, oriented = tolerance * tolerance, frames.shape[1] == 4, weight > 0.0
+    per, nx, ny, nz = grid[6], int(grid[7]), int(grid[8]), int(grid[9])
     dz = 0.0
     for t in range(len(targets)):
         x, y, z = targets[t, 0], targets[t, 1], 0.0 if flat else targets[t, 2]
@@ -208,12 +203,12 @@ def match(
                 px = f[0] + f[3] * x + f[4] * y + f[5] * z
                 py = f[1] + f[6] * x + f[7] * y + f[8] * z
                 pz = f[2] + f[9] * x + f[10] * y + f[11] * z
-            ux, uy = (px - grid[0]) * grid[3] - 0.5, (py - grid[1]) * grid[3] - 0.5
+            ux, uy = (px - grid[0]) * per - 0.5, (py - grid[1]) * per - 0.5
             if not (-1.0 <= ux < nx and -1.0 <= uy < ny):
                 continue
             cx, cy, z0, z1 = int(np.floor(ux)), int(np.floor(uy)), 0, 1
             if not flat:
-                uz = (pz - grid[2]) * grid[3] - 0.5
+                uz = (pz - grid[2]) * per - 0.5
                 if not -1.0 <= uz < nz:
                     continue
                 cz = int(np.floor(uz))
@@ -239,7 +234,7 @@ def match(
                                 else:
                                     apart = chord(targets, t, frames, q, rows, order[k])
                                 square += weight * weight * apart
-                                if apart > limit or (cost == best and square >= best_square):
+                                if cost == best and square >= best_square:
                                     continue
                             first, second, third, best, best_square = t, q, k, cost, square
     return first, second, int(order[third]) if third >= 0 else -1, best, best_square
@@ -272,12 +267,12 @@ def collect(
     count, room, worst, farthest = 0, len(pair_costs), np.inf, tolerance * tolerance
     size = points.shape[1]
     flat, oriented = size == 2, limit < np.inf
-    nx, ny, nz = int(grid[4]), int(grid[5]), int(grid[6])
+    per, nx, ny, nz = grid[6], int(grid[7]), int(grid[8]), int(grid[9])
     for q in range(len(asking)):
         if asking_costs[q] > worst:
             continue
-        ux, uy = (asking[q, 0] - grid[0]) * grid[3] - 0.5, (asking[q, 1] - grid[1]) * grid[3] - 0.5
-        uz = -0.5 if flat else (asking[q, 2] - grid[2]) * grid[3] - 0.5
+        ux, uy = (asking[q, 0] - grid[0]) * per - 0.5, (asking[q, 1] - grid[1]) * per - 0.5
+        uz = -0.5 if flat else (asking[q, 2] - grid[2]) * per - 0.5
         if not (-1.0 <= ux < nx and -1.0 <= uy < ny and -1.0 <= uz < nz):
             continue
         cx, cy, cz = int(np.floor(ux)), int(np.floor(uy)), int(np.floor(uz))

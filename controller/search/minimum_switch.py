@@ -65,8 +65,9 @@ class MinimumSwitch:
         first: Callable[[], Found],
         widen: Callable[[Found, int], Found],
         until: float,
+        latest: float,
     ) -> Found:
-        """Returns the cheapest configuration within the tolerance, and what is proven of its cost.
+        """Returns the cheapest configuration within the tolerances, and what is proven of its cost.
 
         Args:
             target: in frame F_0.
@@ -75,6 +76,7 @@ class MinimumSwitch:
             first: gives an answer from far and wide, of infinite cost if it is not within the tolerance.
             widen: looks for a better one farther from the centre, with a beam of a width.
             until: `time.perf_counter()` at which to be done, nearly.
+            latest: the same, where nothing is within the tolerances yet.
         """
         best, near = Found(centre, np.inf, np.inf), self._near
         if time.perf_counter() < until:
@@ -86,6 +88,8 @@ class MinimumSwitch:
             best = replace(best.better(first()), bound=best.bound)
         if not best.settled:
             best = self._further(target, centre, costs, best, widen, until)
+        if not best.settled and best.cost == np.inf and latest > until:
+            best = self._further(target, centre, costs, best, widen, latest)
         return best if best.cost < np.inf else replace(self._nearest.improve(target, best, until), bound=best.bound)
 
     def _further(
@@ -136,7 +140,7 @@ class MinimumSwitch:
             own = self._m.bits[np.arange(len(best.configuration)), best.configuration]
             distances = (self._m.bits != own[:, None]).sum(axis=2).astype(float)
             self._list(best.configuration, distances, costs, most)
-            better = self._wide.meet(target, best)
+            better = self._wide.meet(target, best, until)
             if better.cost >= best.cost:
                 return better
             best = better
@@ -152,10 +156,10 @@ class MinimumSwitch:
         until: float,
     ) -> Found:
         """Returns the best of all pairs listed, and a bound on the cost of those left out, checked if they are few."""
-        best = halves.meet(target, best)
+        best = halves.meet(target, best, until)
         lower, upper = halves.lower, halves.upper
-        bound = min(lower.beyond, upper.beyond)
-        if bound < best.cost:
+        bound = min(lower.beyond, upper.beyond, halves.unasked)
+        if bound < best.cost and halves.unasked == np.inf:
             below = np.flatnonzero(lower.costs < best.cost - upper.beyond)
             above = np.flatnonzero(upper.costs < best.cost - lower.beyond)
             if len(below) + len(above) <= MOST_CHECKS:

@@ -46,7 +46,7 @@ class Nearest:
         """
         seconds = 0.0
         while (began := time.perf_counter()) + 1.5 * seconds < until:
-            better = self._paired(target, self._changed(target, best))
+            better = self._paired(target, self._changed(target, best), until)
             seconds = time.perf_counter() - began
             if better.square >= best.square * (1 - 1e-9):
                 break
@@ -77,7 +77,7 @@ class Nearest:
         segment.write(row, configuration)
         return Found(configuration, np.inf, float(squares[row]))
 
-    def _paired(self, target: Target, best: Found) -> Found:
+    def _paired(self, target: Target, best: Found, until: float) -> Found:
         """Returns the nearest of all that differ in few actuators of either half, if it is very near."""
         halves, size = self._halves, self._m.dimension
         halves.list(best.configuration, self._distances(best), self._free, ROWS)
@@ -86,5 +86,5 @@ class Nearest:
         if within == 0.0:
             return best
         anyhow = replace(target, tolerance=within, turn=math.inf)
-        found = halves.meet(anyhow, Found(best.configuration, 0.0, best.square))
+        found = halves.meet(anyhow, Found(best.configuration, 0.0, best.square), until)
         return Found(found.configuration, np.inf, found.square)

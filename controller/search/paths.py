@@ -88,9 +88,10 @@ class Paths:
             prices,
         )
         modules = np.arange(len(m.modules))
+        most = target.tolerance**2 * 1.001 + (target.weight**2 * target.limit if target.oriented else 0.0)
         for configuration, (x, y, z), price in zip(configurations[:count], wanted, prices, strict=False):
             if price < best.cost:
-                square, within = self._finish(x, y, z, target, costs, configuration)
+                square, within = self._finish(x, y, z, target, costs, configuration, most)
                 cost = float(costs[modules, configuration].sum())
                 if within and cost < best.cost:
                     best = Found(configuration, cost, square)
@@ -137,6 +138,7 @@ class Paths:
         target: Target,
         penalties: criteria.Penalties,
         configuration: Configuration,
+        most: float = np.inf,
     ) -> tuple[float, bool]:
         """Fixes the modules that the densities leave, for a goal in frame F_root, see tail.finish."""
         m, t = self.manipulator, self._tail
@@ -148,6 +150,7 @@ class Paths:
             target.tolerance,
             target.limit,
             target.weight,
+            most,
             t.root,
             t.depth,
             t.points,

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ROWS = 1 << 14  # of a quarter
-AT_ONCE = 16  # rows checked between two looks at the clock
+AT_ONCE = 4  # rows checked between two looks at the clock
 
 
 class Quarters:
@@ -41,7 +41,7 @@ class Quarters:
         self._goals = np.empty((self._storages[0].rows, self._motions.shape[1]))
         self._below, self._above = (Cells(self._storages[k].rows, size) for k in (0, 3))
         self._key: tuple[NDArray[np.generic], ...] = ()
-        self._sorted = 0.0
+        self._sorted: tuple[float, ...] = ()
         self._segments: list[Segment] = []
 
     def claim(self) -> None:
@@ -62,19 +62,19 @@ class Quarters:
         """
         if self._key and all(map(np.array_equal, (centre, costs), self._key)):
             return
-        self._key, self._sorted = (), 0.0  # until it is done
+        self._key, self._sorted = (), ()  # until it is done
         self._segments = [
             build_segment(self._motions, self._states, storage, centre, costs, costs, *ends)
             for storage, ends in zip(self._storages, self._ends, strict=True)
         ]
         self._key = (centre.copy(), costs.copy())
 
-    def sort(self, tolerance: float) -> None:
-        """Sorts the uppermost rows for a tolerance; does nothing if they are already."""
-        if self._sorted != tolerance:
-            self._sorted = 0.0
-            self._above.fill(self._segments[3].frames, self._segments[3].costs, tolerance)
-            self._sorted = tolerance
+    def sort(self, tolerance: float, limit: float = np.inf) -> None:
+        """Sorts the uppermost rows for tolerances, see Cells.fill; does nothing if they are already."""
+        if self._sorted != (tolerance, limit):
+            self._sorted = ()
+            self._above.fill(self._segments[3].frames, self._segments[3].costs, tolerance, limit)
+            self._sorted = (tolerance, limit)
 
     def check(self, target: Target, halves: Halves, below: Index, above: Index, best: Found, until: float) -> Found:
         """Returns the best of all pairs that were not listed but may cost less than the best, and the bound proven.
@@ -91,14 +91,14 @@ class Quarters:
         lower, upper = halves.lower, halves.upper
         best = Found(best.configuration, best.cost, best.square, lower.beyond + upper.beyond)
         # A lower row with quarters c and d: the goal as seen from the row is seen from c, and is where d must be.
-        self.sort(target.tolerance * CLOSE)
+        self.sort(target.tolerance * CLOSE, target.limit)
         frames = np.empty((len(below), lower.frames.shape[1]))
         seen(target.row, np.ascontiguousarray(lower.frames[below]), frames)
         best = self._through(target, lower, below, frames, upper.beyond, (c, d), self._above, best, until)
         # An upper row with quarters a and b: its tip carried by b is where the goal seen from a must be.
         goals = self._goals[: len(a.frames)]
         seen(target.row, a.frames, goals)
-        self._below.fill(goals, a.costs, target.tolerance * CLOSE)
+        self._below.fill(goals, a.costs, target.tolerance * CLOSE, target.limit)
         frames = np.ascontiguousarray(upper.frames[above])
         return self._through(target, upper, above, frames, lower.beyond, (b, a), self._below, best, until, carried=True)
 
@@ -145,7 +145,6 @@ class Quarters:
                 half.costs[chosen[part]],
                 asking.frames,
                 asking.costs,
-                target.limit,
                 target.weight,
                 best.cost,
                 best.square,

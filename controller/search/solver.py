@@ -24,6 +24,7 @@ from controller.workspace.densities import Densities
 Vector = NDArray[np.float64]
 
 DEADLINE = 0.05  # [s]
+PATIENCE = 0.5  # [s] for an orientation that is not found sooner
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,7 @@ class Solver:
         method: Method = "minimum-switch",
         deadline: float = DEADLINE,
         turn: float = math.inf,
+        patience: float = PATIENCE,
     ) -> Solution:
         """Returns the configuration that a method takes for a goal.
 
@@ -117,6 +119,7 @@ class Solver:
             method: fewest switches, or the algorithm of section 3.2 and for IPOP the secondary criterion.
             deadline: time that the search for fewest switches may take [s]; it is never worse than IPOP.
             turn: angle from the goal's orientation that is good enough [rad]; infinite where any will do.
+            patience: time in all for a goal with orientation that is not reached within the deadline [s].
         """
         began = time.perf_counter()
         chosen = np.asarray(previous, dtype=np.int64)
@@ -125,7 +128,8 @@ class Solver:
         if method in ("minimum-switch", "ipop-previous") and world.met(self.manipulator.tip(chosen)):
             best = chosen.copy()
         elif method == "minimum-switch":
-            best, bound = self._fewest(world, chosen, began + deadline)
+            latest = began + (max(deadline, patience) if world.oriented else deadline)
+            best, bound = self._fewest(world, chosen, began + deadline, latest)
         else:
             best = self._paths.follow(self._local(world), chosen, method)
         return self._described(best, world, chosen, time.perf_counter() - began, bound)
@@ -194,7 +198,9 @@ class Solver:
         new = self.manipulator.bits[np.arange(len(previous)), configuration]
         return float(((own != new) * self._weights).sum())
 
-    def _fewest(self, world: Target, previous: Configuration, until: float) -> tuple[Configuration, float]:
+    def _fewest(
+        self, world: Target, previous: Configuration, until: float, latest: float
+    ) -> tuple[Configuration, float]:
         """Returns the cheapest configuration found, and the bound proven."""
         target = self._local(world)
         costs = criteria.switching(self.manipulator, previous, self._weights)
@@ -209,7 +215,7 @@ class Solver:
         def widen(best: Found, width: int) -> Found:
             return self._paths.spread(target, costs, worth, width, best)
 
-        found = self._minimum.improve(target, previous, costs, first, widen, until)
+        found = self._minimum.improve(target, previous, costs, first, widen, until, latest)
         return found.configuration, min(found.bound, found.cost)
 
     @cached_property

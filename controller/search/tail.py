@@ -175,8 +175,8 @@ def carried_back(rotation: Array, other: Array) -> Array:
 
 
 @njit(
-    "Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, i8, i8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1], i8[::1],"
-    " i8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1])",
+    "Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, i8, i8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
+    " i8[::1], i8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -189,6 +189,7 @@ def finish(
     tolerance: float,
     limit: float,
     weight: float,
+    most: float,
     root: int,
     depth: int,
     points: Array,
@@ -217,6 +218,7 @@ def finish(
         tolerance: distance within which penalties decide.
         limit: and the next: see Target.
         weight: see Target.
+        most: squares from there on do not matter: nothing is found, nothing written, if all are.
         root: and the next eight: see Tail.
         depth: see Tail.
         points: see Tail.
@@ -233,7 +235,7 @@ def finish(
         configuration: written, shape (B,); its first `root` modules are those that the goal was carried through.
 
     Returns:
-        the square by which the tip misses, see Target, and whether it is within.
+        the square by which the tip misses, see Target, `most` if nothing is found, and whether it is within.
     """
     branches, wanted = 1, rotation
     for i in range(depth):
@@ -241,7 +243,7 @@ def finish(
             branches *= states[i]
         elif weight > 0.0:
             wanted = carried_back(rotations[i, configuration[i]], wanted)
-    best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, np.inf
+    best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, most
     for branch in range(branches):
         qx, qy, qz, base, rest, turned = x, y, z, 0.0, branch, wanted
         for i in range(root, depth):
@@ -278,6 +280,8 @@ def finish(
         )
         if row >= 0:
             best_row, best_branch, best_penalty, best_square = row, branch, penalty + base, square
+    if best_row < 0:
+        return best_square, False
     for i in range(root, depth):
         configuration[i] = best_branch % states[i]
         best_branch //= states[i]

@@ -9,8 +9,11 @@ from hypothesis import strategies as st
 
 from controller.manipulator.frames import Frame, angle_between, turned
 from controller.manipulator.manipulator import Manipulator
+from controller.search import criteria, halves
+from controller.search.found import Found
 from controller.search.method import METHODS
 from controller.search.solver import Solver
+from controller.search.target import Target
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
 
@@ -43,7 +46,7 @@ def test_brute_force_agrees(arm, seed, tolerance, turn, weighted):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
     previous = rng.integers(0, arm.states)
     goal = near(arm, rng, tolerance, turn)
-    found = solver_of(arm, weights).solve(goal, previous, tolerance, turn=turn)
+    found = solver_of(arm, weights).solve(goal, previous, tolerance, deadline=10.0, turn=turn)
     every = every_configuration(arm)
     away, angles = missed(arm, every, goal)
     own = arm.actuator_states(previous)
@@ -111,3 +114,24 @@ def test_whatever_orientation_will_do_is_a_goal_of_position(arm, densities):
         assert whole.configuration.tolist() == plain.configuration.tolist()
         assert whole.angle == 0
         previous = plain.configuration
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_a_meeting_cut_short_says_what_it_left_out(seed):
+    rng = np.random.default_rng(seed)
+    arm = (paper_arm(4), spatial_arm(4))[seed % 2]
+    centre, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, 0.3)
+    target = Target(goal, arm.planar, 0.05, 0.3, 0.05 / 0.3)
+    costs = criteria.switching(arm, centre, arm.per_module(np.ones(len(arm.actuators))))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(halves, "AT_ONCE", 5)
+        both = halves.Halves(arm, 1000)
+        both.list(centre, costs, costs)
+        nothing = Found(centre, np.inf, np.inf)
+        cut = both.meet(target, nothing, until=0.0)
+        left = both.unasked
+        whole = both.meet(target, nothing)
+    assert both.unasked == np.inf
+    assert left == both.lower.costs[5:].min()
+    assert whole.cost >= min(cut.cost, left)

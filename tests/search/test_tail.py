@@ -41,7 +41,7 @@ def searches(draw):
     return manipulator, goal, penalties, draw(tolerances)
 
 
-def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0):
+def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0, most=math.inf):
     """Returns the square missed, whether it is within, and the configuration that `finish` gives."""
     t = build_tail(manipulator)
     configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
@@ -51,6 +51,7 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
         tolerance,
         limit,
         weight,
+        most,
         t.root,
         t.depth,
         t.points,
@@ -125,6 +126,11 @@ def test_finish_does_so_of_poses(search, frame, turn):
         assert cost(penalties, configuration[None])[0] == costs[good].min()
         missed = missed[good & (costs == costs[good].min())]
     assert square == pytest.approx(missed.min(), abs=1e-9)
+    bounded = run_finish(manipulator, goal, penalties, tolerance, rotation, limit, weight, square + 1e-6)
+    assert bounded[0] == square
+    assert bounded[2].tolist() == configuration.tolist()
+    nothing = run_finish(manipulator, goal, penalties, tolerance, rotation, limit, weight, missed.min() * 0.999)
+    assert within or nothing[:2] == (missed.min() * 0.999, False)
 
 
 @settings(max_examples=100)
