@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +22,12 @@ _NOT_MAPPABLE, _TOO_LONG, _WRONG_LENGTH, _WRONG_VALUE = 0x0604_0041, 0x0604_0042
 _PDOS = (0x1400, 0x1800)
 
 
+@functools.cache
+def _described(node: int) -> canopen.ObjectDictionary:
+    """What the EDS says, which takes 30 ms to read and is never changed; values are kept apart."""
+    return canopen.import_od(str(EDS), node)
+
+
 class Objects:
     """Values by index and sub-index. It stands in for canopen's LocalNode towards its SDO server.
 
@@ -33,7 +40,7 @@ class Objects:
     """
 
     def __init__(self, node: int, on_write: Callable[[int, int], None]) -> None:
-        self.object_dictionary = canopen.import_od(str(EDS), node)
+        self.object_dictionary = _described(node)
         self.refused: dict[tuple[int, int], int] = {}
         self._on_write = on_write
         self._values: dict[tuple[int, int], bytes] = {}

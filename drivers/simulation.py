@@ -34,25 +34,32 @@ class Segment:
         self._settings = settings
         self._bus: can.BusABC | None = self._open()
         self._booted = False
+        self._next_round = 0.0
 
     def add(self, node: int, wired: Sequence[Wired]) -> None:
         """Puts a board on the bus."""
         self.boards[node] = SimulatedBoard(node, wired, self._send)
 
     def step(self, now: float, message: can.Message | None = None) -> None:
-        """Takes in `message`, all frames that wait, and what time brings up to `now` [s]."""
+        """Takes in `message`, all frames that wait, and what time brings up to `now` [s].
+
+        Without a message, and every so often, each board looks at its inputs, too, which somebody may have changed.
+        """
         with self.lock:
             if not self._booted:
                 self._booted = True
                 for board in self.boards.values():
                     board.power_on(now)
+            every = message is None or now >= self._next_round
             while message is not None or (message := self._receive(0.0)) is not None:
                 if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd):
-                    for board in self.boards.values():
-                        board.receive(message.arbitration_id, bytes(message.data), now)
+                    self._pass_on(message.arbitration_id, bytes(message.data), now)
                 message = None
+            if every:
+                self._next_round = now + _LONGEST_WAIT
             for board in self.boards.values():
-                board.step(now)
+                if every or board.timer <= now:
+                    board.step(now)
 
     def run(self, clock: Callable[[], float], ending: threading.Event) -> None:
         """Goes on until `ending`, as time goes by `clock`."""
@@ -66,6 +73,15 @@ class Segment:
         """Shuts the bus."""
         if self._bus is not None:
             self._bus.shutdown()
+
+    def _pass_on(self, cob_id: int, data: bytes, now: float) -> None:
+        function, node = cia301.split(cob_id)
+        if function == cia301.SDO_REQUEST:  # for one board only; most frames of a start are
+            if node in self.boards:
+                self.boards[node].receive(cob_id, data, now)
+            return
+        for board in self.boards.values():
+            board.receive(cob_id, data, now)
 
     def _open(self) -> can.BusABC:
         s = self._settings

@@ -4,7 +4,7 @@ cd "$(dirname "$0")/../.." || exit
 export HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8
 export PYTHONUNBUFFERED=1 OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 export XDG_CACHE_HOME="$PWD/build/vm/cache" NUMBA_CACHE_DIR="$PWD/build/vm/cache/numba" NUMBA_CPU_NAME=generic
-export HYPERBIT_SLOWNESS=10
+export HYPERBIT_SLOWNESS=6
 ip link set lo up
 mountpoint -q /dev/shm || mount -t tmpfs -o mode=1777 tmpfs /dev/shm
 
@@ -12,7 +12,7 @@ echo "booted: $(uname -sr), $(nproc --all) processors, clock $(cat /sys/devices/
 . build/vm/arguments
 verdict=0
 for which in "not alone" alone; do
-  case $which in alone) processes=0 ;; *) processes=3 ;; esac
+  case $which in alone) processes=0 ;; *) processes=2 ;; esac
   .venv/bin/python -m pytest -p no:cacheprovider -p tests.vm.live --bus socketcan --timeout 600 --color=no -vv \
     --durations 15 --numprocesses $processes -m "$which" "$@"
   code=$?

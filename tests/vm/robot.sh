@@ -23,9 +23,9 @@ mkdir /etc/systemd/system/hyperbit.service.d
 cat > /etc/systemd/system/hyperbit.service.d/emulated.conf << 'UNIT'
 [Service]
 Environment=NUMBA_CPU_NAME=generic
-# Ten times the unit's own, as the tests' times.
-WatchdogSec=20
-TimeoutStopSec=150
+# Six times the unit's own, as the tests' times.
+WatchdogSec=12
+TimeoutStopSec=90
 UNIT
 
 rm -rf "$layer"

@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -25,6 +26,7 @@ from tests.daemon.waiting import eventually
 from tests.integration.harness import Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT, drain, syncs
 from tests.integration.test_inrush import changes
+from tests.vm.prepare import PROJECT
 
 ARM = Path("/etc/hyperbit/arm.yaml")
 CACHE, STATE = Path("/var/cache/private/hyperbit"), Path("/var/lib/private/hyperbit")
@@ -42,9 +44,8 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def can0(arm_file: Path) -> Iterator[vcan.Interface]:
-    """The robot's bus; its arm's file has the times of a slow machine."""
-    shutil.copy(arm_file, ARM)
-    ARM.chmod(0o644)
+    """The robot's bus; its arm's file has the times of a slow machine, and asks for real time."""
+    ARM.write_text(arm_file.read_text() + "real_time: {priority: 50}\n")
     interface = vcan.Interface("can0")
     interface.make()
     yield interface
@@ -158,6 +159,28 @@ def test_it_runs_confined_and_writes_its_cache_and_ledger() -> None:
     assert [goal["status"] for goal in goals] == ["succeeded", "succeeded"]
 
 
+def test_it_runs_in_real_time(client: Observer) -> None:
+    pid = int(shown("MainPID"))
+    assert os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    assert os.sched_getparam(pid).sched_priority == 50
+    locked = re.search(r"VmLck:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    assert locked
+    assert int(locked[1]) > 10_000
+    assert eventually(lambda: client.heard["diagnostics"])[-1]["real_time"] == "on"
+
+
+@pytest.mark.parametrize("hours", [1, -1], ids=["forward", "back"])
+def test_it_goes_on_when_the_clock_is_set(client: Observer, hours: int) -> None:
+    goal = f"by {hours} h"
+    assert client.goal(LEFT, RIGHT, times=[0.0, 1.0], id=goal)["accepted"]
+    eventually(lambda: client.feedback(goal))
+    time.clock_settime(time.CLOCK_REALTIME, time.time() + hours * HOUR)
+    state = client.wait_fault("clock-set", time.time(), within=1.0)
+    assert state["mode"] == "executing"
+    assert client.result(goal)["status"] == "succeeded"
+    assert "clock-set" in journal()
+
+
 def test_a_restart_moves_nothing(frames: can.BusABC, client: Observer) -> None:
     before = client.wait_now("ready")["measured"]
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="never")
@@ -198,6 +221,26 @@ def test_systemd_starts_it_again_after_sigkill(frames: can.BusABC, client: Obser
     comes_up()
     assert syncs(drain(frames)) == []
     assert client.wait_now("ready")["measured"] == before
+
+
+def test_it_lets_in_whom_its_authority_knows_as_far_as_they_may(frames: can.BusABC, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    for words in (["daemon", "localhost"], ["client", "operator", "viewer"]):
+        subprocess.run([PROJECT / "deploy/certificates.sh", keys, *words], check=True)
+    for part in ("ca", "certificate", "key"):
+        to = f"/etc/credstore/hyperbit.{part}.pem"
+        subprocess.run(["install", "-D", "-m", "600", keys / "daemon" / f"{part}.pem", to], check=True)
+    shutil.copy(PROJECT / "deploy/zenoh-tls.json5", "/etc/hyperbit/zenoh.json5")
+    systemctl("restart", "hyperbit")
+    comes_up()
+    drain(frames)
+    move = ["hyperbit", "send", str(ARM), "--to", "0.4,2.9"]
+    for access in ([], ["--zenoh", str(keys / "viewer/zenoh.json5")]):
+        done = subprocess.run([*move, *access], capture_output=True, text=True, env=ENVIRONMENT)
+        assert done.returncode != 0, done.stdout
+    assert syncs(drain(frames)) == []
+    assert "reached (0.4" in hyperbit(*move[1:], "--zenoh", str(keys / "operator/zenoh.json5"))
+    assert syncs(drain(frames))
 
 
 def test_it_stops_in_order(frames: can.BusABC) -> None:
