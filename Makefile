@@ -27,6 +27,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.search
 	$(BIN)/python -m tests.benchmarks.lines
 	$(BIN)/python -m tests.benchmarks.arms
+	$(BIN)/python -m tests.benchmarks.poses
 	$(BIN)/python -m tests.benchmarks.daemon
 	$(BIN)/python -m tests.benchmarks.real_time
 

@@ -92,6 +92,15 @@ class MinimumSwitch:
             best = self._further(target, centre, costs, best, widen, latest)
         return best if best.cost < np.inf else replace(self._nearest.improve(target, best, until), bound=best.bound)
 
+    def reach(self, target: Target, best: Configuration, until: float) -> Configuration:
+        """Returns a configuration within the tolerances near one that is not, or else the nearest found."""
+        free = np.zeros(self._m.bits.shape[:2])
+        found = self._nearest.improve(target, Found(best, np.inf, np.inf), until)
+        for most in (NEAR, *LADDER):
+            if found.cost == np.inf:
+                found = self._wander(target, free, found, most, until)
+        return found.configuration
+
     def _further(
         self,
         target: Target,

@@ -132,6 +132,8 @@ class Solver:
             best, bound = self._fewest(world, chosen, began + deadline, latest)
         else:
             best = self._paths.follow(self._local(world), chosen, method)
+            if world.oriented and not world.met(self.manipulator.tip(best)):  # densities know positions only
+                best = self._minimum.reach(self._local(world), best, began + patience)
         return self._described(best, world, chosen, time.perf_counter() - began, bound)
 
     def described(

@@ -75,6 +75,16 @@ def test_every_method_comes_to_a_pose_that_the_table_holds(arm, method):
         previous = found.configuration
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_comes_to_poses_of_the_papers_arm(arm, densities, method):
+    solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(11)
+    previous = rng.integers(0, 8, 16)
+    for goal in arm.manipulator.tips(rng.integers(0, 8, (10, 16))):
+        found = solver.solve(goal, previous, 0.005, method, turn=0.03, patience=10.0)
+        assert found.within_tolerance
+        previous = found.configuration
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.0))
 @settings(max_examples=30)
 def test_candidates_are_the_cheapest_within_both_tolerances(seed, turn):
