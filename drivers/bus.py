@@ -59,7 +59,7 @@ class CanBus:
         self._on_frame = on_frame
         self._on_fault = on_fault
         self._on_left = on_left
-        self._outstanding = Outstanding()
+        self._outstanding = Outstanding(longest=max(1.0, 2 * stuck_after))
         self._failing_since: float | None = None  # when sending began to fail
         self._lost_at = 0.0
         self._bus: can.BusABC | None = None

@@ -13,8 +13,6 @@ import can
 
 _Key = tuple[int, bytes]
 
-_LONGEST = 1.0  # [s] after which a frame is waited for no more: the word of it may have been lost
-
 
 class Outstanding:
     """What was sent and has not come back; by identifier and data, for controllers do not keep the order.
@@ -23,9 +21,13 @@ class Outstanding:
 
     Attributes:
         last: when one came back last [s on the monotonic clock]; infinite if none ever did.
+
+    Args:
+        longest: time after which a frame is waited for no more [s]: the word of it may have been lost.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, longest: float) -> None:
+        self._longest = longest
         self._lock = threading.Lock()
         self.last = math.inf
         self._sent: dict[_Key, list[float]] = {}
@@ -47,7 +49,7 @@ class Outstanding:
         """Notes a frame for as long as it is outstanding: from before it is sent, unless that fails."""
         key, now = _key(message), time.monotonic()
         with self._lock:
-            for old in [k for k, times in self._sent.items() if now - times[0] > _LONGEST]:
+            for old in [k for k, times in self._sent.items() if now - times[0] > self._longest]:
                 self._write_off(old)
             self._sent.setdefault(key, []).append(now)
         try:
