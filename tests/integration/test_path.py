@@ -86,7 +86,9 @@ def test_a_plan_tells_all_points_and_the_lines_are_kept_by_each(client: Observer
 def test_what_cannot_be_followed_is_refused_in_words(client: Observer, boards: Simulation) -> None:
     fast = client.goal(MIDDLE, LEFT, times=[0.0, 0.3], id="a", path_tolerance=0.01)
     assert (fast["accepted"], fast["code"]) == (False, codes.INVALID_GOAL)
-    assert fast["message"].startswith("waypoints[0] to waypoints[1]: 0.3 s for a line of 0.15 within path_tolerance")
+    assert fast["message"].startswith(
+        f"waypoints[0] to waypoints[1]: {0.3 * SLOWNESS:g} s for a line of 0.15 within path_tolerance"
+    )
     ends = (-2.6, 1.5), (2.6, 1.5)  # the way goes through where the arm is too long to be
     far = client.goal(*ends, times=[0.0, 60.0], id="b", path_tolerance=0.05)
     assert (far["accepted"], far["code"]) == (False, codes.GOAL_TOLERANCE_VIOLATED)

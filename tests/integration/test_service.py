@@ -54,9 +54,7 @@ def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer, bus: B
     assert it["loop"]["ticks"] > 0
     assert it["buses"][0]["name"] == "can0"
     assert it["buses"][0]["tx_frames"] > 0
-    assert 0 < it["buses"][0]["worst_case"]["load"] < 1e5 / bus.bitrate, (
-        "the paper's arm leaves nine tenths of 1 Mbit/s"
-    )
+    assert 0 < it["buses"][0]["worst_case"]["load"] < 1e5 / bus.bitrate, "nine tenths of 1 Mbit/s are left"
     assert [board["state"] for board in it["boards"]] == ["operational"] * 16
     assert it["switches"] > 0
     assert set(it["queues"]) == {"inbox", "outbox", "planning"}
