@@ -81,8 +81,8 @@ class Execution:
         same = reached and np.array_equal(transitions[point].stages[-1], transitions[self.point].stages[-1])
         return same and self.plan.trajectory.between(point)
 
-    def switched(self, point: int, stage: int, switches: int, now: float, travel: float) -> None:
-        """Notes what was switched, and the stage reached, -1 for none yet.
+    def switched(self, point: int, stage: int, switches: int, commits: int, now: float, travel: float) -> None:
+        """Notes what was switched, by how many commits, and the stage reached, -1 for none yet.
 
         A point counts as settled at its time, or after the travel of its last stage.
         """
@@ -93,8 +93,8 @@ class Execution:
                 self.stages, self._strayed = 0, 0.0
             self.commits = 0
         self.point, self.stage = point, stage
-        self.commits += switches > 0
-        self.stages += switches > 0
+        self.commits += commits
+        self.stages += commits
         self.switches += switches
         last = stage == len(self.plan.transitions[point].stages) - 1
         settled = max(self.start + float(trajectory.times[point]), now + travel)

@@ -115,12 +115,12 @@ class Runner:
             BusBusy: the bus has taken no frame for too long.
         """
         first = execution.stage + 1 if point == execution.point else 0
-        before = self.switching.switches
+        before, commits = self.switching.switches, self.switching.commits
         reached = self.switching.toward(execution.plan.transitions[point].stages[first : stage + 1], now)
         switches = self.switching.switches - before
         if reached is not None or switches:
             at = first - 1 if reached is None else first + reached
-            execution.switched(point, at, switches, now, self._travel)
+            execution.switched(point, at, switches, self.switching.commits - commits, now, self._travel)
 
     def end(self, status: str, code: int, message: str) -> bool:
         """Tells the running goal its result, and follows nothing; returns whether there was a goal."""

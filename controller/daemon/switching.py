@@ -24,6 +24,7 @@ class Switching:
         commanded: configuration of `states`, None before they are known.
         states: actuator states last committed or adopted, shape (A,).
         switches: actuators switched since the daemon began.
+        commits: by how many, as far as each was noted on its own.
         switched_at: when each switched last, shape (A,) [s].
         free_at: from when on the next stage may begin with the last one settled [s].
         busy_since: when the bus first took no frame, None if it took the last.
@@ -39,7 +40,7 @@ class Switching:
     def __init__(self, manipulator: Manipulator, boards: Boards, travel: float, pace: Pace, ledger: Ledger) -> None:
         self.commanded: Configuration | None = None
         self.states: States | None = None
-        self.switches = 0
+        self.switches = self.commits = 0
         self.switched_at = np.full(len(manipulator.actuators), -np.inf)
         self.free_at = 0.0
         self.busy_since: float | None = None
@@ -108,6 +109,7 @@ class Switching:
         switched = self._ledger.resolve(outputs)
         self.switched_at[switched] = now
         self.switches += len(switched)
+        self.commits += len(switched) > 0
         if len(switched) and self.states is not None:
             states = self.states.copy()
             states[switched] = outputs[switched]

@@ -28,7 +28,7 @@ def test_a_waypoint_is_due_the_lead_before_its_time() -> None:
 def test_the_latest_is_due_and_nothing_older_after_it() -> None:
     it = execution()
     assert it.due(101.5) == (1, 0)
-    it.switched(1, 0, 4, 101.5, 0.05)
+    it.switched(1, 0, 4, 1, 101.5, 0.05)
     assert it.due(101.5) is None
     assert (it.waypoint, it.switches, it.last) == (1, 4, False)
     assert it.due(1e9) == (2, 0)
@@ -36,9 +36,9 @@ def test_the_latest_is_due_and_nothing_older_after_it() -> None:
 
 def test_settled_at_its_time_or_after_the_travel() -> None:
     it = execution()
-    it.switched(0, 0, 1, 100 - LEAD, 0.05)
+    it.switched(0, 0, 1, 1, 100 - LEAD, 0.05)
     assert it.settled_at == 100
-    it.switched(1, 0, 1, 101.5, 0.05)
+    it.switched(1, 0, 1, 1, 101.5, 0.05)
     assert it.settled_at == pytest.approx(101.55)
 
 
@@ -49,7 +49,7 @@ def test_no_waypoint_twice_and_never_backwards(moments: list[float], waypoints: 
         due, stage = it.due(float(now)) or (None, 0)
         if due is not None:
             assert it.start + due * step <= now + LEAD + 1e-6
-            it.switched(due, stage, 0, float(now), 0.05)
+            it.switched(due, stage, 0, 0, float(now), 0.05)
             switched.append(due)
         later = it.waypoint + 1
         assert later == waypoints or it.start + later * step > now + LEAD - 1e-6, "nothing due is left waiting"

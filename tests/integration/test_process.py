@@ -16,6 +16,8 @@ from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT
 
+pytestmark = pytest.mark.buses("virtual")  # the embedded boards' own; the installed service is tried on the kernel's
+
 
 @pytest.fixture
 def process(arm_file: Path, endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
