@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from controller.commands import demo, health, report, service, talk
+from controller.commands import calibrate, demo, health, report, service, talk
 from controller.commands.common import Failed, errors
 from controller.strict import InputFaults
 
@@ -26,6 +26,7 @@ app.command("map")(report.map_)
 app.command()(report.figure5)
 app.command()(health.check)
 app.command()(health.wear)
+app.command()(calibrate.calibrate)
 
 
 def main() -> None:

@@ -136,19 +136,9 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
     Raises:
         ValueError: the shapes are others, or a state has no assembly.
     """
-    shape: tuple[int, ...] = np.shape(base)
-    if shape not in ((6, 3), (3, 3), (3, 2)) or np.shape(top) != shape:
-        raise ValueError(f"6 or 3 legs in space or 3 in the plane are known, not joints {shape} and {np.shape(top)}")
-    flat, size = shape == (3, 2), (lengths[0] + lengths[1]) / 2
-    below, above = (np.pad(np.array(part, dtype=float), ((0, 0), (0, 3 - shape[1]))) for part in (base, top))
-    normals = np.zeros((0, 3))
-    if shape == (3, 3):
-        radii = np.hypot(below[:, 0], below[:, 1])
-        if radii.min() < 1e-6 * size:
-            raise ValueError("a lower joint of three legs lies on the z axis: its leg has no plane to swing in")
-        normals = np.column_stack([-below[:, 1], below[:, 0], np.zeros(3)]) / radii[:, None]
-    legs = Legs(below / size, above / size, normals, (0, 1, 5) if flat else (0, 1, 2, 3, 4, 5))
-    middle, bits = legs.middle(), binary_code(2 ** len(below))
+    size = (lengths[0] + lengths[1]) / 2
+    legs = legs_of(base, top, size)
+    middle, bits = legs.middle(), binary_code(2 ** len(legs.base))
     frames = []
     for own in bits:
         try:
@@ -156,13 +146,32 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
         except ValueError as error:
             extended = ", ".join(str(k + 1) for k in np.flatnonzero(own)) or "none"
             raise ValueError(f"extended legs {extended}: {error}") from None
-    body = []
+    body, below = [], legs.base * size
     for frame in frames:
         ends = legs.joints(frame) * size
         body.append([*zip(below, ends, strict=True), *around(below), *around(ends)])
     stack = np.array(frames)
     stack[:, :3, 3] *= size
-    return Module(stack, bits, tuple(str(k + 1) for k in range(len(below))), np.array(body), planar=flat)
+    return Module(stack, bits, tuple(str(k + 1) for k in range(len(below))), np.array(body), planar=len(legs.free) == 3)
+
+
+def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:
+    """Returns the geometry of a platform's joints, in units of `size`.
+
+    Raises:
+        ValueError: the joints' shapes are others than those of a platform, or a leg of three has no plane.
+    """
+    shape: tuple[int, ...] = np.shape(base)
+    if shape not in ((6, 3), (3, 3), (3, 2)) or np.shape(top) != shape:
+        raise ValueError(f"6 or 3 legs in space or 3 in the plane are known, not joints {shape} and {np.shape(top)}")
+    below, above = (np.pad(np.array(part, dtype=float), ((0, 0), (0, 3 - shape[1]))) for part in (base, top))
+    normals = np.zeros((0, 3))
+    if shape == (3, 3):
+        radii = np.hypot(below[:, 0], below[:, 1])
+        if radii.min() < 1e-6 * size:
+            raise ValueError("a lower joint of three legs lies on the z axis: its leg has no plane to swing in")
+        normals = np.column_stack([-below[:, 1], below[:, 0], np.zeros(3)]) / radii[:, None]
+    return Legs(below / size, above / size, normals, (0, 1, 5) if shape == (3, 2) else (0, 1, 2, 3, 4, 5))
 
 
 def around(joints: Array) -> list[tuple[Array, Array]]:

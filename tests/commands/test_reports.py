@@ -309,5 +309,18 @@ def test_figure5_prints_nine_rows_and_draws(hyperbit, tmp_path):
 def test_help_lists_all_commands(hyperbit):
     code, out, _ = hyperbit("--help")
     assert code == 0
-    for command in ["run", "simulate", "demo", "send", "watch", "plan", "fk", "map", "figure5", "check", "wear"]:
+    for command in [
+        "run",
+        "simulate",
+        "demo",
+        "send",
+        "watch",
+        "plan",
+        "fk",
+        "map",
+        "figure5",
+        "check",
+        "wear",
+        "calibrate",
+    ]:
         assert command in out

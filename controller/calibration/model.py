@@ -1,0 +1,166 @@
+"""The tips that an arm would have if numbers of its file were others, and how they follow each of these numbers."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.calibration.parameters import (
+    Description,
+    Key,
+    Parameter,
+    changed,
+    frame_of,
+    moved,
+    replaced,
+    value_at,
+)
+from controller.calibration.platforms import followed, led_on
+from controller.calibration.samples import Samples
+from controller.chain import build_modules
+from controller.manipulator.frames import Frame
+from controller.settings import ModuleSettings
+
+Array = NDArray[np.float64]
+
+NUDGE = 1e-6  # of a parameter's prior, for differences
+
+
+class Model:
+    """An arm's description and what of it may change. Part 0 is the base, part g + 1 entry g of `modules`.
+
+    A part has one or two kinds of modules, which alternate, each with frames (K, 4, 4).
+
+    Attributes:
+        description: of the arm as it is in the file, or nearly.
+        parameters: that may change, P of them.
+    """
+
+    def __init__(self, description: Description, parameters: Sequence[Parameter]) -> None:
+        self.description, self.parameters = description, tuple(parameters)
+        self._first = [frames_of(part) for part in parts(description)]
+        self._alike: dict[tuple[Key, ...], list[int]] = {}
+        for p, parameter in enumerate(self.parameters):
+            self._alike.setdefault(parameter.where, []).append(p)
+        self._places = [(0, 0)]
+        for g, entry in enumerate(description["modules"], 1):
+            self._places += [(g, k % len(self._first[g])) for k in range(entry["count"])]
+
+    def changed(self, steps: Array) -> Description:
+        """Returns the description with its parameters changed by steps (P,)."""
+        return changed(self.description, self.parameters, steps)
+
+    def tips(self, samples: Samples, steps: Array) -> Frame:
+        """Returns the tips (n, 4, 4) in the samples' configurations.
+
+        Raises:
+            ValueError: there is no such arm; a truss does not close, or a platform has no assembly.
+        """
+        return self._chain(samples, self._frames(self.changed(steps)))[-1]
+
+    def residuals(self, samples: Samples, steps: Array) -> Array:
+        """Returns computed minus measured (n, C): coordinates, then, where orientations were measured, turns.
+
+        A turn is the sine of the angle between both, times its axis, of which a planar arm has z only.
+
+        Raises:
+            ValueError: there is no such arm.
+        """
+        tips = self.tips(samples, steps)
+        return self._compared(samples, tips - samples.tips, tips)
+
+    def jacobian(self, samples: Samples, steps: Array) -> Array:
+        """Returns how the residuals (n, C) follow each parameter, shape (n, C, P).
+
+        Raises:
+            ValueError: there is no such arm.
+        """
+        description = self.changed(steps)
+        stacks = self._frames(description)
+        chain, chosen = self._chain(samples, stacks), self._chosen(samples)
+        after = [np.tile(np.eye(4), (len(samples.tips), 1, 1))]
+        for i in range(len(self._places) - 1, 0, -1):
+            part, kind = self._places[i]
+            after.insert(0, stacks[part][kind][chosen[:, i]] @ after[0])
+        columns = []
+        for parameter in self.parameters:
+            change = np.zeros_like(samples.tips)
+            slopes = self._slopes(description, parameter, steps, stacks[parameter.part])
+            for i, (part, kind) in enumerate(self._places):
+                if part == parameter.part:
+                    change += chain[i] @ slopes[kind][chosen[:, i]] @ after[i]
+            columns.append(self._compared(samples, change, change))
+        return np.stack(columns, axis=2)
+
+    def _compared(self, samples: Samples, moved: Array, turned: Array) -> Array:
+        """Returns the coordinates of (n, 4, 4), and what frames (n, 4, 4) or changes of them turn against samples."""
+        planar = not isinstance(self.description["base"]["orientation"], list)
+        coordinates = moved[:, : 2 if planar else 3, 3]
+        if not samples.oriented:
+            return coordinates
+        product = np.swapaxes(samples.tips[:, :3, :3], 1, 2) @ turned[:, :3, :3]
+        skew = (product - np.swapaxes(product, 1, 2)) / 2
+        turns = skew[:, [2, 0, 1], [1, 2, 0]]
+        return np.hstack([coordinates, turns[:, 2:] if planar else turns])
+
+    def _chosen(self, samples: Samples) -> NDArray[np.int64]:
+        """Returns the states (n, B + 1) of the base, which has one, and the modules."""
+        return np.pad(samples.configurations, ((0, 0), (1, 0)))
+
+    def _chain(self, samples: Samples, stacks: list[list[Frame]]) -> list[Frame]:
+        """Returns the frames (n, 4, 4) before each place, and the tips."""
+        chain, chosen = [np.tile(np.eye(4), (len(samples.tips), 1, 1))], self._chosen(samples)
+        for i, (part, kind) in enumerate(self._places):
+            chain.append(chain[-1] @ stacks[part][kind][chosen[:, i]])
+        return chain
+
+    def _frames(self, description: Description) -> list[list[Frame]]:
+        return [frames_of(part, near) for part, near in zip(parts(description), self._first, strict=True)]
+
+    def _slopes(self, description: Description, parameter: Parameter, steps: Array, stacks: list[Frame]) -> list[Array]:
+        """Returns the derivatives (K, 4, 4) of a part's kinds by a parameter of it."""
+        first, alike = value_at(self.description, parameter.where), self._alike[parameter.where]
+
+        def nudged(by: float) -> Description:
+            value = first  # turns do not commute: each is taken where it stands among those of its orientation
+            for p in alike:
+                value = moved(value, self.parameters[p].axis, steps[p] + by * (self.parameters[p] is parameter))
+            return parts(replaced(description, parameter.where, value))[parameter.part]
+
+        part = parts(description)[parameter.part]
+        if part.get("type") == "platform":
+            return [followed(part, nudged, stack) for stack in stacks]
+        return slopes(lambda by: frames_of(nudged(by)), NUDGE * parameter.prior)
+
+
+def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array]:
+    """Returns the derivatives (K, 4, 4) of several stacks of frames by central differences."""
+    return [(more - less) / (2 * step) for less, more in zip(frames_at(-step), frames_at(step), strict=True)]
+
+
+def parts(description: Description) -> list[Description]:
+    """Returns base and entries."""
+    return [description["base"], *description["modules"]]
+
+
+def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:
+    """Returns the frames (K, 4, 4) of each kind of module in a part; `near` are those of a part much like it.
+
+    Raises:
+        ValueError: there is no such module.
+    """
+    if "type" not in part:
+        return [frame_of(part)[None]]
+    if part["type"] == "platform" and near is not None:
+        return [led_on(part, near[0])]
+    faults: list[str] = []
+    try:
+        two = msgspec.convert({**part, "count": min(part["count"], 2)}, ModuleSettings)
+    except msgspec.ValidationError as error:  # a length below 0, or an angle of more than a turn
+        raise ValueError(str(error)) from None
+    modules = build_modules([two], Path(), faults)  # tables are written out, so nothing is looked for
+    if faults:
+        raise ValueError(faults[0])
+    return [module.frames for module in modules[: 2 if part["type"] == "vgt" else 1]]

@@ -1,0 +1,167 @@
+"""The numbers of an arm's file that calibration changes, and how surely each is known before.
+
+They are the numbers of the modules' geometry and of the base frame as they stand in the file: what `count` modules of
+one entry share they go on sharing. Axes are taken as they are; a link behind a joint may turn as well.
+"""
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from controller.config import Arm
+from controller.manipulator import frames
+from controller.manipulator.frames import Frame
+from controller.manipulator.vgt import ACTUATORS
+
+Key = str | int
+Description = dict[str, Any]  # the `base` and `modules` of a file, all frames planar or all spatial, as plain values
+
+# Standard deviations of what the file says: lengths as against the arm's length for each module, and angles [rad].
+LENGTHS, ANGLES = 0.05, 0.05
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number, or one axis of a spatial orientation.
+
+    Attributes:
+        where: keys and indices from the top of the file.
+        prior: standard deviation of what the file says.
+        angular: whether it is an angle [rad].
+        axis: 0 to 2, the one of its own axes that a frame is turned about; None: a number is added to.
+    """
+
+    where: tuple[Key, ...]
+    prior: float
+    angular: bool
+    axis: int | None = None
+
+    @property
+    def part(self) -> int:
+        """0 for the base, then the entries of `modules`."""
+        return 1 + int(self.where[1]) if self.where[0] == "modules" else 0
+
+    @property
+    def path(self) -> str:
+        """The path of the field."""
+        path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.where)[1:]
+        return path if self.axis is None else f"{path} about {'xyz'[self.axis]}"
+
+
+def described(arm: Arm, *, each: bool) -> Description:
+    """Returns what an arm's file says of modules and base, tables written out.
+
+    Args:
+        arm: as loaded.
+        each: give every module an entry, and every leg of a truss lengths of its own.
+    """
+    planar, modules, entries, place = arm.manipulator.planar, arm.manipulator.modules, list[Description](), 0
+    for group in arm.settings.modules:
+        entry = msgspec.json.decode(msgspec.json.encode(group))
+        if entry["type"] == "transforms":
+            entry = {"type": "transforms", "count": group.count}
+            entry["states"] = [written(frame, planar=planar) for frame in modules[place].frames]
+        if "link" in entry:
+            entry["link"] = written(frame_of(entry["link"]), planar=planar)
+        place += group.count
+        entries += [single(entry, k) for k in range(group.count)] if each else [entry]
+    return {"base": written(arm.manipulator.base, planar=planar), "modules": entries}
+
+
+def single(entry: Description, k: int) -> Description:
+    """Returns an entry for the module number k, from 0, of an entry."""
+    own = {**copy.deepcopy(entry), "count": 1}
+    if own["type"] == "vgt":
+        own["first_diagonal"] = ("BC", "AD")[(k + (own["first_diagonal"] == "AD")) % 2]
+        if isinstance(own["lengths"], list):
+            own["lengths"] = {name: list(own["lengths"]) for name in ACTUATORS}
+    return own
+
+
+def written(frame: Frame, *, planar: bool) -> Description:
+    """Returns a frame (4, 4) as a file has it."""
+    position = frame[: 2 if planar else 3, 3].tolist()
+    return {"position": position, "orientation": frames.angle(frame) if planar else frames.quaternion(frame).tolist()}
+
+
+def frame_of(settings: Description) -> Frame:
+    """Returns the frame (4, 4) that a file's fields stand for."""
+    position, orientation = settings["position"], settings["orientation"]
+    if isinstance(orientation, list):
+        return frames.spatial([*position, 0.0][:3], orientation)
+    return frames.planar(position[0], position[1], orientation) if len(position) == 2 else frames.spatial(position)
+
+
+def parameters(description: Description, length: float, modules: int) -> tuple[Parameter, ...]:
+    """Returns all that may change; the base is as good as unknown, so that it takes what it shares with modules.
+
+    Args:
+        description: of the arm.
+        length: of the arm.
+        modules: how many it has.
+    """
+    found = list(of_frame(("base",), description["base"], length, np.pi))
+    for g, entry in enumerate(description["modules"]):
+        where, size = ("modules", g), LENGTHS * length / modules
+        for name in ("width", "lengths", "base", "top"):
+            if name in entry:
+                found += [Parameter(leaf, size, False) for leaf in leaves((*where, name), entry[name])]
+        found += [Parameter(leaf, ANGLES, True) for leaf in leaves((*where, "angles"), entry.get("angles", []))]
+        if "link" in entry:
+            found += of_frame((*where, "link"), entry["link"], size, ANGLES)
+        for k, state in enumerate(entry.get("states", [])):
+            found += of_frame((*where, "states", k), state, size, ANGLES)
+    return tuple(found)
+
+
+def of_frame(where: tuple[Key, ...], frame: Description, length: float, angle: float) -> Iterator[Parameter]:
+    """Gives the parameters of a frame: its coordinates and angle, or its coordinates and three turns."""
+    yield from (Parameter(leaf, length, False) for leaf in leaves((*where, "position"), frame["position"]))
+    axes: list[int | None] = [0, 1, 2] if isinstance(frame["orientation"], list) else [None]
+    yield from (Parameter((*where, "orientation"), angle, True, axis) for axis in axes)
+
+
+def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:
+    """Gives the places of all numbers in a value."""
+    if isinstance(value, (int, float)):
+        yield where
+    else:
+        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from leaves((*where, key), part)
+
+
+def value_at(description: Description, where: Sequence[Key]) -> Any:
+    """Returns what stands at a place."""
+    return reduce(getitem, where, description)  # type: ignore[arg-type]
+
+
+def changed(description: Description, chosen: Sequence[Parameter], steps: ArrayLike) -> Description:
+    """Returns a description with the chosen parameters changed by steps (P,), each in its unit."""
+    for parameter, step in zip(chosen, np.asarray(steps).tolist(), strict=True):
+        new = moved(value_at(description, parameter.where), parameter.axis, step)
+        description = replaced(description, parameter.where, new)
+    return description
+
+
+def moved(value: Any, axis: int | None, step: float) -> Any:
+    """Returns a number with a step added, or an orientation turned by it about one of its own axes."""
+    if axis is None:
+        return float(value + step)
+    turn = frames.turned(np.eye(3)[axis], step)
+    return frames.quaternion(frames.spatial((0, 0, 0), value) @ turn).tolist()
+
+
+def replaced(value: Any, where: Sequence[Key], part: Any) -> Any:
+    """Returns a value with another part at a place in it; what is elsewhere is shared."""
+    if not where:
+        return part
+    result = value.copy()
+    result[where[0]] = replaced(value[where[0]], where[1:], part)
+    return result

@@ -1,0 +1,143 @@
+"""The command that fits an arm's file to measured tips."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+
+from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json
+from controller.commands.report import results_table
+from controller.config import load
+from controller.strict import InputFaults, read_yaml
+
+if TYPE_CHECKING:
+    from controller.calibration.calibration import Calibration, Misfit
+
+
+def calibrate(
+    file: ArmFile,
+    samples: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SAMPLES.csv",
+            help="Columns configuration or actuators, and x,y[,th] or x,y,z[,qx,qy,qz,qw].",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="NEW.yaml", help="Where the fitted arm goes.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    each: Annotated[bool, typer.Option("--each", help="Fit every module by itself, and every leg of a truss.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the numbers of an arm's file, modules and base, to measured tips; report what they miss before and after."""
+    from controller.calibration.calibration import calibrated
+    from controller.calibration.fit import CannotFit
+    from controller.calibration.samples import read_samples
+
+    arm = load(file)
+    measured = read_samples(samples, arm.manipulator)
+    if out is not None and out.exists() and not force:
+        raise InputFaults(out, ["is there already; name another file, or add --force"])
+    try:
+        with errors.status("fitting"):
+            found = calibrated(arm, measured, each=each)
+    except CannotFit as error:
+        raise InputFaults(samples, [str(error)]) from None
+    if out is not None and found.better:
+        write(out, file, samples, found)
+    if as_json:
+        print_json({**payload(found), "out": str(out) if out and found.better else None})
+    else:
+        show(found)
+    if not found.better:
+        raise Failed("the new numbers meet samples held out no better than the file's do; nothing is written")
+
+
+def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
+    """Writes a file with the new numbers, once it has been read back.
+
+    Raises:
+        Failed: it cannot be written, or no arm is in it.
+    """
+    raw = {**read_yaml(file), **found.description}
+    before, after = found.before.position.rms, found.after.position.rms
+    text = f"# {file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}.\n"
+    text += yaml.safe_dump(raw, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
+    draft = out.with_name(f".{out.name}.{os.getpid()}")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        load(draft)
+        draft.replace(out)
+    except InputFaults as error:
+        raise Failed(f"the samples lead to an arm that cannot be, so nothing is written: {error.faults[0]}") from None
+    except OSError as error:
+        raise Failed(f"{out} cannot be written: {error.strerror}") from None
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def payload(found: Calibration) -> dict[str, Any]:
+    """Returns what is told in JSON."""
+    return {
+        "samples": found.samples,
+        "set_aside": list(found.aside),
+        **{name: asdict(misfit) for name, misfit in misfits(found).items()},
+        "noise": found.noise.tolist(),
+        "held_directions": found.loose,
+        "better": found.better,
+        "changes": [
+            {
+                "field": change.parameter.path,
+                "before": change.before,
+                "after": change.after,
+                "deviation": change.deviation,
+                "determined": change.told,
+            }
+            for change in found.changes
+        ],
+    }
+
+
+def misfits(found: Calibration) -> dict[str, Misfit]:
+    """Returns the residuals by their names."""
+    return {"before": found.before, "after": found.after, "held_out": found.held_out}
+
+
+def show(found: Calibration) -> None:
+    """Prints what was found."""
+    lines = ", ".join(map(str, found.aside))
+    aside = f"; {len(found.aside)} set aside, far off, in lines {lines}" if found.aside else ""
+    console.print(f"{found.samples} samples{aside}")
+    table = results_table("residuals", "", "rms", "95 %", "worst")
+    for kind in ("position", "orientation"):
+        for name, misfit in misfits(found).items():
+            if (residuals := getattr(misfit, kind)) is not None:
+                values = (residuals.rms, residuals.most, residuals.worst)
+                table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
+    console.print(table)
+    table = results_table("field", "before", "after", "deviation", "")
+    for change in found.changes:
+        before, after = (change.before, change.after)
+        table.add_row(
+            change.parameter.path,
+            written(before),
+            written(after),
+            f"{change.deviation:.2g}",
+            "" if change.told else "not determined, held near the file's",
+        )
+    console.print(table)
+    if found.loose:
+        console.print(
+            f"In {found.loose} directions the samples tell less of the numbers than the file does, where one makes up"
+            " for another, or a state was not measured: there the file's values are kept, as nearly as may be."
+        )
+
+
+def written(value: Any) -> str:
+    """Returns a number or a quaternion for the table."""
+    return ", ".join(f"{part:.6g}" for part in value) if isinstance(value, list) else f"{value:.6g}"

@@ -1,0 +1,41 @@
+"""The paper's arm with errors of manufacture in every leg, and how near `hyperbit calibrate` brings its file to it.
+
+Usage: python -m tests.benchmarks.calibration
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from controller.calibration.calibration import calibrated
+from controller.config import load
+from tests.calibration.making import erring, measured
+
+SAMPLES, SEED = 300, 1
+LENGTH, BASE = 0.0005, 0.005  # errors: of each leg and width, and of the base's coordinates and angle
+
+ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+
+
+def main() -> None:
+    arm, rng = load(ARM), np.random.default_rng(SEED)
+    samples = measured(arm, erring(arm, rng, each=True, size=LENGTH, base=BASE), rng, SAMPLES)
+    for each in (False, True):
+        began = time.perf_counter()
+        found = calibrated(arm, samples, each=each)
+        seconds = time.perf_counter() - began
+        print(f"{'every leg by itself' if each else 'as in the file'}: {len(found.changes)} numbers, {seconds:.1f} s")
+        for name, misfit in (("before", found.before), ("after", found.after), ("held out", found.held_out)):
+            values = ", ".join(
+                f"{kind} {r.rms:.3g} / {r.most:.3g} / {r.worst:.3g}"
+                for kind, r in (("position", misfit.position), ("orientation", misfit.orientation))
+                if r is not None
+            )
+            print(f"  {name}: {values}")
+
+
+if __name__ == "__main__":
+    main()

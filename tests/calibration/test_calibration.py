@@ -1,0 +1,136 @@
+"""Arms whose errors are known, recovered from noisy tips as well as these tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from controller.calibration.calibration import calibrated
+from controller.calibration.fit import CannotFit
+from controller.calibration.model import Model
+from controller.calibration.parameters import described, parameters, value_at
+from controller.manipulator import frames
+from tests.calibration.making import ARMS, NOISE, TRUSSES, TURN, arm_of, erring, measured
+
+KINDS = pytest.mark.parametrize("kind", ARMS)
+
+
+@KINDS
+def test_residuals_follow_each_parameter_as_reckoned(tmp_path, kind):
+    arm, rng = arm_of(tmp_path, ARMS[kind]), np.random.default_rng(5)
+    samples = measured(arm, erring(arm, rng), rng, 9)
+    description = described(arm, each=False)
+    model = Model(description, parameters(description, arm.manipulator.length, len(arm.manipulator.modules)))
+    steps, h = rng.normal(size=len(model.parameters)) * 1e-3, 1e-6
+    reckoned = model.jacobian(samples, steps)
+    for p, unit in enumerate(np.eye(len(steps)) * h):
+        slope = (model.residuals(samples, steps + unit) - model.residuals(samples, steps - unit)) / (2 * h)
+        assert_allclose(reckoned[:, :, p], slope, atol=1e-5, err_msg=model.parameters[p].path)
+
+
+@KINDS
+@pytest.mark.parametrize("oriented", [True, False])
+def test_tips_of_the_real_arm_are_met_as_well_as_they_were_measured(tmp_path, kind, oriented):
+    arm, rng = arm_of(tmp_path, ARMS[kind]), np.random.default_rng(1)
+    real = erring(arm, rng)
+    found = calibrated(arm, measured(arm, real, rng, 120, oriented=oriented), each=False)
+    unseen = measured(arm, real, rng, 200, noise=0.0)
+    model = Model(found.description, [])
+    off = np.linalg.norm((model.tips(unseen, np.zeros(0)) - unseen.tips)[:, :3, 3], axis=1)
+    assert found.aside == ()
+    assert found.noise[0] == pytest.approx(NOISE, rel=0.2)
+    if oriented:
+        assert found.noise[1] == pytest.approx(TURN, rel=0.2)
+    assert np.sqrt((off**2).mean()) < NOISE  # 120 samples determine a tip better than one does
+    assert found.before.position.rms > 20 * NOISE
+    assert found.held_out.position.rms < 2.5 * NOISE
+    assert found.better
+
+
+def test_parameters_are_as_near_as_their_deviations_say(tmp_path):
+    arm, off = arm_of(tmp_path, TRUSSES), []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        real = erring(arm, rng)
+        for change in calibrated(arm, measured(arm, real, rng, 60), each=False).changes:
+            off.append((change.after - value_at(real.description, change.parameter.where)) / change.deviation)
+            assert change.told
+    assert 0.6 < np.sqrt(np.square(off).mean()) < 1.5
+
+
+def test_every_module_by_itself(tmp_path):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(2)
+    samples = measured(arm, erring(arm, rng, each=True), rng, 200)
+    shared, each = (calibrated(arm, samples, each=chosen) for chosen in (False, True))
+    assert [entry["first_diagonal"] for entry in each.description["modules"]] == ["BC", "AD", "BC", "AD", "BC"]
+    assert shared.held_out.position.rms > 5 * NOISE
+    assert each.held_out.position.rms < 2 * NOISE
+    assert each.noise[0] == pytest.approx(NOISE, rel=0.2)
+
+
+def test_samples_far_off_are_set_aside_and_change_nothing(tmp_path):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(3)
+    samples = measured(arm, erring(arm, rng), rng, 100)
+    clean = calibrated(arm, samples.only(np.arange(100) >= 20), each=False)
+    samples.tips[:12, :2, 3] += rng.normal(size=(12, 2))
+    samples.tips[12:20] = samples.tips[12:20] @ frames.turned([0, 0, 1], np.pi)
+    found = calibrated(arm, samples, each=False)
+    assert found.aside == tuple(range(2, 22))
+    assert_allclose(found.after.position.rms, clean.after.position.rms, rtol=1e-3)
+
+
+@pytest.mark.parametrize("angle", [1.0, 3.1])
+def test_the_world_of_a_tracker_may_be_any(tmp_path, angle):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(4)
+    samples = measured(arm, erring(arm, rng), rng, 60)
+    away = frames.planar(20, -30, angle)
+    found = calibrated(arm, replace(samples, tips=away @ samples.tips), each=False)
+    assert found.aside == ()
+    assert found.held_out.position.rms < 2.5 * NOISE
+
+
+def test_what_samples_do_not_determine_stays(tmp_path):
+    """A joint that turns, and its link that turns back: the tips are the same."""
+    arm, rng = arm_of(tmp_path, ARMS["joints"]), np.random.default_rng(6)
+    samples = measured(arm, erring(arm, rng), rng, 80)
+    samples.configurations[:, 4] = 1  # the slide is never at its first stop
+    found = calibrated(arm, replace(samples, tips=arm.manipulator.tips(samples.configurations)), each=False)
+    unseen = {change.parameter.path: change for change in found.changes}["modules[1].lengths[0]"]
+    assert not unseen.told
+    assert unseen.after == 0.1
+    assert found.loose >= 3
+    changes = [np.subtract(change.after, change.before) for change in found.changes]
+    assert np.abs(np.hstack(changes)).max() < 1e-6  # these tips are those of the file's arm
+
+
+def test_an_arm_as_in_its_file_is_not_called_better(tmp_path):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(7)
+    found = calibrated(arm, measured(arm, erring(arm, rng, size=0.0, base=0.0), rng, 40), each=False)
+    assert not found.better
+    assert found.before.position.rms == pytest.approx(NOISE * np.sqrt(2), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("count", "each", "message"),
+    [
+        (9, False, "9 samples, at least 10 are needed"),
+        (20, True, "20 samples of 3 values each are too few for the 38 numbers that they depend on; at least 26"),
+    ],
+)
+def test_too_few_samples(tmp_path, count, each, message):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(8)
+    with pytest.raises(CannotFit, match=message):
+        calibrated(arm, measured(arm, erring(arm, rng), rng, count), each=each)
+
+
+def test_samples_of_another_arm_suit_none(tmp_path):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(9)
+    samples = measured(arm, erring(arm, rng), rng, 60)
+    samples.configurations[:] = rng.permutation(samples.configurations)
+    try:
+        assert not calibrated(arm, samples, each=False).held_out.position.rms < 100 * NOISE
+    except CannotFit as error:
+        assert "far off" in str(error)  # noqa: PT017
