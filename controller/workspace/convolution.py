@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from controller.manipulator.manipulator import Manipulator
+from controller.workspace.doubling import doubled, every_end, few
 
 Array = NDArray[np.float64]
 
-ENUMERATED = 4096  # a segment of no more configurations is enumerated
 LEAST = 25  # pixels for each orientation: 3 x 3 hold any density with huge pixels, and 5 x 5 the sum of two
 EDGE = 1e-6  # pixels: what lies on a pixel's centre may be rounded to either side of it
 
@@ -66,35 +66,23 @@ def by_convolution(manipulator: Manipulator, pixel: float, level_pixels: int, tu
         ValueError: the arm is not planar, a bound is not positive, or there are too few pixels for the orientations.
     """
     if not manipulator.planar:
-        raise ValueError("convolution is for planar arms, this one is spatial")
+        raise ValueError("convolution on SE(2) is for planar arms, this one is spatial: see spatial_convolution")
     if pixel <= 0 or turns < 1 or level_pixels < LEAST * turns:
         raise ValueError(
             f"pixel {pixel:g} and orientations {turns} must be positive,"
             f" and pixels {level_pixels} at least {LEAST} for each orientation"
         )
-    done: dict[tuple[bytes, ...], PlanarDensity] = {}
-    kinds = [module.frames.tobytes() for module in manipulator.modules]
-
-    def density(first: int, last: int) -> PlanarDensity:
-        """Returns the density of modules first to last - 1."""
-        kind = tuple(kinds[first:last])
-        if kind not in done:
-            number, length = math.prod(manipulator.states[first:last].tolist()), last - first
-            if number <= ENUMERATED or length == 1:
-                done[kind] = enumerated(Manipulator(manipulator.modules[first:last]), pixel, level_pixels, turns)
-            else:
-                middle = first + (1 << (length - 1).bit_length() - 1)
-                done[kind] = convolution(density(first, middle), density(middle, last), level_pixels)
-        return done[kind]
-
-    return density(0, len(kinds))
+    return doubled(
+        manipulator,
+        few,
+        lambda segment: enumerated(segment, pixel, level_pixels, turns),
+        lambda lower, upper: convolution(lower, upper, level_pixels),
+    )
 
 
 def enumerated(manipulator: Manipulator, pixel: float, level_pixels: int, turns: int) -> PlanarDensity:
     """Returns the density of a segment by trying all its configurations."""
-    tips = np.eye(4)[None]
-    for i in reversed(range(len(manipulator.modules))):
-        tips = (manipulator.frames[i, : manipulator.states[i], None] @ tips).reshape(-1, 4, 4)
+    tips = every_end(manipulator)
     points = np.column_stack((tips[:, :2, 3], np.arctan2(tips[:, 1, 0], tips[:, 0, 0])))
     ends = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     pixel = fitted([ends], pixel, level_pixels // turns)

@@ -9,7 +9,6 @@ import math
 import time
 import tracemalloc
 from dataclasses import asdict, dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from controller.manipulator.manipulator import Manipulator
 from controller.workspace.convolution import by_convolution
 from controller.workspace.oriented_mapping import map_oriented
 from tests.arms import paper_arm, spatial_arm
@@ -27,6 +25,7 @@ from tests.workspace.comparing import (
     exact_counts,
     mapped_points,
     rank_correlation,
+    second_moment,
     smoothed,
     total_variation,
 )
@@ -64,13 +63,6 @@ class Row:
     rarest: tuple[float, float]
     variation: float
     rank: float
-
-
-def second_moment(manipulator: Manipulator) -> float:
-    """Returns the mean square of the tip's distance from the base: means of products are products of means."""
-    squared = [np.mean([np.kron(f, f) for f in module.frames], axis=0) for module in manipulator.modules]
-    moments = reduce(np.matmul, squared)[:, -1].reshape(4, 4)
-    return float(moments[0, 0] + moments[1, 1])
 
 
 def measured(modules: int) -> Row:

@@ -1,6 +1,7 @@
 """Densities with orientation side by side: with the enumeration of all configurations, and with each other."""
 
 import math
+from functools import reduce
 
 import numpy as np
 from scipy.stats import spearmanr
@@ -8,6 +9,7 @@ from scipy.stats import spearmanr
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.convolution import PlanarDensity, scatter
 from controller.workspace.oriented import OrientedDensities
+from controller.workspace.spatial_convolution import SpatialDensity
 from tests.arms import every_configuration
 
 
@@ -58,3 +60,40 @@ def mapped_points(densities: OrientedDensities) -> tuple[np.ndarray, np.ndarray]
 def enumerated_points(manipulator: Manipulator) -> tuple[np.ndarray, np.ndarray]:
     tips = manipulator.tips(every_configuration(manipulator))
     return np.column_stack((tips[:, :2, 3], np.arctan2(tips[:, 1, 0], tips[:, 0, 0]))), np.ones(len(tips))
+
+
+def spatial_points(density: SpatialDensity) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 3) of the pixels and the shares of all rotations there."""
+    shares = density.shares.sum(axis=0)
+    places = np.argwhere(shares != 0)
+    return density.pixel * (places[:, ::-1] - len(shares) // 2), shares[tuple(places.T)]
+
+
+def mapped_positions(densities: OrientedDensities) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 3) of the whole arm's pixels and what is in them, up to a factor."""
+    values = densities.level(0).astype(float)
+    return densities.cells(0)[0], np.exp(values - values.max())
+
+
+def drawn_points(manipulator: Manipulator, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 3) of the tip in random configurations, the same weight for each."""
+    drawn = np.random.default_rng(5).integers(0, manipulator.states, (number, len(manipulator.states)))
+    return manipulator.tips(drawn)[:, :3, 3], np.ones(number)
+
+
+def placed(points: np.ndarray, shares: np.ndarray, pixel: float, reach: float) -> np.ndarray:
+    """Positions (n, 3) spread over a grid of its own, the same for all densities, each among the eight around it."""
+    half = math.ceil(reach / pixel) + 2
+    grid = np.zeros((2 * half + 2,) * 3)
+    places = np.clip(points / pixel, -half, half) + half
+    first = np.floor(places).astype(int)
+    for corner in np.ndindex(2, 2, 2):
+        parts = np.abs(1 - np.array(corner) - (places - first)).prod(axis=1)
+        np.add.at(grid, tuple((first + corner).T), parts * shares / shares.sum())
+    return grid
+
+
+def second_moment(manipulator: Manipulator) -> float:
+    """The mean square of the tip's distance from the base: means of products are products of means."""
+    squared = [np.mean([np.kron(f, f) for f in module.frames], axis=0) for module in manipulator.modules]
+    return float(np.trace(reduce(np.matmul, squared)[:, -1].reshape(4, 4)[:3, :3]))

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
-from controller.workspace import convolution
+from controller.workspace import convolution, doubling
 from controller.workspace.convolution import by_convolution
 from controller.workspace.oriented_mapping import map_oriented
 from tests.arms import paper_arm, planar_modules, short_arms, spatial_arm
@@ -62,7 +62,7 @@ def test_on_a_lattice_convolution_counts_exactly(modules):
 @given(short_arms(planar_modules), st.sampled_from([0.02, 0.1, 1.0]), st.sampled_from([2000, 50_000]))
 def test_mass_and_mean_are_kept_for_any_planar_arm(arm, pixel, level_pixels):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(convolution, "ENUMERATED", 1)
+        patch.setattr(doubling, "ENUMERATED", 1)
         density = by_convolution(arm, pixel, level_pixels, 64)
     points, shares = convolved_points(density)
     tips, _ = enumerated_points(arm)
