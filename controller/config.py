@@ -57,6 +57,11 @@ class Arm:
         """Position tolerance of goals that bring none."""
         return self.settings.tolerance.position
 
+    @property
+    def turn(self) -> float:
+        """Tolerance of the orientation of goals that bring none [rad]."""
+        return self.settings.tolerance.orientation
+
 
 def load(path: Path) -> Arm:
     """Returns the arm that a YAML file describes.

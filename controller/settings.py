@@ -86,6 +86,7 @@ class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """How near to a goal is good enough, where the goal says nothing."""
 
     position: Positive
+    orientation: Positive = 0.05  # [rad]
 
 
 class WeightSettings(Struct, forbid_unknown_fields=True, frozen=True):

@@ -41,7 +41,7 @@ class Foresight:
         """
         trajectory, told = self._plan.trajectory, 0
         first = self._plan.solutions[0].configuration
-        ahead = LookAhead(self._solver, first, trajectory.positions[1:], trajectory.tolerances[1:])
+        ahead = LookAhead(self._solver, first, trajectory, 1)
         between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
         earliest = trajectory.times - self._pace.longest(between, actuators)
         for k in range(1, len(trajectory.times)):

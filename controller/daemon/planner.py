@@ -106,7 +106,9 @@ class Planner:
     def _serve(self, question: Question, message: GoalMessage, goal: str) -> None:
         manipulator, settings = self._arm.manipulator, self._arm.settings
         pace = Pace(settings.travel_time + PERIOD, settings.inrush, settings.rest_time)
-        trajectory = schedule(message, manipulator.dimension, self._arm.tolerance, pace, question.received)
+        trajectory = schedule(
+            message, manipulator.dimension, self._arm.tolerance, self._arm.turn, pace, question.received
+        )
         previous, mode, reason = self._loop.commanded, self._loop.mode, self._loop.reason
         if previous is None or (question.run and mode not in ("ready", "executing")):
             raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
@@ -163,6 +165,7 @@ class Planner:
                 "configuration": format_configuration(manipulator, solution.configuration),
                 **pose(manipulator, solution.tip),
                 "error": solution.error,
+                "orientation_error": solution.angle if trajectory.turns[k] < np.inf else None,
                 "switches": solution.switches,
                 "stages": labels,
                 "excursion": transition.excursion,

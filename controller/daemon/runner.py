@@ -12,6 +12,7 @@ from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
 from controller.daemon.state import measured_tip, pose, written
 from controller.daemon.switching import Switching
+from controller.manipulator.frames import angle_between
 from controller.manipulator.manipulator import Manipulator
 from controller.motion import codes
 from controller.motion.pacing import Pace, Staged
@@ -177,11 +178,14 @@ class Runner:
     def _finish(self, execution: Execution, where: Payload) -> str:
         """Ends a goal whose last waypoint is settled, by what the boards measured there."""
         error, tolerance = where["error"], float(execution.plan.trajectory.tolerances[-1])
-        if error is not None and error <= tolerance:
+        angle, turn = where["orientation_error"], float(execution.plan.trajectory.turns[-1])
+        if error is not None and error <= tolerance and (angle is None or angle <= turn):
             self.end("succeeded", codes.SUCCESSFUL, "reached")
             return f"holding; goal {execution.goal.id} was reached"
         away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
         message = f"the measured tip is {away}, tolerance {tolerance:g}"
+        if angle is not None:
+            message = f"the measured tip is {away} and turned {angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
         self.end("aborted", codes.GOAL_TOLERANCE_VIOLATED, message)
         return f"holding; goal {execution.goal.id} was missed: {message}"
 
@@ -209,8 +213,16 @@ class Runner:
             log.exception("the boards' states cannot be had")
             tip = None
         if tip is None:
-            return {"configuration": None, "position": None, "orientation": None, "error": None}
-        wanted = execution.plan.trajectory.positions[max(execution.point, 0)]
+            unknown = {"configuration": None, "position": None, "orientation": None}
+            return {**unknown, "error": None, "orientation_error": None}
+        trajectory, point = execution.plan.trajectory, max(execution.point, 0)
+        wanted = trajectory.positions[point]
         error = float(np.linalg.norm(tip[: len(wanted), 3] - wanted))
+        angle = angle_between(tip, trajectory.goal(point)) if trajectory.turns[point] < np.inf else None
         configuration = written(self._manipulator, measured)
-        return {"configuration": configuration, **pose(self._manipulator, tip), "error": error}
+        return {
+            "configuration": configuration,
+            **pose(self._manipulator, tip),
+            "error": error,
+            "orientation_error": angle,
+        }

@@ -107,7 +107,7 @@ def description(arm: Arm) -> Payload:
         "base": manipulator.base.tolist(),
         "actuators": list(manipulator.actuators),
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
-        "tolerance": {"position": arm.tolerance},
+        "tolerance": {"position": arm.tolerance, "orientation": arm.turn},
         "travel_time": arm.settings.travel_time,
         "inrush": arm.settings.inrush,
         "rest_time": arm.settings.rest_time,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,21 +21,24 @@ if TYPE_CHECKING:  # its kernels take a second to import: who only reads message
 
 MOST_BYTES = 1_000_000
 LONGEST_SENTENCE = 1_000
+UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
 # Upper bounds also keep out infinity and NaN; beyond these, lengths are slips of the unit and overflow when squared.
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
 Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
+# An angle, or a quaternion's components.
+Turn = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it goes into logs, a database and word to systemd
 
 
 class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where the tip is to be settled, `t` seconds after the stamp."""
+    """Where the tip is to be settled, `t` seconds after the stamp, and how it is to be turned, if that matters."""
 
     position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
     t: Time = 0.0
-    orientation: float | list[float] | None = None
+    orientation: Turn | list[Turn] | None = None
 
 
 class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
@@ -126,13 +130,14 @@ def refusal(message: str) -> Refusal:
     return Refusal(INVALID_GOAL, message.encode("utf-8", "backslashreplace").decode())
 
 
-def schedule(message: GoalMessage, dimension: int, tolerance: float, pace: Pace, now: float) -> Trajectory:
+def schedule(message: GoalMessage, dimension: int, tolerance: float, turn: float, pace: Pace, now: float) -> Trajectory:
     """Returns the trajectory that a message asks for.
 
     Args:
         message: a goal.
         dimension: number of coordinates of a position, 2 or 3.
         tolerance: of the position, where the goal has none.
+        turn: tolerance of the orientation, likewise [rad].
         pace: of the actuators.
         now: time of arrival, UNIX seconds.
 
@@ -145,15 +150,40 @@ def schedule(message: GoalMessage, dimension: int, tolerance: float, pace: Pace,
         if len(waypoint.position) != dimension:
             given = len(waypoint.position)
             raise refusal(f"waypoints[{k}].position: {given} coordinates, this arm's goals have {dimension}")
-        if waypoint.orientation is not None:
-            raise refusal(f"waypoints[{k}].orientation: this arm takes positions only, leave it out")
+        if waypoint.orientation is not None and message.path_tolerance is not None:
+            raise refusal(f"waypoints[{k}].orientation: lines are followed by position only, leave out path_tolerance")
     times = np.array([waypoint.t for waypoint in message.waypoints])
     check_times(times, message.stamp, pace.shortest, now)
     positions = np.array([waypoint.position for waypoint in message.waypoints])
     own, stamp = message.tolerance.position or tolerance, message.stamp or None
     if message.path_tolerance is None:
-        return through(times, positions, own, stamp)
+        angle = message.tolerance.orientation or turn
+        wanted = [waypoint.orientation for waypoint in message.waypoints]
+        turns = np.array([math.inf if orientation is None or angle >= math.pi else angle for orientation in wanted])
+        rotations = [rotation(value, dimension, f"waypoints[{k}].orientation") for k, value in enumerate(wanted)]
+        return through(times, positions, own, stamp, np.array(rotations), turns)
     return along(times, positions, own, message.path_tolerance, pace, stamp)
+
+
+def rotation(orientation: float | list[float] | None, dimension: int, where: str) -> NDArray[np.float64]:
+    """Returns the rotation (3, 3) of an orientation, none where it is absent.
+
+    Raises:
+        Refusal: it is not of the arm's kind, or no unit quaternion.
+    """
+    from controller.manipulator import frames  # its kernels, too, take their time to import
+
+    if orientation is None:
+        return np.eye(3)
+    if dimension == 2:
+        if isinstance(orientation, list):
+            raise refusal(f"{where}: a planar arm's orientation is an angle in radians, got {len(orientation)} numbers")
+        return frames.planar(0.0, 0.0, orientation)[:3, :3]
+    length = math.hypot(*orientation) if isinstance(orientation, list) and len(orientation) == 4 else 0.0
+    if not isinstance(orientation, list) or abs(length - 1.0) > UNIT:
+        got = f"one of length {length:.4g}" if length else f"{json.dumps(orientation)[:60]}"
+        raise refusal(f"{where}: a quaternion x, y, z, w of length 1 is needed, got {got}")
+    return frames.spatial((0.0, 0.0, 0.0), orientation)[:3, :3]
 
 
 def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: float) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
+from controller.motion.trajectory import Trajectory
 from controller.search.solver import Solver
 
 WIDTH = 64  # ways kept
@@ -46,14 +47,12 @@ class LookAhead:
     Args:
         solver: of the arm.
         start: configuration that all ways begin with, shape (B,).
-        positions: to be reached after it, in the world, shape (n, dimension).
-        tolerances: of the tip's distance from each, shape (n,).
+        trajectory: whose points are to be reached after it.
+        first: of these points.
     """
 
-    def __init__(
-        self, solver: Solver, start: Configuration, positions: NDArray[np.float64], tolerances: NDArray[np.float64]
-    ) -> None:
-        self._solver, self._positions, self._tolerances = solver, positions, tolerances
+    def __init__(self, solver: Solver, start: Configuration, trajectory: Trajectory, first: int = 0) -> None:
+        self._solver, self._trajectory, self._first = solver, trajectory, first
         self._ways = [Way(0.0, np.array(start, dtype=np.int64), 0, None)]
         self._decided: list[Configuration] = []  # after `start`
         self._next = 0
@@ -68,9 +67,8 @@ class LookAhead:
                     best[key] = onward
         if not best:  # too far for the small tables: one way on, by the search that goes farther
             way = self._ways[0]
-            found = self._solver.solve(
-                self._positions[self._next], way.configuration, float(self._tolerances[self._next])
-            )
+            goal, tolerance, turn = self._goal()
+            found = self._solver.solve(goal, way.configuration, tolerance, turn=turn)
             best[b""] = Way(way.cost + found.cost, found.configuration, self._next + 1, way)
         self._next += 1
         # Of two ways of one cost the better is that which serves longer: a point costs what it did so far.
@@ -80,8 +78,8 @@ class LookAhead:
     def _onward(self, way: Way) -> list[Way]:
         if way.until > self._next:
             return [Way(way.cost, way.configuration, way.until, way)]
-        goal, tolerance = self._positions[self._next], float(self._tolerances[self._next])
-        configurations, costs = self._solver.candidates(goal, way.configuration, tolerance, MOST)
+        goal, tolerance, turn = self._goal()
+        configurations, costs = self._solver.candidates(goal, way.configuration, tolerance, MOST, turn)
         if len(costs) == 0:
             return []
         near = costs <= costs.min() + SPREAD * self._solver.least_weight
@@ -93,11 +91,15 @@ class LookAhead:
 
     def _until(self, configurations: NDArray[np.int64]) -> list[int]:
         """Returns how far configurations (m, B) serve that do so for the next point."""
-        first, ahead = self._next, slice(self._next + 1, self._next + 1 + FARTHEST)
-        positions = self._positions[ahead]
-        tips = self._solver.manipulator.tips(configurations)[:, None, : self._positions.shape[1], 3]
-        served = np.linalg.norm(tips - positions, axis=2) <= self._tolerances[ahead]
-        return (first + 1 + np.logical_and.accumulate(served, axis=1).sum(axis=1)).tolist()  # type: ignore[no-any-return]
+        following = self._first + self._next + 1
+        tips = self._solver.manipulator.tips(configurations)
+        served = self._trajectory.serve(tips, slice(following, following + FARTHEST))
+        return (self._next + 1 + np.logical_and.accumulate(served, axis=1).sum(axis=1)).tolist()  # type: ignore[no-any-return]
+
+    def _goal(self) -> tuple[NDArray[np.float64], float, float]:
+        """Returns the next point, see Solver.solve, and the tolerances of its position and orientation."""
+        point, it = self._first + self._next, self._trajectory
+        return it.goal(point), float(it.tolerances[point]), float(it.turns[point])
 
     def decided(self) -> list[Configuration]:
         """Returns the configurations after the start that all ways have in common."""

@@ -65,8 +65,9 @@ class Plan:
         end = first + len(configurations)
         chosen = [*configurations, *(s.configuration for s in self.solutions[end : end + 1])]
         for k, configuration in enumerate(chosen, first):
-            goal, before = self.trajectory.positions[k], solutions[k - 1].configuration
-            solutions[k] = solver.described(configuration, goal, before, float(self.trajectory.tolerances[k]))
+            goal, before = self.trajectory.goal(k), solutions[k - 1].configuration
+            tolerance, turn = float(self.trajectory.tolerances[k]), float(self.trajectory.turns[k])
+            solutions[k] = solver.described(configuration, goal, before, tolerance, turn)
             if not solutions[k].within_tolerance:
                 raise Unfit(f"{solutions[k].error:.4f} from point {k}")
             available = float(times[k] - times[k - 1])
@@ -98,22 +99,22 @@ def plan(
     solutions, transitions = list[Solution](), list[Staged]()
     reserved = min(FIRST_ANSWER * len(trajectory.times), 0.8 * PLANNING_TIME)
     until = time.perf_counter() + PLANNING_TIME - reserved
-    for k, goal in enumerate(trajectory.positions):
+    for k, position in enumerate(trajectory.positions):
         proceed()
-        tolerance = float(trajectory.tolerances[k])
-        if trajectory.between(k) and (same := held(solutions[-1], goal, tolerance)) is not None:
+        goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
+        if trajectory.between(k) and (same := held(solutions[-1], position, tolerance)) is not None:
             transitions.append(Staged(transitions[-1].stages[-1:], 0.0))
             solutions.append(same)
             continue
         left = max(until - time.perf_counter(), 0.0)
         reckon = left > 0 or method != "minimum-switch"
-        solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left))
+        solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left), turn)
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:
             transitions.append(staged(solver, trajectory, previous, solution, k, pace, reckon))
         except Refusal:  # perhaps a search with more time finds what switches less
-            solution = solver.solve(goal, previous, tolerance, method)
+            solution = solver.solve(goal, previous, tolerance, method, turn=turn)
             transitions.append(staged(solver, trajectory, previous, solution, k, pace))
         solutions.append(solution)
         previous = solution.configuration
@@ -133,7 +134,12 @@ def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
     goal, tolerance = trajectory.positions[point], trajectory.tolerances[point]
     wanted = ", ".join(f"{x:g}" for x in goal)
     tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
-    found = f"is out of reach; the nearest point found is ({tip}), {nearest.error:.4f} away, tolerance {tolerance:g}"
+    if (turn := trajectory.turns[point]) < np.inf:
+        away = f"{nearest.error:.4f} away and turned {nearest.angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
+        found = f"is out of reach in this orientation; the nearest pose found is at ({tip}), {away}"
+    else:
+        away = f"{nearest.error:.4f} away, tolerance {tolerance:g}"
+        found = f"is out of reach; the nearest point found is ({tip}), {away}"
     return f"{place(trajectory, point)}: ({wanted}) {found}"
 
 

@@ -33,6 +33,8 @@ class Trajectory:
         times: t at which the tip is to be settled, shape (n,), increasing [s].
         positions: of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part.
         tolerances: greatest distance of the tip from each, shape (n,).
+        rotations: of the tip in the world, shape (n, 3, 3), of no meaning where any will do.
+        turns: greatest angle of the tip's orientation from each, shape (n,) [rad]; infinite where any will do.
         waypoints: which of the points are the goal's own, shape (m,), ascending; the last point is.
         path_tolerance: greatest distance of a settled tip from the lines' moving point; None: no lines are followed.
     """
@@ -41,8 +43,29 @@ class Trajectory:
     times: Array
     positions: Array
     tolerances: Array
+    rotations: Array
+    turns: Array
     waypoints: NDArray[np.int64]
     path_tolerance: float | None = None
+
+    def goal(self, point: int) -> Array:
+        """Returns a point's position, shape (dimension,), or the tip's frame there, shape (4, 4), if it turns, too."""
+        position: Array = self.positions[point]
+        if self.turns[point] == np.inf:
+            return position
+        frame = np.eye(4)
+        frame[: len(position), 3], frame[:3, :3] = position, self.rotations[point]
+        return frame
+
+    def serve(self, tips: Array, points: slice) -> NDArray[np.bool_]:
+        """Returns whether tips (m, 4, 4) are within the tolerances of each of some points (k), shape (m, k)."""
+        away = np.linalg.norm(tips[:, None, : self.positions.shape[1], 3] - self.positions[points], axis=2)
+        served = away <= self.tolerances[points]
+        turns = self.turns[points]
+        if np.isfinite(turns).any():
+            chords = np.linalg.norm(tips[:, None, :3, :3] - self.rotations[points], axis=(2, 3)) / math.sqrt(2.0)
+            served &= (chords <= 2 * np.sin(np.minimum(turns, math.pi) / 2)) | (turns >= math.pi)
+        return np.asarray(served)
 
     def between(self, point: int) -> bool:
         """Returns whether a point is none of the goal's waypoints."""
@@ -57,9 +80,30 @@ class Trajectory:
         return int(np.searchsorted(self.waypoints, point, side="right")) - 1
 
 
-def through(times: Array, positions: Array, tolerance: float, stamp: float | None = None) -> Trajectory:
-    """Returns the trajectory through waypoints (m, dimension) that may take any way between them."""
-    return Trajectory(stamp, times, positions, np.full(len(times), tolerance), np.arange(len(times)))
+def through(
+    times: Array,
+    positions: Array,
+    tolerance: float,
+    stamp: float | None = None,
+    rotations: Array | None = None,
+    turns: Array | None = None,
+) -> Trajectory:
+    """Returns the trajectory through waypoints (m, dimension) that may take any way between them, see Trajectory."""
+    free, any_turn = unoriented(len(times))
+    return Trajectory(
+        stamp,
+        times,
+        positions,
+        np.full(len(times), tolerance),
+        free if rotations is None else rotations,
+        any_turn if turns is None else turns,
+        np.arange(len(times)),
+    )
+
+
+def unoriented(count: int) -> tuple[Array, Array]:
+    """Returns rotations and turns of so many points where any orientation will do."""
+    return np.tile(np.eye(3), (count, 1, 1)), np.full(count, np.inf)
 
 
 def along(
@@ -114,6 +158,7 @@ def along(
                 for step, n in zip(steps, [*parts.astype(int), 1], strict=True)
             ]
         ),
+        *unoriented(int(parts.sum()) + 1),
         np.concatenate([[0], np.cumsum(parts)]).astype(np.int64),
         path_tolerance,
     )

@@ -118,7 +118,10 @@ class MinimumSwitch:
         beam_time = time.perf_counter() - began
         if best.cost == np.inf:  # what is nearer is nearer to what is within the tolerance, too
             best = self._nearest.improve(target, best, until)
-        best = self._wander(target, costs, best, NEAR, until)
+        for most in (NEAR, *LADDER):
+            best = self._wander(target, costs, best, most, until)
+            if best.cost < np.inf or not target.oriented:
+                break
         best = self._proven(self._near, target, centre, costs, best, until)
         for most in LADDER:
             if best.settled or time.perf_counter() + most * self._row_time > until:

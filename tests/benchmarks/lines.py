@@ -40,7 +40,7 @@ def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np
 
 def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
     """Returns the configurations that are found by looking ahead to the end."""
-    look = LookAhead(solver, start, trajectory.positions[1:], trajectory.tolerances[1:])
+    look = LookAhead(solver, start, trajectory, 1)
     for _ in trajectory.positions[1:]:
         look.extend()
     return [start, *look.decide(len(trajectory.times) - 1)]

@@ -1,12 +1,16 @@
 """Goals as the control loop runs them."""
 
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from controller.daemon.events import Planned
 from controller.daemon.loop import PERIOD
+from controller.manipulator.frames import planar
 from controller.motion import codes
-from tests.daemon.rig import ARM, TRAVEL, A, B, C, Rig, states
+from tests.daemon.rig import ARM, TRAVEL, A, B, C, Rig, planned, states
 
 
 def test_a_goal_is_run_to_its_end(rig: Rig) -> None:
@@ -95,3 +99,16 @@ def test_nothing_counts_as_reached_while_it_moves(rig: Rig) -> None:
     rig.boards.slow = False
     rig.go(0.1)
     assert rig.results == [("a", "succeeded")]
+
+
+@pytest.mark.parametrize(("turned", "reached"), [(0.0, True), (0.04, True), (0.06, False)])
+def test_a_goal_is_held_to_its_orientation_by_what_the_boards_measured(rig: Rig, turned: float, reached: bool) -> None:
+    found = planned(A)
+    wanted = ARM.tip(A) @ planar(0.0, 0.0, turned)
+    trajectory = replace(found.trajectory, rotations=wanted[None, :3, :3], turns=np.array([0.05]))
+    rig.loop.inbox.hand_over(Planned(1, lambda payload: None, "a", replace(found, trajectory=trajectory)))
+    rig.go(0.5)
+    assert rig.last_result["error"] == pytest.approx(0, abs=1e-9)
+    assert rig.last_result["orientation_error"] == pytest.approx(turned, abs=1e-7)
+    assert rig.last_result["code"] == (codes.SUCCESSFUL if reached else codes.GOAL_TOLERANCE_VIOLATED)
+    assert reached or "turned 0.0600 rad, tolerances 0.002 and 0.05" in rig.last_result["message"]

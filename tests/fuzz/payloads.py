@@ -37,7 +37,7 @@ def told(sentence: str) -> None:
 def read_goal(data: bytes) -> int:
     """A goal, for a planar arm."""
     try:
-        it = goal.schedule(goal.parse(data), dimension=2, tolerance=0.002, pace=Pace(0.06), now=NOW)
+        it = goal.schedule(goal.parse(data), dimension=2, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW)
     except Refusal as error:
         assert error.code in (INVALID_GOAL, OLD_HEADER_TIMESTAMP)  # noqa: PT017 - no test
         told(str(error))

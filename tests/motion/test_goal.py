@@ -1,13 +1,16 @@
 """Goals from the network: what is taken, and the code and the sentence of every refusal."""
 
 import json
+import math
 import re
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
+from controller.manipulator import frames
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.goal import LONGEST_SENTENCE, parse, schedule
 from controller.motion.pacing import Pace
@@ -16,8 +19,8 @@ from controller.motion.trajectory import MOST_POINTS, Trajectory
 NOW = 1_800_000_000.0
 
 
-def decode(payload: bytes) -> Trajectory:
-    return schedule(parse(payload), dimension=2, tolerance=0.002, pace=Pace(0.06), now=NOW)
+def decode(payload: bytes, dimension: int = 2) -> Trajectory:
+    return schedule(parse(payload), dimension=dimension, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW)
 
 
 def goal(**fields: Any) -> bytes:
@@ -92,7 +95,13 @@ REFUSED = {
     "one coordinate": (one(position=[1]), r"waypoints\[0\]\.position: Expected `array` of length >= 2"),
     "four coordinates": (one(position=[1, 2, 3, 4]), r"waypoints\[0\]\.position: Expected `array` of length <= 3"),
     "spatial": (one(position=[1, 2, 3]), r"waypoints\[0\]\.position: 3 coordinates, this arm's goals have 2"),
-    "orientation": (one(orientation=0.1), r"waypoints\[0\]\.orientation: this arm takes positions only"),
+    "quaternion in the plane": (one(orientation=[0, 0, 0, 1]), r"\[0\]\.orientation: a planar arm's orientation is an"),
+    "text for an orientation": (one(orientation="up"), r"\[0\]\.orientation: Expected `float \| array \| null`"),
+    "orientation beyond all bounds": (one(orientation=1e9), r"\[0\]\.orientation: Expected `float` <= 1000000"),
+    "orientation along lines": (
+        goal(waypoints=[{"position": [0.5, 2.9], "orientation": 0.1}], path_tolerance=0.1),
+        r"waypoints\[0\]\.orientation: lines are followed by position only, leave out path_tolerance",
+    ),
     "same time": (timed(1, 1), r"waypoints\[1\]\.t: 1 does not come after waypoints\[0\]\.t = 1"),
     "back in time": (timed(0, 1, 0.5), r"waypoints\[2\]\.t: 0\.5 does not come after waypoints\[1\]\.t = 1"),
     "too fast": (timed(0, 1, 1.05), r"waypoints\[1\] to waypoints\[2\]: 0\.05 s apart, the actuators need 0\.06 s"),
@@ -160,6 +169,40 @@ json_values = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
     max_leaves=12,
 )
+
+
+def turned(orientation: Any, **fields: Any) -> bytes:
+    return goal(waypoints=[{"position": [0.5, 2.9, 1.0], "orientation": orientation}], **fields)
+
+
+def test_an_orientation_is_taken_with_its_tolerance_where_it_is_given():
+    ends = [{"position": [0.5, 2.9]}, {"t": 1.0, "position": [0.5, 2.9], "orientation": math.pi / 2}]
+    own, given = decode(goal(waypoints=ends)), decode(goal(waypoints=ends, tolerance={"orientation": 0.2}))
+    assert own.turns.tolist() == [math.inf, 0.05]
+    assert given.turns.tolist() == [math.inf, 0.2]
+    assert own.goal(0).tolist() == [0.5, 2.9]
+    assert_allclose(own.goal(1), frames.planar(0.5, 2.9, math.pi / 2))
+
+
+def test_an_orientation_with_a_tolerance_of_half_a_turn_is_none():
+    found = decode(one(orientation=1.0)[:-1] + b', "tolerance": {"orientation": 3.2}}')
+    assert found.turns.tolist() == [math.inf]
+
+
+def test_a_quaternion_is_taken_as_x_y_z_w_and_made_a_unit_one():
+    found = decode(turned([0.0, 0.0, 0.7071, 0.7071]), dimension=3)
+    assert_allclose(found.goal(0), frames.spatial((0.5, 2.9, 1.0), (0, 0, 1, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "got"),
+    [(0.5, "0.5"), ([1, 1, 0, 0], "one of length 1.414"), ([0, 0, 1], r"\[0"), ([0] * 4, r"\[0")],
+)
+def test_what_is_no_unit_quaternion_is_refused(orientation, got):
+    with pytest.raises(Refusal, match=rf"waypoints\[0\]\.orientation: a quaternion x, y, z, w of length 1 .*got {got}"):
+        decode(turned(orientation), dimension=3)
+
+
 numbers = st.floats() | st.integers() | json_values
 waypoints = st.lists(
     st.fixed_dictionaries(
@@ -172,7 +215,7 @@ goals = st.fixed_dictionaries(
     optional={
         "id": json_values,
         "stamp": numbers,
-        "tolerance": st.dictionaries(st.just("position"), numbers),
+        "tolerance": st.dictionaries(st.sampled_from(["position", "orientation"]), numbers),
         "path_tolerance": numbers,
     },
 )

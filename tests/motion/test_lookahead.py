@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from controller.manipulator.frames import angle_between
 from controller.motion import lookahead
 from controller.motion.lookahead import LookAhead
+from controller.motion.trajectory import through
 from controller.search.solver import Solver
 
 TOLERANCE = 0.002
@@ -34,7 +36,7 @@ def switches(solver, start, configurations) -> int:
 
 
 def followed(solver, start, goals, decide=lambda ahead, k: None):
-    ahead = LookAhead(solver, start, np.array(goals), np.full(len(goals), TOLERANCE))
+    ahead = LookAhead(solver, start, through(np.arange(len(goals)), np.array(goals), TOLERANCE))
     for k in range(1, len(goals) + 1):
         ahead.extend()
         decide(ahead, k)
@@ -87,3 +89,21 @@ def test_weights_decide_what_is_cheap(arm, densities, monkeypatch):
         states = [arm.manipulator.actuator_states(c) for c in (start, *followed(solver, start, goals[1:]))]
         dear[name] = float((np.diff(np.array(states, dtype=int), axis=0) != 0)[:, :24].sum())
     assert dear["weighted"] < dear["plain"]
+
+
+def test_orientations_are_kept_along_the_way(solver):
+    """Of every third waypoint, with a configuration held as long as it serves."""
+    m, rng = solver.manipulator, np.random.default_rng(3)
+    path = [rng.integers(0, 8, 16)]
+    for _ in range(11):
+        path.append(np.where(rng.random(16) < 0.15, rng.integers(0, 8, 16), path[-1]))
+    tips = m.tips(path)
+    turns = np.where(np.arange(12) % 3 == 0, 0.03, np.inf)
+    trajectory = through(np.arange(12.0), tips[:, :2, 3], 0.005, None, tips[:, :3, :3], turns)
+    ahead = LookAhead(solver, path[0], trajectory, 1)
+    for _ in range(11):
+        ahead.extend()
+    for k, configuration in enumerate(ahead.decide(11), 1):
+        tip = m.tip(configuration)
+        assert np.linalg.norm(tip[:2, 3] - tips[k, :2, 3]) <= 0.005
+        assert angle_between(tip, tips[k]) <= turns[k]

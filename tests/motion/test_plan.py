@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from controller.manipulator.frames import angle_between, planar
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.plan import plan
@@ -68,3 +69,28 @@ def test_planning_can_be_ended_between_waypoints(solver: Solver, manipulator: Ma
     with pytest.raises(Refusal, match="canceled"):
         plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous", proceed)
     assert len(asked) == 2
+
+
+def posed(tips: np.ndarray, turns: list[float]) -> Trajectory:
+    times = np.arange(len(tips), dtype=float)
+    return through(times, tips[:, :2, 3], 0.005, None, tips[:, :3, :3], np.array(turns))
+
+
+@pytest.mark.parametrize("method", ["minimum-switch", "ipop-previous"])
+def test_waypoints_are_reached_in_their_orientation(solver: Solver, manipulator: Manipulator, method) -> None:
+    tips = manipulator.tips(np.random.default_rng(5).integers(0, 8, (4, 16)))
+    found = plan(solver, posed(tips, [0.03, np.inf, 0.03, 0.03]), contracted(manipulator), method)
+    for k, solution in enumerate(found.solutions):
+        assert np.linalg.norm(solution.tip[:2, 3] - tips[k, :2, 3]) <= 0.005
+        assert k == 1 or angle_between(solution.tip, tips[k]) <= 0.03
+
+
+def test_an_orientation_out_of_reach_is_told_with_the_nearest_pose(solver: Solver, manipulator: Manipulator) -> None:
+    backwards = manipulator.tips(contracted(manipulator)[None]) @ planar(0.0, 0.0, np.pi)
+    with pytest.raises(Refusal) as caught:
+        plan(solver, posed(backwards, [0.03]), contracted(manipulator), "minimum-switch")
+    assert caught.value.code == GOAL_TOLERANCE_VIOLATED
+    form = r".*is out of reach in this orientation; the nearest pose found is at .* and turned (\S+) rad, .* and 0\.03"
+    match = re.fullmatch(form, str(caught.value))
+    assert match
+    assert float(match[1]) > 0.03

@@ -136,7 +136,7 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
     for goal, tolerance in zip(rest, tolerances, strict=True):
         found = solver.solve(goal, own, float(tolerance), deadline=10.0)
         own, cheapest = found.configuration, cheapest + found.switches
-    ahead = LookAhead(solver, start, rest, tolerances)
+    ahead = LookAhead(solver, start, trajectory, 1)
     for _ in rest:
         ahead.extend()
     chosen = [start, *ahead.decide(len(rest))]
