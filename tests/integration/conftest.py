@@ -27,7 +27,6 @@ from tests.integration.harness import Observer
 from tests.integration.motions import Motions
 
 CHANNELS = itertools.count()
-BITRATE = 1_000_000 if SLOWNESS == 1 else 50_000  # of the kernel's bus: as much as the machine can take in
 
 # Where the machine is slow, so are the control loop and the boards, who would have no time left for their work.
 if SLOWNESS > 1:
@@ -52,7 +51,7 @@ def bus(request: pytest.FixtureRequest) -> Iterator[BusSettings]:
     if reason := vcan.missing():
         (pytest.fail if request.config.getoption("bus") else pytest.skip)(reason)
     with vcan.made() as interface:
-        yield BusSettings("can0", "socketcan", interface.name, BITRATE)
+        yield BusSettings("can0", "socketcan", interface.name)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from controller.daemon import session
 from controller.daemon.client import Client, Unanswered
 from controller.daemon.service import Daemon, embedded, running
 from drivers.simulation import Simulation
-from drivers.wiring import BusSettings, Wiring
+from drivers.wiring import Wiring
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
@@ -46,7 +46,7 @@ def test_state_comes_steadily_and_on_change(client: Observer) -> None:
     assert any(state["goal"] == "a" for state in client.heard["state"])
 
 
-def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer, bus: BusSettings) -> None:
+def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer) -> None:
     client.move(MIDDLE)
     told = len(client.heard["diagnostics"])
     eventually(lambda: len(client.heard["diagnostics"]) > told + 1)
@@ -54,7 +54,7 @@ def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer, bus: B
     assert it["loop"]["ticks"] > 0
     assert it["buses"][0]["name"] == "can0"
     assert it["buses"][0]["tx_frames"] > 0
-    assert 0 < it["buses"][0]["worst_case"]["load"] < 1e5 / bus.bitrate, "nine tenths of 1 Mbit/s are left"
+    assert 0 < it["buses"][0]["worst_case"]["load"] < 0.1, "nine tenths of 1 Mbit/s are left"
     assert [board["state"] for board in it["boards"]] == ["operational"] * 16
     assert it["switches"] > 0
     assert set(it["queues"]) == {"inbox", "outbox", "planning"}
