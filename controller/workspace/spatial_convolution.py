@@ -29,6 +29,7 @@ Waves = NDArray[np.complex128]
 LEAST = 15  # pixels along a box: with fewer, the margins of two joined grow faster than the arm
 BROAD = 0.5  # of the grid's step: the standard deviation about each axis that two segments need to be joined
 DRAWN = 100_000  # configurations of a segment too narrow to be halved
+AT_ONCE = 4000  # tips, of some 10 kB each while they are shared
 ROUNDING = 1e-15  # of the greatest share: less is not known after FFTs
 
 
@@ -68,7 +69,7 @@ def by_spatial_convolution(manipulator: Manipulator, pixel: float, level_pixels:
     Args:
         manipulator: the arm; its base frame plays no part.
         pixel: finest side of a pixel, in the arm's unit of length.
-        level_pixels: most pixels of a density, eight bytes each (and several times as much while two are convolved); a
+        level_pixels: most pixels of a density, eight bytes each (some seven times as much while two are convolved); a
             segment that needs more gets coarser pixels.
         along: fineness of the grid of rotations, see RotationGrid.
 
@@ -117,8 +118,9 @@ def begun(manipulator: Manipulator, pixel: float, most: int, grid: RotationGrid)
     reach = float(np.abs(tips[:, :3, 3]).max())
     pixel = max(pixel, reach / (most - 1.5))
     shares = np.zeros((len(grid.rotations), *box(reach, pixel)))
-    cells, parts = grid.shares(tips[:, :3, :3])
-    scatter(np.ascontiguousarray(tips[:, :3, 3]), cells, parts / len(tips), shares, pixel)
+    for some in np.array_split(tips, -(-len(tips) // AT_ONCE)):
+        cells, parts = grid.shares(some[:, :3, :3])
+        scatter(np.ascontiguousarray(some[:, :3, 3]), cells, parts / len(tips), shares, pixel)
     return SpatialDensity(shares, pixel, grid, float(np.log(manipulator.states).sum()))
 
 
