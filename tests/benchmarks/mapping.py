@@ -27,7 +27,7 @@ from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
-from tests.benchmarks import oriented
+from tests.benchmarks import oriented, oriented_spatial
 from tests.benchmarks.measuring import exponent
 
 MODULES = (8, 16, 32, 64, 128, 256)
@@ -119,10 +119,13 @@ def main() -> None:
     for k, modules in enumerate(MODULES):
         table.add_row(str(modules), *[shown.format(values[k]) for values, shown in columns.values()])
     Console().print(table)
-    with_orientation = oriented.report()
+    with_orientation = {
+        "oriented": oriented.report(),
+        "spatial": oriented_spatial.report(list(oriented_spatial.MODULES)),
+    }
     if arguments.json is not None:
         figures = {"pixel": PIXEL, "level_pixels": LEVEL_PIXELS, "goals": GOALS, "tolerance": TOLERANCE}
-        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents, "oriented": with_orientation}
+        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents, **with_orientation}
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 
