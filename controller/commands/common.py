@@ -19,6 +19,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
 ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, in place of the endpoint.")]
 
+UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
 ENDPOINT = "tcp/127.0.0.1:7447"
 
 console = Console(highlight=False, soft_wrap=True)
@@ -78,20 +79,26 @@ def arm_name(arm: str) -> str:
     return load(Path(arm)).settings.name if Path(arm).exists() or arm.endswith((".yaml", ".yml")) else arm
 
 
-def parse_goal(text: str, dimension: int, where: str) -> list[float]:
-    """Returns the coordinates in "X,Y" or "X,Y,Z".
+def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
+    """Returns position and orientation in "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]": an angle, a quaternion, or None.
 
     Raises:
-        InputFaults: they are not `dimension` finite numbers.
+        InputFaults: they are not as many finite numbers, or the quaternion has not length 1.
     """
     try:
         goal = [float(part) for part in text.split(",")]
     except ValueError:
         goal = []
-    if len(goal) != dimension or not all(map(math.isfinite, goal)):
-        form = "X,Y" if dimension == 2 else "X,Y,Z"
-        raise InputFaults(Path(where), [f"{text!r} is no goal; {form} is needed, {dimension} numbers"])
-    return goal
+    if len(goal) not in (dimension, 3 if dimension == 2 else 7) or not all(map(math.isfinite, goal)):
+        form = "X,Y or X,Y,TH is needed, 2 or 3" if dimension == 2 else "X,Y,Z or X,Y,Z,QX,QY,QZ,QW is needed, 3 or 7"
+        raise InputFaults(Path(where), [f"{text!r} is no goal; {form} numbers"])
+    position, turned = goal[:dimension], goal[dimension:]
+    if len(turned) == 4 and abs(math.hypot(*turned) - 1.0) > UNIT:
+        length = math.hypot(*turned)
+        raise InputFaults(
+            Path(where), [f"{text!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"]
+        )
+    return position, None if not turned else turned[0] if dimension == 2 else turned
 
 
 def read_goal_file(path: Path) -> dict[str, Any]:

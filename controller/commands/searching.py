@@ -9,6 +9,7 @@ import numpy as np
 
 from controller.commands.common import Failed
 from controller.config import Arm
+from controller.manipulator import frames
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
 from controller.search.method import Method
@@ -16,17 +17,28 @@ from controller.search.method import Method
 if TYPE_CHECKING:  # its kernels take a second to import: only those who search wait for it
     from controller.search.solver import Solution, Solver
 
-Goals = list[tuple[list[float], Configuration | None]]
+Orientation = float | list[float] | None
+Goals = list[tuple[list[float], Orientation, Configuration | None]]
+Answers = Iterator[tuple[list[float], Orientation, "Solution", bool]]
 
 
 def search(
-    solver: Solver, wanted: Goals, start: Configuration, tolerance: float, method: Method
-) -> Iterator[tuple[list[float], Solution, bool]]:
+    solver: Solver, wanted: Goals, start: Configuration, tolerance: float, turn: float, method: Method
+) -> Answers:
     """Gives each goal with its solution, searched from the one before unless told; none is between goals."""
-    for position, given in wanted:
-        found = solver.solve(position, start if given is None else given, tolerance, method)
+    for position, orientation, given in wanted:
+        goal = np.array(position) if orientation is None else frame(position, orientation)
+        own = start if given is None else given
+        found = solver.solve(goal, own, tolerance, method, turn=np.inf if orientation is None else turn)
         start = found.configuration
-        yield position, found, False
+        yield position, orientation, found, False
+
+
+def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:
+    """Returns the tip's frame (4, 4) that a goal asks for."""
+    if isinstance(orientation, float):
+        return frames.planar(position[0], position[1], orientation)
+    return frames.spatial(position, orientation)
 
 
 def follow_lines(
@@ -37,7 +49,7 @@ def follow_lines(
     tolerance: float,
     path_tolerance: float,
     method: Method,
-) -> Iterator[tuple[list[float], Solution, bool]]:
+) -> Answers:
     """Gives each point with its solution, and whether it is between goals, as a daemon with time enough plans them.
 
     Raises:
@@ -58,4 +70,4 @@ def follow_lines(
     if method == "minimum-switch":
         found = Foresight(solver, found, pace).whole()
     for k, solution in enumerate(found.solutions):
-        yield trajectory.positions[k].tolist(), solution, trajectory.between(k)
+        yield trajectory.positions[k].tolist(), None, solution, trajectory.between(k)

@@ -24,6 +24,8 @@ from controller.commands.common import (
 from controller.daemon.client import Client, Unanswered
 from controller.strict import InputFaults
 
+ONE_GOAL = "Where to go now, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
+
 
 @contextlib.contextmanager
 def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Client]:
@@ -53,7 +55,7 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
 def send(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
-    to: Annotated[str | None, typer.Option(metavar="X,Y", help="One position to go to now.")] = None,
+    to: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
     path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between waypoints.")] = None,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
@@ -62,18 +64,18 @@ def send(
     """Send a goal and follow it to its result."""
     if (file is None) == (to is None):
         raise InputFaults(Path("send"), ["give either a goal's file or --to"])
-    if to is not None:
-        goal: dict[str, Any] = {"waypoints": [{"position": parse_goal(to, 2 + (to.count(",") > 1), "--to")}]}
-    else:
-        goal = read_goal_file(file or Path())
+    goal = {} if file is None else read_goal_file(file)
     if path_tolerance is not None:
-        goal = {**goal, "path_tolerance": path_tolerance}
+        goal["path_tolerance"] = path_tolerance
+    numbers = 0 if to is None else to.count(",") + 1
+    if to is not None and numbers != 3:
+        goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
 
     def tell(message: dict[str, Any]) -> None:
         if as_json:
             print_json(message)
         elif "waypoint" in message:
-            error = "unknown" if message["error"] is None else f"{message['error']:.4f}"
+            error = "unknown" if message["error"] is None else missed(message)
             console.print(
                 f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
                 f" {message['switches']} switches so far"
@@ -83,6 +85,8 @@ def send(
 
     with connected(arm, connect, zenoh_file) as client:
         try:
+            if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH, as the arm is
+                goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
             result = client.run(goal, tell)
         except Unanswered as error:
             raise Failed(str(error)) from None
@@ -92,7 +96,19 @@ def send(
         raise Failed(f"{result.get('status', 'refused')} (code {result['code']}): {result['message']}")
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
-        console.print(f"reached ({position}), error {result['error']:.4f}, {result['switches']} switches")
+        console.print(f"reached ({position}), error {missed(result)}, {result['switches']} switches")
+
+
+def missed(message: dict[str, Any]) -> str:
+    """Returns the errors in a message, of the position and, if one was asked for, of the orientation."""
+    angle = message["orientation_error"]
+    return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")
+
+
+def waypoint(to: str, dimension: int) -> dict[str, Any]:
+    """Returns the waypoint in "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]"."""
+    position, orientation = parse_goal(to, dimension, "--to")
+    return {"position": position} if orientation is None else {"position": position, "orientation": orientation}
 
 
 def watch(

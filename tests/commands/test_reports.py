@@ -63,9 +63,10 @@ def test_plan_prints_one_line_of_json(hyperbit):
     assert code == 0
     assert list(line) == [
         *("goal", "configuration", "position", "orientation"),
-        *("error", "switches", "within_tolerance", "seconds", "cost", "optimal", "lower_bound"),
+        *("error", "orientation_error", "switches", "within_tolerance", "seconds", "cost", "optimal", "lower_bound"),
     ]
     assert line["goal"] == [0.55, 2.9]
+    assert line["orientation_error"] is None
     assert line["lower_bound"] <= line["switches"]
     assert line["optimal"] is (line["lower_bound"] >= line["switches"])
     assert line["within_tolerance"] is True
@@ -114,6 +115,39 @@ def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(hyperbit, tmp
     assert [json.loads(text)["within_tolerance"] for text in out.splitlines()] == [False, True]
 
 
+def test_plan_takes_an_angle_and_its_tolerance(hyperbit, tmp_path):
+    words = ("--goal", "0.55,2.9,0.3", "--turn", "0.02", "--tolerance", "0.005")
+    code, out, _ = hyperbit("plan", ARM, *words, "--json")
+    line = json.loads(out)
+    assert code == 0
+    assert line["goal"] == [0.55, 2.9]
+    assert line["orientation_error"] == pytest.approx(abs(line["orientation"] - 0.3))
+    assert line["orientation_error"] <= 0.02
+    code, _, err = hyperbit("plan", ARM, "--goal", "0.55,2.9,3.0")
+    assert code == 1
+    assert "and turned" in err
+    goals = tmp_path / "goals.csv"
+    goals.write_text("x,y,th\n0.55,2.9,0.3\n0.55,2.9,\n")
+    code, out, _ = hyperbit("plan", ARM, "--goals", str(goals), "--json")
+    assert code == 0
+    assert [json.loads(text)["orientation_error"] is None for text in out.splitlines()] == [False, True]
+    code, _, err = hyperbit("plan", ARM, "--goals", str(goals), "--path-tolerance", "0.05")
+    assert code == 2
+    assert "lines are followed by position only" in err
+
+
+def test_plan_takes_a_quaternion(hyperbit, spatial):
+    code, out, _ = hyperbit("fk", spatial, "012012", "--json")
+    tip = json.loads(out)
+    goal = ",".join(f"{x:.6f}" for x in [*tip["position"], *tip["orientation"]])
+    code, out, _ = hyperbit("plan", spatial, "--goal", goal, "--tolerance", "0.0001", "--json")
+    assert code == 0
+    assert json.loads(out)["orientation_error"] <= 0.05
+    code, _, err = hyperbit("plan", spatial, "--goal", "0,0,0.5,1,1,0,0")
+    assert code == 2
+    assert "of length 1 is needed, got one of length 1.414" in err
+
+
 def test_goals_of_a_file_are_followed_along_lines(hyperbit, tmp_path):
     goals = tmp_path / "goals.csv"
     goals.write_text("x,y\n0.55,2.9\n0.55,2.8\n0.4,2.8\n")
@@ -146,7 +180,8 @@ def test_goals_of_a_file_are_followed_along_lines(hyperbit, tmp_path):
         ("--goal", "1"),
         ("--goal", "1,nan"),
         ("--goal", "a,b"),
-        ("--goal", "1,2,3"),
+        ("--goal", "1,2,3,4"),
+        ("--goal", "1,2,3", "--turn", "0"),
         ("--goal", "1,2", "--tolerance", "0"),
         ("--goal", "1,2", "--tolerance", "nan"),
         ("--goal", "1,2", "--method", "guess"),

@@ -32,6 +32,17 @@ def test_send_follows_a_goal_to_its_result(hyperbit, endpoint):
     assert "reached (0.5" in out
 
 
+def test_send_takes_an_angle_and_tells_what_is_left_of_it(hyperbit, endpoint):
+    code, out, err = hyperbit("send", "planar16", "--to", "0.55,2.9,0.3", "--connect", endpoint, "--json")
+    *_, result = [json.loads(line) for line in out.splitlines()]
+    assert (code, err) == (0, "")
+    assert result["orientation"] == pytest.approx(0.3, abs=0.05)
+    assert result["orientation_error"] == pytest.approx(abs(result["orientation"] - 0.3))
+    code, _, err = hyperbit("send", "planar16", "--to", "0.55,2.9,1,0,0,0,1", "--connect", endpoint)
+    assert code == 1
+    assert "waypoints[0].position: 3 coordinates, this arm's goals have 2" in err
+
+
 def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoint, tmp_path):
     file = tmp_path / "goal.yaml"
     file.write_text("id: two\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 0.2}\n")

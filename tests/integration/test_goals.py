@@ -10,6 +10,7 @@ import pytest
 from controller.config import Arm
 from controller.daemon.ledger import read
 from controller.daemon.service import Daemon
+from controller.manipulator.frames import angle
 from controller.motion import codes
 from drivers import cia301
 from drivers.simulation import Simulation
@@ -63,6 +64,26 @@ def test_from_goal_to_the_tip(client: Observer, boards: Simulation, arm: Arm) ->
     assert feedback[0]["switches"] < feedback[1]["switches"] == result["switches"]
     state = client.wait_now("ready")
     assert state["measured"] == state["commanded"] == boards.positions().astype(int).tolist()
+
+
+def test_a_pose_is_reached_in_its_orientation(client: Observer, boards: Simulation, arm: Arm) -> None:
+    manipulator = arm.manipulator
+    wanted = manipulator.tip(np.random.default_rng(1).integers(0, manipulator.states))
+    pose = {"position": wanted[:2, 3].tolist(), "orientation": angle(wanted)}
+    asked = {"waypoints": [pose], "tolerance": {"position": 0.005, "orientation": 0.03}, "id": "a"}
+    planned = client.ask("plan", **asked)
+    assert planned["waypoints"][0]["orientation_error"] <= 0.03
+    assert client.ask("goal", **asked)["accepted"]
+    result = client.result("a")
+    assert (result["status"], result["code"]) == ("succeeded", codes.SUCCESSFUL)
+    reached = manipulator.tip(manipulator.configuration(boards.positions()))
+    assert result["orientation"] == pytest.approx(angle(reached))
+    assert result["orientation_error"] == pytest.approx(abs(angle(reached) - angle(wanted)))
+    assert result["orientation_error"] <= 0.03
+    assert result["error"] <= 0.005
+    refused = client.ask("goal", **{**asked, "id": "b", "path_tolerance": 0.1})
+    assert (refused["accepted"], refused["code"]) == (False, codes.INVALID_GOAL)
+    assert "lines are followed by position only" in refused["message"]
 
 
 def test_waypoints_are_settled_at_their_times(
