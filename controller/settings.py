@@ -122,6 +122,18 @@ class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
     shared_rpdo: bool = False
 
 
+class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """What measures the tip: its noise, the greatest bias corrected, its change in a second, how long it holds [s].
+
+    Without `drift` it is a tenth of the noise.
+    """
+
+    noise: Positive
+    clamp: Positive
+    drift: Positive | None = None
+    hold: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
+
+
 class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """The control loop's thread under SCHED_FIFO; 99 is left to the kernel's own."""
 
@@ -155,5 +167,6 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     weights: WeightSettings = WeightSettings()
     boards: BoardSettings = BoardSettings()
     real_time: RealTimeSettings | None = None
+    tracker: TrackerSettings | None = None
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)

@@ -17,6 +17,7 @@ from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
 from controller.daemon.events import Follow, Payload
 from controller.daemon.loop import PERIOD, ControlLoop
+from controller.daemon.tip import Bias
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
 from controller.motion.setpoint import Setpoint, decode
@@ -47,6 +48,7 @@ class Follower:
         loop: to move the arm.
         clock: of the loop [s].
         wall: UNIX time [s].
+        bias: returns what the tip is beside the computed one, shape (dimension,), None where it is not measured.
     """
 
     def __init__(
@@ -56,8 +58,10 @@ class Follower:
         loop: ControlLoop,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
+        bias: Callable[[], Bias | None] = lambda: None,
     ) -> None:
         """Builds the tracker, which takes most of a second."""
+        self._bias = bias
         tracking = Tracking()
         self._arm, self._solver, self._loop, self._clock, self._wall = arm, solver, loop, clock, wall
         self._dimension, self._tolerance = arm.manipulator.dimension, arm.tolerance
@@ -160,14 +164,16 @@ class Follower:
         if now < max(free_at - self._searching - PERIOD, self._retry):
             return None
         manipulator, tolerance = self._arm.manipulator, self._tolerance
-        tip = manipulator.tip(previous)[: self._dimension, 3]
+        bias = self._bias()
+        aside = np.zeros(self._dimension) if bias is None else bias
+        tip = manipulator.tip(previous)[: self._dimension, 3] + aside
         lead = max(free_at - now, self._searching) + self._settling
         goal = self._tracker.wants(now + self._offset, lead, tip, tolerance)
         if goal is None:
             self._say("", now)
             return None
         began = time.perf_counter()
-        found = self._search(goal, previous, tolerance / 2)  # half: see GoalTracker.wants
+        found = self._search(goal - aside, previous, tolerance / 2)  # half: see GoalTracker.wants
         self._searching = mixed(self._searching, time.perf_counter() - began)
         if found.error > tolerance:
             where = ", ".join(f"{x:.4f}" for x in goal)

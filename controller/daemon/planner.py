@@ -4,6 +4,7 @@ import logging
 import queue
 import threading
 import uuid
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from controller.daemon.foresight import Foresight
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.messages import done, refused
 from controller.daemon.state import pose
+from controller.daemon.tip import Bias
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration
 from controller.motion import codes
@@ -41,8 +43,11 @@ class Question(Request):
 class Planner:
     """Answers every request once: itself when refused or only asked, by the control loop when it is to be run."""
 
-    def __init__(self, arm: Arm, solver: Solver, loop: ControlLoop) -> None:
-        """Starts the thread."""
+    def __init__(
+        self, arm: Arm, solver: Solver, loop: ControlLoop, bias: Callable[[], Bias | None] = lambda: None
+    ) -> None:
+        """Starts the thread; `bias` (dimension,) is what goals are corrected by."""
+        self._bias = bias
         self._arm, self._solver, self._loop = arm, solver, loop
         self._queue: queue.Queue[Question | None] = queue.Queue()
         self._closing = False
@@ -112,6 +117,7 @@ class Planner:
         previous, mode, reason = self._loop.commanded, self._loop.mode, self._loop.reason
         if previous is None or (question.run and mode not in ("ready", "executing")):
             raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
+        trajectory = trajectory.corrected(self._bias())
         found = plan(self._solver, trajectory, previous, settings.method, lambda: self._proceed(question), pace)
         ahead = Foresight(self._solver, found, pace) if settings.method == "minimum-switch" else None
         if question.run:
@@ -160,7 +166,7 @@ class Planner:
         points = [
             {
                 "t": t,
-                "goal": goal,
+                "goal": goal if trajectory.bias is None else goal + trajectory.bias,
                 "between": trajectory.between(k),
                 "configuration": format_configuration(manipulator, solution.configuration),
                 **pose(manipulator, solution.tip),
@@ -178,4 +184,5 @@ class Planner:
         between = len(points) - len(trajectory.waypoints)
         along = f", {between} points between them" if between else ""
         message = f"{len(trajectory.waypoints)} waypoints{along}, {found.switches} switches"
-        return {**done(message), "waypoints": points, "switches": found.switches}
+        bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
+        return {**done(message), "waypoints": points, "switches": found.switches, **bias}

@@ -132,7 +132,9 @@ class Runner:
             return False
         execution.switches += late
         result = {"id": execution.goal.id, "status": status, "code": code, "message": message}
-        self._publish("result", {**result, "switches": execution.switches, **self._where(execution)})
+        self._publish(
+            "result", {**result, "switches": execution.switches, **self._where(execution), **self._bias(execution)}
+        )
         self._ledger.ended(self._accepted, status, code, message, execution.switches)
         return True
 
@@ -172,8 +174,14 @@ class Runner:
             "stages": execution.stages,
             "excursion": execution.excursion,
             **where,
+            **self._bias(execution),
         }
         self._publish("feedback", payload)
+
+    def _bias(self, execution: Execution) -> Payload:
+        """Returns what the goal is corrected by, where it may be."""
+        bias = execution.plan.trajectory.bias
+        return {} if bias is None else {"bias": bias}
 
     def _finish(self, execution: Execution, where: Payload) -> str:
         """Ends a goal whose last waypoint is settled, by what the boards measured there."""

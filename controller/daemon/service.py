@@ -25,6 +25,7 @@ from controller.daemon.realtime import RealTime
 from controller.daemon.server import Server
 from controller.daemon.session import reachable
 from controller.daemon.telemetry import Publisher
+from controller.daemon.tip import KEY, TipWatch
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from drivers.boards import Boards
@@ -130,6 +131,8 @@ class Daemon:
                 lambda: planner.waiting(),
                 lambda: follower.status(),
                 lambda: self._real_time.status,
+                lambda: tip.told() if tip else {},
+                lambda: {"tracker": tip.status()} if tip else {},
             )
             closing.callback(telemetry.close)
             ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # the latest wins
@@ -151,13 +154,20 @@ class Daemon:
                 reachable=reachable(session, config),
             )
             closing.callback(self.loop.inbox.close)
-            follower = Follower(arm, follower_solver, self.loop)
-            planner = Planner(arm, solver, self.loop)
+            tip = TipWatch(arm.manipulator, arm.settings.tracker, self.loop) if arm.settings.tracker else None
+            bias = tip.bias if tip else lambda: None
+            follower = Follower(arm, follower_solver, self.loop, bias=bias)
+            planner = Planner(arm, solver, self.loop, bias)
             closing.callback(planner.close)
             server = Server(session, arm, self.loop, planner, outbox, arrivals)
             closing.callback(server.close)
             follower.listen(arrivals)
             closing.callback(follower.close)
+            if tip:
+                ring = zenoh.handlers.RingChannel(1)
+                tips = closing.enter_context(session.declare_subscriber(f"{prefix}/{KEY}", ring))
+                tip.listen(tips.try_recv)
+                closing.callback(tip.close)
             self._closing = closing.pop_all()
 
     def run(self) -> None:

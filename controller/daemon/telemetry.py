@@ -25,6 +25,8 @@ class Publisher:
         planning: returns how many goals wait to be planned.
         setpoint: returns how the stream of setpoints fares.
         real_time: returns "on", "off" or what is missing.
+        bias: returns what `state` tells of the tip's bias, nothing where it is not measured.
+        tracker: returns what diagnostics tell of its estimate, likewise.
     """
 
     def __init__(
@@ -36,12 +38,14 @@ class Publisher:
         planning: Callable[[], int],
         setpoint: Callable[[], Payload],
         real_time: Callable[[], str],
+        bias: Callable[[], Payload] = dict,
+        tracker: Callable[[], Payload] = dict,
     ) -> None:
         drop, json = zenoh.CongestionControl.DROP, zenoh.Encoding.APPLICATION_JSON
         self._state = session.declare_publisher(f"{prefix}/state", encoding=json, congestion_control=drop)
         self._diagnostics = session.declare_publisher(f"{prefix}/diagnostics", encoding=json, congestion_control=drop)
         self._manipulator, self._outbox, self._planning, self._setpoint = manipulator, outbox, planning, setpoint
-        self._real_time = real_time
+        self._real_time, self._bias, self._tracker = real_time, bias, tracker
         self._news = threading.Condition()
         self._latest: Snapshot | None = None
         self._latest_diagnostics: Diagnostics | None = None
@@ -78,9 +82,10 @@ class Publisher:
                 return
             try:
                 if state is not None:
-                    self._state.put(encode(state_payload(self._manipulator, state)))
+                    self._state.put(encode({**state_payload(self._manipulator, state), **self._bias()}))
                 if diagnostics is not None:
                     payload = diagnostics_payload(diagnostics, self._outbox(), self._planning(), self._setpoint())
-                    self._diagnostics.put(encode({**payload, "real_time": self._real_time()}))
+                    payload = {**payload, "real_time": self._real_time(), **self._tracker()}
+                    self._diagnostics.put(encode(payload))
             except Exception:
                 log.exception("telemetry was not sent")

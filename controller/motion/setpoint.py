@@ -1,8 +1,8 @@
-"""Setpoints as they stream in over the network: strict decoding of one."""
+"""Setpoints as they stream in over the network: strict decoding of one, and of the like of it."""
 
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from controller.motion.codes import Refusal
 from controller.motion.goal import Coordinate, Time, Tolerance, once, refusal
 from controller.strict import check
+
+S = TypeVar("S", bound=Struct)
 
 MOST_BYTES = 10_000
 
@@ -50,7 +52,7 @@ def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
     Raises:
         Refusal: what is wrong, by field; nothing else, whatever the bytes.
     """
-    message = parse(payload)
+    message = parse(payload, SetpointMessage, "setpoint")
     if len(message.position) != dimension:
         raise refusal(f"position: {len(message.position)} coordinates, this arm's goals have {dimension}")
     if message.tolerance.orientation is not None:
@@ -62,33 +64,33 @@ def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
     )
 
 
-def parse(payload: bytes) -> SetpointMessage:
-    """Returns the message in a payload.
+def parse(payload: bytes, kind: type[S], name: str) -> S:
+    """Returns the message of a kind in a payload; `name` is what a refusal calls it.
 
     Raises:
-        Refusal: too large, not UTF-8, not JSON, or not a setpoint.
+        Refusal: too large, not UTF-8, not JSON, or not such a message.
     """
     if len(payload) > MOST_BYTES:
-        raise refusal(f"setpoint of {len(payload)} bytes, at most {MOST_BYTES} are taken")
+        raise refusal(f"{name} of {len(payload)} bytes, at most {MOST_BYTES} are taken")
     try:
         value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:
-        raise refusal(f"setpoint is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
+        raise refusal(f"{name} is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
     except (ValueError, RecursionError) as error:
-        raise refusal(f"setpoint is not JSON: {error}") from None
+        raise refusal(f"{name} is not JSON: {error}") from None
     if not isinstance(value, dict):
-        raise refusal("setpoint: an object with `position` is needed")
+        raise refusal(f"{name}: an object with `position` is needed")
     try:
-        return msgspec.convert(value, SetpointMessage)
+        return msgspec.convert(value, kind)
     except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check tells what, by field
-        raise _refusal_of(value) from None
+        raise _refusal_of(value, kind, name) from None
 
 
-def _refusal_of(value: Any) -> Refusal:
-    """Returns the refusal of a value that is no setpoint."""
+def _refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
+    """Returns the refusal of a value that is no message of a kind."""
     faults: list[str] = []
     try:
-        check(value, SetpointMessage, faults)
+        check(value, kind, faults)
     except RecursionError:
-        faults = ["setpoint is nested too deeply"]
+        faults = [f"{name} is nested too deeply"]
     return refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))

@@ -7,7 +7,7 @@ is near enough to the part's middle is near enough to every point of it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +37,7 @@ class Trajectory:
         turns: greatest angle of the tip's orientation from each, shape (n,) [rad]; infinite where any will do.
         waypoints: which of the points are the goal's own, shape (m,), ascending; the last point is.
         path_tolerance: greatest distance of a settled tip from the lines' moving point; None: no lines are followed.
+        bias: that the positions are corrected by, shape (dimension,); None: by none, as no tracker tells of the tip.
     """
 
     stamp: float | None
@@ -47,6 +48,11 @@ class Trajectory:
     turns: Array
     waypoints: NDArray[np.int64]
     path_tolerance: float | None = None
+    bias: Array | None = None
+
+    def corrected(self, bias: Array | None) -> Trajectory:
+        """Returns the trajectory for computed tips, the real one being so much (dimension,) beside them."""
+        return self if bias is None else replace(self, positions=self.positions - bias, bias=bias)
 
     def goal(self, point: int) -> Array:
         """Returns a point's position, shape (dimension,), or the tip's frame there, shape (4, 4), if it turns, too."""

@@ -87,6 +87,18 @@ def test_a_goal_that_moves_is_followed_nearer_than_it_travels_meanwhile(field: F
     assert all(wish.until > field.now - 2.5 and wish.reason == "following a setpoint" for wish in field.wishes)
 
 
+def test_the_real_tip_follows_where_its_bias_is_known(field: Field) -> None:
+    bias = np.array([0.02, -0.01])
+    field.follower._bias = lambda: bias
+    end = field.stream(100)
+    assert np.linalg.norm(field.tip + bias - end) < 0.02 < np.linalg.norm(field.tip - end)
+    field.go(3)
+    for _ in range(25):
+        field.send(*(field.tip + bias))
+        field.go(0.02)
+    assert not [at for at in field.switches if at > field.now - 1.0], "the real tip is there already"
+
+
 def test_a_goal_within_the_tolerance_asks_for_nothing_but_is_told_alive(field: Field) -> None:
     for _ in range(25):
         field.send(*field.tip)
