@@ -132,7 +132,8 @@ def held(solution: Solution, goal: NDArray[np.float64], tolerance: float) -> Sol
 def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
     """Returns the sentence on a point that no configuration was found for."""
     goal, tolerance = trajectory.positions[point], trajectory.tolerances[point]
-    wanted = ", ".join(f"{x:g}" for x in goal)
+    bias = trajectory.bias
+    wanted = ", ".join(f"{x:g}" for x in (goal if bias is None else goal + bias))
     tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
     if (turn := trajectory.turns[point]) < np.inf:
         away = f"{nearest.error:.4f} away and turned {nearest.angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
@@ -140,6 +141,8 @@ def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
     else:
         away = f"{nearest.error:.4f} away, tolerance {tolerance:g}"
         found = f"is out of reach; the nearest point found is ({tip}), {away}"
+    if bias is not None and bias.any():
+        found += f"; the real tip is ({', '.join(f'{x:.4f}' for x in bias)}) beside the computed one"
     return f"{place(trajectory, point)}: ({wanted}) {found}"
 
 

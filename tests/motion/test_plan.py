@@ -39,6 +39,17 @@ def test_switches_are_those_of_all_waypoints(solver: Solver, manipulator: Manipu
     assert found.switches == np.count_nonzero(np.diff(states.astype(int), axis=0)) > 0
 
 
+def test_a_corrected_goal_out_of_reach_is_told_as_it_was_asked(solver: Solver, manipulator: Manipulator) -> None:
+    bias = np.array([0.25, -0.5])
+    with pytest.raises(Refusal) as caught:
+        plan(solver, trajectory((9, 9.5)).corrected(bias), contracted(manipulator), "ipop-previous")
+    form = r".*: \(9, 9\.5\) is out of reach; .* \((\S+), (\S+)\), (\S+) away,.* \(0\.2500, -0\.5000\) beside.*"
+    match = re.fullmatch(form, str(caught.value))
+    assert match
+    x, y, away = map(float, match.groups())
+    assert away == pytest.approx(np.hypot(9 - 0.25 - x, 9.5 + 0.5 - y), abs=2e-4)
+
+
 def test_staying_switches_nothing(solver: Solver, manipulator: Manipulator) -> None:
     found = plan(solver, trajectory(POINTS[0], POINTS[0]), contracted(manipulator), "ipop-previous")
     assert found.solutions[1].switches == 0
