@@ -6,9 +6,11 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import can
+import msgspec
 import pytest
 import zenoh
 
@@ -19,6 +21,8 @@ from controller.daemon.follower import Follower
 from controller.daemon.inbox import Inbox
 from controller.daemon.planner import Planner
 from controller.daemon.service import Daemon, timing_of
+from controller.daemon.tip import TipWatch
+from controller.settings import TrackerSettings
 from controller.workspace.densities import Densities
 from drivers.simulation import Simulation
 from drivers.wiring import Timing, Wiring
@@ -30,7 +34,7 @@ from tests.keys import DEPLOY, certificates, made, openssl
 
 pytestmark = pytest.mark.skipif(not made(), reason="openssl is missing")
 
-COMMANDS = ("goal", "setpoint", "cancel", "stop", "reset")
+COMMANDS = ("goal", "setpoint", "measured_tip", "cancel", "stop", "reset")
 CREDENTIALS = "/run/credentials/hyperbit.service/hyperbit."
 PREFIX = "hyperbit/planar16"
 AT_ONCE = 0.5  # [s] for an answer that shall not come
@@ -80,14 +84,17 @@ def bench(
     arm: Arm, densities: Densities, wiring: Wiring, endpoint: str, tmp_path: Path, keys: Path
 ) -> Iterator[GuardedBench]:
     with ExitStack() as stack:
-        guarded = GuardedBench(stack, arm, densities, wiring, endpoint, tmp_path / "ledger.sqlite")
+        settings = msgspec.structs.replace(arm.settings, tracker=TrackerSettings(noise=1e-4, clamp=0.01))
+        guarded = GuardedBench(
+            stack, replace(arm, settings=settings), densities, wiring, endpoint, tmp_path / "ledger.sqlite"
+        )
         guarded.keys = keys
         yield guarded
 
 
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """Payloads of all goals, plans and setpoints, and the kinds of all other requests, that the daemon sees."""
+    """Payloads of goals, plans, setpoints and measured tips, and the kinds of other requests, that the daemon sees."""
     seen: list[bytes] = []
 
     def see(kind: type, name: str, content: Callable[..., bytes]) -> None:
@@ -96,6 +103,7 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
 
     see(Planner, "submit", lambda question: question.payload)
     see(Follower, "take", lambda payload, arrival: payload)
+    see(TipWatch, "take", lambda payload: payload)
     see(Inbox, "hand_over", lambda request: type(request).__name__.encode())
     return seen
 
@@ -113,6 +121,8 @@ def test_an_operator_commands(requests: list[bytes], client: Observer, bench: Gu
     client.goal(LEFT, RIGHT, times=[0, HOUR], id="a")
     assert client.ask("cancel")["accepted"]
     assert client.result("a")["status"] == "canceled"
+    bench.session().put(f"{PREFIX}/measured_tip", b"a tip")
+    eventually(lambda: b"a tip" in requests)
     publisher = bench.session().declare_publisher(f"{PREFIX}/setpoint")
     before = boards.switches().sum()
 
