@@ -109,7 +109,9 @@ class Switching:
         switched = self._ledger.resolve(outputs)
         self.switched_at[switched] = now
         self.switches += len(switched)
-        self.commits += len(switched) > 0
+        if len(switched):
+            self.commits += 1
+            self.free_at = max(self.free_at, now + self._pace.lead)
         if len(switched) and self.states is not None:
             states = self.states.copy()
             states[switched] = outputs[switched]
@@ -120,8 +122,11 @@ class Switching:
     def _commit(self, states: States, now: float) -> bool:
         """Switches the actuators; returns False if the bus took no frame."""
         try:
-            if self.note(now) is None:  # what was intended last may still come about
+            noted = self.note(now)
+            if noted is None:  # what was intended last may still come about
                 raise BusBusy("a SYNC is still on its way, or a board is lost")
+            if noted:  # it just did: the arm is on its way
+                return False
             self._ledger.intend(self._boards.outputs(), states)
             self._boards.commit(states, now)
         except Leaving:

@@ -13,7 +13,7 @@ from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
 from controller.motion.trajectory import through
 from controller.search.solver import Solution
-from drivers.faults import BusBusy, Fault
+from drivers.faults import BusBusy, Fault, Leaving
 from drivers.status import Status
 from tests.arms import paper_arm
 
@@ -226,3 +226,18 @@ def planned(*configurations: Sequence[int], step: float = 0.2, stamp: float | No
     solutions = tuple(Solution(c, tip, error, 1, True, 0.0, 1.0) for c, tip in zip(chosen, tips, strict=True))
     transitions = tuple(Staged(ARM.actuator_states(configuration)[None], 0.0) for configuration in chosen)
     return Plan(through(times, positions, 0.002, stamp), solutions, transitions)
+
+
+def leaving_late(rig: Rig, after: float) -> list[float]:
+    """Lets the first SYNC leave a while [s] after its commit; returns when, once it is known."""
+    commit, left_at = rig.boards.commit, list[float]()
+
+    def leaves_late(states: np.ndarray, now: float) -> None:
+        commit(states, now)
+        if not left_at:
+            left_at.append(now + after)
+            raise Leaving("the SYNC has not left yet")
+
+    rig.boards.commit = leaves_late  # type: ignore[method-assign]
+    rig.boards.settle = lambda now: now >= max(left_at, default=0.0)  # type: ignore[method-assign]
+    return left_at

@@ -6,7 +6,7 @@ import pytest
 
 from controller.daemon.events import Cancel, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD
-from tests.daemon.rig import LOST, TRAVEL, A, B, C, Rig, states
+from tests.daemon.rig import LOST, TRAVEL, A, B, C, Rig, leaving_late, states
 
 
 def test_a_wish_is_followed_and_its_end_holds(rig: Rig) -> None:
@@ -39,6 +39,18 @@ def test_one_transition_at_a_time(rig: Rig) -> None:
         times += [rig.now] * (len(rig.boards.commits) - before)
     assert len(times) > 5
     assert all(b - a >= TRAVEL + PERIOD - 1e-9 for a, b in pairwise(times))
+
+
+def test_after_a_sync_that_leaves_late_the_next_transition_waits_as_after_any(rig: Rig) -> None:
+    left_at, stream = leaving_late(rig, 3 * PERIOD), rig.arrival()
+    rig.boards.moving = lambda now: False  # the actuators are quick
+    for k in range(60):
+        rig.follow(stream, (A, B)[k % 2])
+        before = len(rig.boards.commits)
+        rig.go()
+        if left_at and rig.now > left_at[0] - PERIOD and len(rig.boards.commits) > before:
+            break
+    assert rig.now >= left_at[0] + TRAVEL + PERIOD - 1e-9
 
 
 def test_nothing_is_switched_while_it_moves(rig: Rig) -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from controller.daemon.events import Cancel, Improved, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD
 from controller.motion.pacing import Pace
-from drivers.faults import Fault, Leaving
-from tests.daemon.rig import ARM, TRAVEL, Rig, planned
+from drivers.faults import Fault
+from tests.daemon.rig import ARM, TRAVEL, Rig, leaving_late, planned
 
 LEAD = TRAVEL + PERIOD
 configurations = st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1, max_size=4)
@@ -173,16 +173,7 @@ def test_between_stages_the_arm_holds_what_was_committed(kind: type[Cancel | Sto
 def test_a_stage_whose_sync_leaves_late_is_told_as_one_of_its_own() -> None:
     rig = Rig(inrush=1)
     rig.go()
-    commit, left_at = rig.boards.commit, list[float]()
-
-    def leaves_late(states: np.ndarray, now: float) -> None:
-        commit(states, now)
-        if not left_at:
-            left_at.append(now + 1.5 * LEAD)  # the next stage is due by then
-            raise Leaving("the SYNC has not left yet")
-
-    rig.boards.commit = leaves_late  # type: ignore[method-assign]
-    rig.boards.settle = lambda now: now >= max(left_at, default=0.0)  # type: ignore[method-assign]
+    leaving_late(rig, 1.5 * LEAD)  # the next stage is due by then
     rig.loop.inbox.hand_over(staged(rig, Pace(LEAD, 1), (3, 4), step=1.0))
     rig.go(2.0)
     assert rig.results[-1][1] == "succeeded"

@@ -17,5 +17,5 @@ def eventually(what: Callable[[], T], patience: float = PATIENCE) -> T:
     until = time.monotonic() + patience
     while not (value := what()):
         assert time.monotonic() < until, "what was waited for did not come"
-        time.sleep(0.005)
+        time.sleep(0.005 * SLOWNESS)
     return value

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import can
@@ -17,6 +18,7 @@ from controller.config import Arm
 from controller.daemon import follower, loop, planner, session, telling
 from controller.daemon.client import Client
 from controller.daemon.service import Daemon, running, simulated, timing_of, wiring_of
+from controller.motion.tracking import Tracking
 from controller.workspace.densities import Densities
 from drivers import simulation
 from drivers.simulation import Simulation
@@ -34,6 +36,10 @@ if SLOWNESS > 1:
     telling.STATE_EVERY = 0.05 * SLOWNESS
     simulation._LONGEST_WAIT = 0.01 * SLOWNESS
     session.LEASE = SLOWNESS
+    usual = Tracking()
+    slow = {name: SLOWNESS * getattr(usual, name) for name in ("timeout", "validity", "slack")}
+    follower.Tracking = partial(Tracking, **slow)
+    follower.POLL, follower.IDLE_POLL = 0.005 * SLOWNESS, 0.02 * SLOWNESS
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def followed(client: Observer, boards: Simulation, arm: Arm, stamp: float) -> li
         if 0 <= t <= TIMES[-1] * SLOWNESS and np.isin(positions, (0, 1)).all():
             at = arm.manipulator.tip(arm.manipulator.configuration(positions))[:2, 3]
             seen.append((t, float(np.linalg.norm(at - wanted(t)))))
-        time.sleep(0.002)
+        time.sleep(0.002 * SLOWNESS)
     return seen
 
 

@@ -14,7 +14,7 @@ verdict=0
 for which in "not alone" alone; do
   case $which in alone) processes=0 ;; *) processes=2 ;; esac
   .venv/bin/python -m pytest -p no:cacheprovider -p tests.vm.live --bus socketcan --timeout 600 --color=no -vv \
-    --durations 15 --numprocesses $processes -m "$which" "$@"
+    --durations 15 --numprocesses $processes --dist worksteal -m "$which" "$@"
   code=$?
   [ $code = 5 ] || [ $code = 0 ] || verdict=$code # 5: none of them was asked for
 done
