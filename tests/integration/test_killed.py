@@ -20,7 +20,6 @@ from drivers import cia301
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Wiring
 from tests import emulated
-from tests.conftest import PAPER_ARM
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
@@ -81,9 +80,14 @@ class Process:
 
 @pytest.fixture
 def process(
-    bus: BusSettings, bench: Bench, endpoint: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+    bus: BusSettings,
+    bench: Bench,
+    arm_file: Path,
+    endpoint: str,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Process]:
-    command = [sys.executable, "-m", "tests.integration.nursery", str(PAPER_ARM)]
+    command = [sys.executable, "-m", "tests.integration.nursery", str(arm_file)]
     command += [bus.interface, bus.channel, endpoint, str(bench.ledger), str(tmp_path_factory.getbasetemp())]
     log = tmp_path / "journal"
     environment = {**os.environ, "NOTIFY_SOCKET": ""}
@@ -122,7 +126,7 @@ def at_random(motions: Motions, process: Process, chance: random.Random) -> None
     process.end(signal.SIGKILL)
 
 
-def test_the_ledger_is_exact_after_twenty_kills_and_no_daemon_moves_by_itself(
+def test_the_ledger_is_exact_after_many_kills_and_no_daemon_moves_by_itself(
     process: Process, boards: Simulation, listener: can.BusABC, wiring: Wiring, bench: Bench, bus: BusSettings,
     request: pytest.FixtureRequest,
 ) -> None:  # fmt: skip
