@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.chain import build_frame, build_modules
+from controller.manipulator.held import STATES, Held, free, hold
 from controller.manipulator.manipulator import Manipulator
 from controller.settings import ActuatorSettings, ArmSettings
 from controller.strict import InputFaults, check, read_yaml
@@ -28,6 +30,20 @@ class Arm:
     settings: ArmSettings
     manipulator: Manipulator
     wiring: tuple[ActuatorSettings, ...]
+
+    @cached_property
+    def held(self) -> Held:
+        """The states of the actuators that are declared stuck, shape (A,)."""
+        held = free(self.manipulator)
+        for k, entry in enumerate(self.wiring):
+            if entry.stuck is not None:
+                held[k] = STATES.index(entry.stuck)
+        return held
+
+    @cached_property
+    def left(self) -> Manipulator:
+        """The chain without the states that the actuators declared stuck rule out."""
+        return hold(self.manipulator, self.held)
 
     @property
     def pixel(self) -> float:
@@ -87,7 +103,12 @@ def load(path: Path) -> Arm:
     wiring = map_actuators(settings, manipulator, faults)
     if faults:
         raise InputFaults(path, faults)
-    return Arm(settings, manipulator, wiring)
+    arm = Arm(settings, manipulator, wiring)
+    try:
+        hold(manipulator, arm.held)
+    except ValueError as error:
+        raise InputFaults(path, [f"actuators: as they are stuck, {error}"]) from None
+    return arm
 
 
 def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[str]) -> tuple[ActuatorSettings, ...]:

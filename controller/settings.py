@@ -141,7 +141,10 @@ class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where one actuator is wired; the input bit, where there is an end-stop, reads 1 when extended."""
+    """Where one actuator is wired; the input bit, where there is an end-stop, reads 1 when extended.
+
+    One that is `stuck` is never to switch.
+    """
 
     module: Annotated[int, Meta(ge=1)]
     actuator: str
@@ -150,6 +153,7 @@ class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
     output: Bit
     input: Bit | None = None
     weight: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    stuck: Literal["contracted", "extended"] | None = None
 
 
 class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -164,6 +168,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = "minimum-switch"
+    on_stuck: Literal["hold", "continue"] = "hold"
     weights: WeightSettings = WeightSettings()
     boards: BoardSettings = BoardSettings()
     real_time: RealTimeSettings | None = None

@@ -48,6 +48,7 @@ class Boards:
         self._inputs = np.zeros(layout.input_size, dtype=np.uint8)
         self._nodes = [Node(board, self._inputs[board.input_image]) for board in layout.boards]
         self._watch = Watch(wiring, timing)
+        self._held = np.full(layout.sensed.size, -1, dtype=np.int8)
         self._startup = Startup(wiring, timing, self._outputs, self._news)
         self._buses: dict[str, CanBus] = {}
         self._networks = {bus.name: canopen.Network() for bus in wiring.buses}
@@ -108,9 +109,12 @@ class Boards:
         return self._layout.sensed.copy()
 
     def measured(self) -> NDArray[np.int8]:
-        """(A,) states from the end-stops, of actuators without one the output as last switched; -1 unknown."""
+        """(A,) states from the end-stops, of actuators without one the output as last switched; -1 unknown.
+
+        An actuator without end-stop that is held is in its state, whatever its output.
+        """
         ready = np.array([node.ready for node in self._nodes], dtype=np.bool_)[self._layout.board]
-        states = self._outputs.states().astype(np.int8)
+        states = np.where(self._held >= 0, self._held, self._outputs.states()).astype(np.int8)
         if self._inputs.size:
             ends = self._inputs[self._layout.input_byte] >> self._layout.input_bit & 1
             states = np.where(self._layout.sensed, ends, states).astype(np.int8)
@@ -153,6 +157,10 @@ class Boards:
             node.ready = False  # who knows what they did meanwhile
         text = f"the daemon was halted for {now - last:.2f} s, and the boards were without it: the arm holds"
         return Fault("halted", "daemon", text)
+
+    def degrade(self, held: NDArray[np.int8]) -> None:
+        """Takes actuators as held in a state from now on, (A,), -1 where they are free; sends nothing."""
+        self._held = np.array(held, dtype=np.int8)
 
     def hold(self) -> None:
         """Takes the measured states as the commanded ones; sends nothing."""

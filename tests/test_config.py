@@ -84,3 +84,13 @@ def test_weights_fall_from_base_to_tip_and_grow_with_wear(arm):
     worn = weighted.weights({"1.left": 10, "1.right": 5, "no.such": 99})
     assert worn[:3] / plain[:3] == pytest.approx([1.5, 1.0, 1.25])
     assert worn[3:].tolist() == plain[3:].tolist()
+
+
+def test_actuators_that_are_stuck_leave_their_modules_fewer_states(read):
+    value = changed("actuators.1.stuck", "extended")
+    value["actuators"][5]["stuck"] = "contracted"
+    arm = read(value)
+    assert arm.held.tolist() == [-1, 1, -1, -1, -1, 0]
+    assert (arm.manipulator.states.tolist(), arm.left.states.tolist()) == ([8, 8], [4, 4])
+    assert set(arm.left.modules[0].bits[:, 1]) == {1}
+    assert read(document()).left.states.tolist() == [8, 8]

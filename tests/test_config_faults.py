@@ -74,6 +74,8 @@ FAULTS = [
     ("actuators.0.bus", "can7", "actuators[0].bus: 'can7' is none of the buses can0, spare"),
     ("actuators.1.output", 0, "actuators[1].output: output 0 of can0/1 is 1.left's already"),
     ("actuators.1.input", 0, "actuators[1].input: input 0 of can0/1 is 1.left's already"),
+    ("actuators.0.stuck", "yes", "actuators[0].stuck: Invalid enum value 'yes'"),
+    ("on_stuck", "go", "on_stuck: Invalid enum value 'go'"),
     ("actuators.0.module", 0, "actuators[0].module: Expected `int` >= 1 (given: 0)"),
 ]
 
@@ -235,3 +237,14 @@ def test_however_a_document_is_changed_it_loads_or_says_why_not(read, data, seed
         said = arm.manipulator.actuators
     assert said
     assert all(said)
+
+
+def test_stuck_actuators_that_leave_a_module_no_state_are_named(read):
+    value = document()
+    value["modules"] = [{"type": "revolute", "angles": [0.0, 0.1, 0.2]}]  # spelled 00, 01, 11
+    value["actuators"] = [
+        {"module": 1, "actuator": "1", "bus": "can0", "node": 1, "output": 0, "stuck": "extended"},
+        {"module": 1, "actuator": "2", "bus": "can0", "node": 1, "output": 1, "stuck": "contracted"},
+    ]
+    expected = "as they are stuck, module 1 has no state in which 1 is extended and 2 is contracted"
+    assert faults(read, value) == [f"actuators: {expected}"]

@@ -49,12 +49,12 @@ def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> De
 
     directory = default_directory()
     if rebuild:
-        wanted = key(arm.manipulator, arm.pixel, arm.level_pixels)
+        wanted = key(arm.left, arm.pixel, arm.level_pixels)
         (directory / f"{wanted[:24]}.npz").unlink(missing_ok=True)
     with Progress(console=errors, transient=True, disable=silent or not errors.is_terminal) as progress:
         task = progress.add_task("mapping the intermediate workspaces", total=len(arm.manipulator.modules) + 1)
         return load_or_map(
-            arm.manipulator,
+            arm.left,
             arm.pixel,
             arm.level_pixels,
             directory,

@@ -22,6 +22,7 @@ from controller.commands.common import (
 from controller.commands.searching import Goals, Orientation, follow_lines, search
 from controller.config import Arm, load
 from controller.manipulator import frames
+from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.search.method import Method
@@ -37,6 +38,15 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
         return parse_configuration(arm.manipulator, text)
     except ValueError as error:
         raise InputFaults(Path(where), [str(error)]) from None
+
+
+def unstuck(arm: Arm, text: str, where: str) -> Configuration:
+    """Returns the configuration that `text` writes as one of `arm.left`; what is wrong with it is told of `where`."""
+    whole = configuration(arm, text, where)
+    try:
+        return carried(whole, arm.manipulator, arm.left)
+    except ValueError as error:
+        raise InputFaults(Path(where), [f"{text}: as actuators are stuck, {error}"]) from None
 
 
 def pose(arm: Arm, tip: frames.Frame) -> dict[str, Any]:
@@ -98,8 +108,8 @@ def plan(
             )
     if path_tolerance is not None and goals is None:
         raise InputFaults(Path("--path-tolerance"), ["lines run between --goals, one goal has none"])
-    start = previous or ",".join("0" * len(arm.manipulator.modules))
-    reached = configuration(arm, start, "--previous")
+    home = np.zeros(len(arm.left.modules), dtype=np.int64)
+    reached = home if previous is None else unstuck(arm, previous, "--previous")
     if goal is not None:
         wanted: Goals = [(*parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
     else:
@@ -108,7 +118,7 @@ def plan(
         raise InputFaults(goals or Path(), ["column previous: a line begins where the one before ended"])
     if path_tolerance is not None and any(orientation is not None for _, orientation, _ in wanted):
         raise InputFaults(goals or Path(), ["orientations: lines are followed by position only"])
-    solver = Solver(arm.manipulator, densities_of(arm, silent=as_json), arm.weights())
+    solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights())
     solver.prepare()
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     missed = 0
@@ -121,7 +131,9 @@ def plan(
         missed += not found.within_tolerance
         line = {
             "goal": position,
-            "configuration": format_configuration(arm.manipulator, found.configuration),
+            "configuration": format_configuration(
+                arm.manipulator, carried(found.configuration, arm.left, arm.manipulator)
+            ),
             **pose(arm, found.tip),
             "error": found.error,
             "orientation_error": None if orientation is None else found.angle,
@@ -182,7 +194,7 @@ def read_goals(arm: Arm, path: Path) -> Goals:
                 try:
                     text = ",".join(row[name] or "" for name in columns)
                     wanted = parse_goal(text.rstrip(","), arm.manipulator.dimension, where)
-                    given = configuration(arm, row["previous"], where) if row.get("previous") else None
+                    given = unstuck(arm, row["previous"], where) if row.get("previous") else None
                     rows.append((*wanted, given))
                 except InputFaults as error:
                     faults += [f"{where}: {fault}" for fault in error.faults]

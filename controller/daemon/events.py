@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from controller.manipulator.held import Held
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plan import Plan
 from drivers.faults import Fault
@@ -73,6 +74,21 @@ class Reset(Request):
 
 
 @dataclass(frozen=True, eq=False)
+class Degrade(Request):
+    """Hold an actuator in a state from now on, or use it again: a payload to be decoded."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Planning goes by actuators that are held (A,), or does not, for a fault."""
+
+    held: Held
+    fault: Fault | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Started:
     """The boards' start-up has ended; with no faults all are operational."""
 
@@ -84,4 +100,4 @@ class Quit:
     """The service is asked to end."""
 
 
-Event = Request | Improved | Follow | Started | Quit
+Event = Request | Improved | Follow | Prepared | Started | Quit

@@ -10,9 +10,14 @@ log = logging.getLogger(__name__)
 
 
 class FaultList:
-    """What is wrong with the arm, in the order in which it was told. The control loop's."""
+    """What is wrong with the arm, in the order in which it was told. The control loop's.
 
-    def __init__(self) -> None:
+    Args:
+        others: codes that need nobody's look either, beside PASSING.
+    """
+
+    def __init__(self, others: frozenset[str] = frozenset()) -> None:
+        self._passing = PASSING | others
         self._faults: dict[tuple[str, str], Fault] = {}
 
     def __bool__(self) -> bool:
@@ -33,8 +38,8 @@ class FaultList:
 
     @property
     def passing(self) -> bool:
-        """Whether nothing is wrong but what passes by itself and needs nobody's look: a bus or a board not heard."""
-        return all(code in PASSING for code, _ in self._faults)
+        """Whether nothing is wrong but what needs nobody's look: a bus or a board not heard, which passes by itself."""
+        return all(code in self._passing for code, _ in self._faults)
 
     def all(self) -> tuple[Fault, ...]:
         """Returns them, the first first."""

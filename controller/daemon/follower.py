@@ -18,6 +18,7 @@ from controller.daemon.arrivals import Arrivals
 from controller.daemon.events import Follow, Payload
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.tip import Bias
+from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
 from controller.motion.setpoint import Setpoint, decode
@@ -74,6 +75,10 @@ class Follower:
         self._note, self._given_up = "", -1
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
+
+    def use(self, solver: Solver) -> None:
+        """Searches with another solver from now on: of the arm as it is left by the actuators held."""
+        self._solver = solver
 
     # --- the thread
 
@@ -172,8 +177,12 @@ class Follower:
         if goal is None:
             self._say("", now)
             return None
-        began = time.perf_counter()
-        found = self._search(goal - aside, previous, tolerance / 2)  # half: see GoalTracker.wants
+        began, solver = time.perf_counter(), self._solver
+        try:
+            start = carried(previous, manipulator, solver.manipulator)
+        except ValueError:  # what is held has changed, and this solver does not go by that yet
+            return None
+        found = self._search(solver, goal - aside, start, tolerance / 2)  # half: see GoalTracker.wants
         self._searching = mixed(self._searching, time.perf_counter() - began)
         if found.error > tolerance:
             where = ", ".join(f"{x:.4f}" for x in goal)
@@ -181,16 +190,16 @@ class Follower:
             self._retry = now + RETRY
             return None
         self._say("", now)
-        return found.configuration if found.switches else None
+        return carried(found.configuration, solver.manipulator, manipulator) if found.switches else None
 
-    def _search(self, goal: NDArray[np.float64], previous: Configuration, tolerance: float) -> Solution:
+    def _search(self, solver: Solver, goal: NDArray[np.float64], previous: Configuration, tolerance: float) -> Solution:
         """Returns what the arm's method finds, or IPOP where that misses by far: a longer search would, too."""
         method = self._arm.settings.method
         if method == "minimum-switch":
-            first = self._solver.solve(goal, previous, tolerance, "ipop-previous")
+            first = solver.solve(goal, previous, tolerance, "ipop-previous")
             if first.error > FAR * tolerance:
                 return first
-        return self._solver.solve(goal, previous, tolerance, method, SEARCH_TIME)
+        return solver.solve(goal, previous, tolerance, method, SEARCH_TIME)
 
     def _say(self, note: str, now: float) -> None:
         """Takes a note on the stream, unless the last is too young."""

@@ -7,7 +7,21 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from controller.daemon.bringup import BringUp
-from controller.daemon.events import Cancel, Event, Follow, Improved, Payload, Planned, Quit, Reset, Started, Stop
+from controller.daemon.degradation import Degradation, decode
+from controller.daemon.events import (
+    Cancel,
+    Degrade,
+    Event,
+    Follow,
+    Improved,
+    Payload,
+    Planned,
+    Prepared,
+    Quit,
+    Reset,
+    Started,
+    Stop,
+)
 from controller.daemon.faultlist import FaultList
 from controller.daemon.inbox import Inbox
 from controller.daemon.ledger import Ledger
@@ -19,6 +33,7 @@ from controller.daemon.telling import Teller
 from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
+from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace
 from drivers.boards import Boards
 from drivers.faults import BusBusy, Fault
@@ -56,6 +71,7 @@ class ControlLoop:
         rest: time that an actuator rests between two travels [s].
         collect: collects garbage; told after each tick, when most of a period is left, whether the loop is idle.
         reachable: whether anybody is connected of those that the daemon was told to connect to.
+        degradation: actuators that are held; none if absent.
     """
 
     def __init__(
@@ -73,6 +89,7 @@ class ControlLoop:
         rest: float = 0.0,
         collect: Callable[[bool], None] = lambda idle: None,
         reachable: Callable[[], bool] = lambda: True,
+        degradation: Degradation | None = None,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
@@ -81,7 +98,8 @@ class ControlLoop:
         self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
         self._boards, self._notifier, self._arrival, self._collect = boards, notifier, arrival, collect
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
-        self._faults = FaultList()
+        self._degradation = degradation or Degradation(manipulator)
+        self._faults = FaultList(frozenset({"stuck"} if self._degradation.continues else ()))
         self._bring_up = BringUp(boards, self.inbox.put)
         self._teller = Teller(boards, self._runner, ledger, telemetry, reachable)
         self._ended = False
@@ -183,7 +201,8 @@ class ControlLoop:
             self._teller.diagnose(now, self._time.take(), self.inbox.waiting())
 
     def _show(self, now: float) -> None:
-        self._teller.show(now, self.mode, self.reason, self._faults.all())
+        faults = self._faults.all() + self._degradation.faults()
+        self._teller.show(now, self.mode, self.reason, faults, self._degradation.held)
 
     def _handle(self, event: Event) -> None:
         match event:
@@ -206,6 +225,10 @@ class ControlLoop:
                 event.reply(done("stopped; the arm holds until reset"))
             case Reset():
                 self._reset(event)
+            case Degrade():
+                self._degrade(event)
+            case Prepared():
+                self._prepared(event)
             case Improved():
                 self._runner.improve(event.arrival, event.plan)
             case Started():
@@ -255,6 +278,7 @@ class ControlLoop:
     def _fail(self, fault: Fault) -> None:
         """Holds, aborts the goal, and waits for reset; while boards are brought up, the end of that decides."""
         self._faults.add(fault)
+        self._degradation.found(fault)
         self._teller.changed = True
         self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, fault.message)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._bring_up.running):
@@ -267,11 +291,14 @@ class ControlLoop:
         self._enter("fault", reason)
 
     def _recover(self, now: float) -> None:
-        """Leaves a fault by itself when nothing else was wrong than a bus or boards not heard, and all are again."""
+        """Leaves a fault by itself when nothing else was wrong than a bus or boards not heard, and all are again.
+
+        So it does when actuators were found stuck, if the arm is to go on without them.
+        """
         if self.mode != "fault" or now < self._next_try or not self._faults.passing:
             return
         self._next_try = now + RETRY
-        if self._boards.back():
+        if self._boards.back() and not self._boards.moving(now):
             self._begin_anew("the boards are back and are being brought up")
 
     def _begin_anew(self, reason: str) -> None:
@@ -296,10 +323,53 @@ class ControlLoop:
         if self._faults:
             self._enter_fault(self._faults.sentence())
             return
+        self._go_on()
+
+    # --- actuators that are held
+
+    def _go_on(self) -> None:
+        """Holds what is measured; the arm is ready when planning goes by the actuators that are held."""
+        degradation = self._degradation
+        degradation.settle(self._boards.measured(), self._boards.sensed)
+        self._boards.degrade(degradation.held)
         self._boards.hold()
         try:
             self._runner.switching.adopt(self._boards.measured())
         except ValueError as error:
             self._fail(Fault("unknown-state", "arm", f"what the boards measure is no configuration: {error}"))
             return
-        self._enter("ready", "holding what the boards measured")
+        if degradation.behind:
+            self._drop_until(self._arrival())
+            degradation.begin(self.inbox.put)
+            self._enter("starting", f"planning is made ready to go on, {degradation.sentence()}")
+        else:
+            degraded = f", {degradation.sentence()}" if degradation.faults() else ""
+            self._enter("ready", f"holding what the boards measured{degraded}")
+
+    def _prepared(self, event: Prepared) -> None:
+        """Goes on when planning goes by the actuators that are held; what came before was planned by others."""
+        self._degradation.end(event)
+        if event.fault is not None:
+            self._fail(event.fault)
+        elif self.mode == "starting" and not self._bring_up.running:
+            self._drop_until(self._arrival())
+            self._go_on()
+
+    def _degrade(self, event: Degrade) -> None:
+        """Holds an actuator from now on, or uses it again; nothing moves by that."""
+        try:
+            wish = decode(event.payload)
+        except Refusal as refusal:
+            event.reply(refused(refusal.code, str(refusal)))
+            return
+        objection = self._degradation.objection(wish, self._boards.measured(), self._boards.sensed)
+        if self.mode == "executing" or self._boards.moving(self._clock()):
+            objection = f"the arm is {self.mode}, and may not be while what is held changes: cancel, then try again"
+        if objection is not None:
+            event.reply(refused(codes.INVALID_GOAL, objection))
+            return
+        self._degradation.take(wish)
+        waits = self.mode in ("fault", "stopped")
+        event.reply(done(f"{self._degradation.sentence()}{', from the reset on' if waits else ''}"))
+        if self.mode == "ready" or (self.mode == "starting" and not self._bring_up.running):
+            self._go_on()

@@ -16,6 +16,7 @@ from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.messages import done, refused
 from controller.daemon.state import pose
 from controller.daemon.tip import Bias
+from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration
 from controller.motion import codes
@@ -53,6 +54,10 @@ class Planner:
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
         self._thread.start()
+
+    def use(self, solver: Solver) -> None:
+        """Plans with another solver from the next question on: of the arm as it is left by the actuators held."""
+        self._solver = solver
 
     def submit(self, question: Question) -> None:
         """Takes a question, or refuses it at once when it is too large or too many wait."""
@@ -101,10 +106,11 @@ class Planner:
 
     def _expect(self) -> None:
         """Prepares, step by step so that nobody waits for it."""
-        previous = self._loop.commanded
+        solver = self._solver
+        previous = self._previous(solver)
         if previous is None or self._arm.settings.method != "minimum-switch":
             return
-        for _ in self._solver.expect(previous, self._arm.tolerance):
+        for _ in solver.expect(previous, self._arm.tolerance):
             if not self._queue.empty():
                 return
 
@@ -114,12 +120,13 @@ class Planner:
         trajectory = schedule(
             message, manipulator.dimension, self._arm.tolerance, self._arm.turn, pace, question.received
         )
-        previous, mode, reason = self._loop.commanded, self._loop.mode, self._loop.reason
+        mode, reason, solver = self._loop.mode, self._loop.reason, self._solver  # which the mode waits for
+        previous = self._previous(solver)
         if previous is None or (question.run and mode not in ("ready", "executing")):
             raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
         trajectory = trajectory.corrected(self._bias())
-        found = plan(self._solver, trajectory, previous, settings.method, lambda: self._proceed(question), pace)
-        ahead = Foresight(self._solver, found, pace) if settings.method == "minimum-switch" else None
+        found = plan(solver, trajectory, previous, settings.method, lambda: self._proceed(question), pace)
+        ahead = Foresight(solver, found, pace) if settings.method == "minimum-switch" else None
         if question.run:
             self._loop.inbox.hand_over(Planned(question.arrival, question.reply, goal, found))
             if ahead is not None:
@@ -127,7 +134,7 @@ class Planner:
         else:
             if ahead is not None:
                 found = ahead.whole(hurry=lambda: self._closing or not self._queue.empty())
-            question.reply(self._described(previous, found))
+            question.reply(self._described(solver, previous, found))
 
     def _improve(self, question: Question, ahead: Foresight) -> None:
         """Betters the plan of a goal until that is done, or the goal has ended, or something else is to be planned."""
@@ -156,9 +163,17 @@ class Planner:
         if question.run and question.arrival <= self._loop.accept_after:
             raise Refusal(codes.INVALID_GOAL, "a cancel, stop, reset or fault came before it began")
 
-    def _described(self, previous: Configuration, found: Plan) -> Payload:
-        manipulator, trajectory = self._arm.manipulator, found.trajectory
-        before, stages = manipulator.actuator_states(previous), list[list[list[str]]]()
+    def _previous(self, solver: Solver) -> Configuration | None:
+        """Returns the configuration to plan from, of the solver's arm; None while there is none."""
+        commanded = self._loop.commanded
+        try:
+            return None if commanded is None else carried(commanded, self._arm.manipulator, solver.manipulator)
+        except ValueError:  # what is held has changed, and this solver does not go by that yet
+            return None
+
+    def _described(self, solver: Solver, previous: Configuration, found: Plan) -> Payload:
+        manipulator, left, trajectory = self._arm.manipulator, solver.manipulator, found.trajectory
+        before, stages = left.actuator_states(previous), list[list[list[str]]]()
         for transition in found.transitions:
             changes = np.diff(np.vstack([before, transition.stages]).astype(int), axis=0)
             stages.append([[manipulator.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()])
@@ -168,7 +183,7 @@ class Planner:
                 "t": t,
                 "goal": goal if trajectory.bias is None else goal + trajectory.bias,
                 "between": trajectory.between(k),
-                "configuration": format_configuration(manipulator, solution.configuration),
+                "configuration": format_configuration(manipulator, carried(solution.configuration, left, manipulator)),
                 **pose(manipulator, solution.tip),
                 "error": solution.error,
                 "orientation_error": solution.angle if trajectory.turns[k] < np.inf else None,

@@ -8,7 +8,7 @@ import zenoh
 
 from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
-from controller.daemon.events import Cancel, Payload, Reply, Reset, Stop
+from controller.daemon.events import Cancel, Degrade, Payload, Reply, Reset, Stop
 from controller.daemon.loop import ControlLoop
 from controller.daemon.messages import refused
 from controller.daemon.outbox import Outbox
@@ -46,6 +46,7 @@ class Server:
         self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(arrivals.request(), reply)))
         self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(arrivals.request(), reply)))
         self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(arrivals.request(), reply)))
+        self._act("degrade", lambda payload, reply: loop.inbox.hand_over(Degrade(arrivals.request(), reply, payload)))
         self._answer("plan", lambda payload, reply: self._question(payload, reply, run=False))
         self._answer("arm", lambda _, reply: reply(described))
         self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))

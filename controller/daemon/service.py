@@ -9,10 +9,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import zenoh
+from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
+from controller.daemon.degradation import Degradation
 from controller.daemon.events import Quit
 from controller.daemon.follower import Follower
 from controller.daemon.garbage import Garbage
@@ -26,8 +29,10 @@ from controller.daemon.server import Server
 from controller.daemon.session import reachable
 from controller.daemon.telemetry import Publisher
 from controller.daemon.tip import KEY, TipWatch
+from controller.manipulator.held import Held, hold
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
+from controller.workspace.mapping import map_densities
 from drivers.boards import Boards
 from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Channel, Timing, Wiring
@@ -89,7 +94,7 @@ class Daemon:
 
     Args:
         arm: with wiring.
-        densities: of its manipulator.
+        densities: of `arm.left`.
         wiring: the arm's, or an embedded one.
         config: of the Zenoh session.
         ledger: path of the ledger.
@@ -111,7 +116,7 @@ class Daemon:
     ) -> None:
         self._garbage, self._real_time = Garbage(), RealTime(arm.settings.real_time)
         weights = arm.weights(counted(ledger))
-        solver, follower_solver = (Solver(arm.manipulator, densities, weights) for _ in range(2))
+        solver, follower_solver = (Solver(arm.left, densities, weights) for _ in range(2))
         solver.prepare()
         boards = Boards(wiring, timing or timing_of(arm))
         with ExitStack() as closing:  # from the last to the first: no more requests, all told, then the boards
@@ -152,6 +157,12 @@ class Daemon:
                 rest=arm.settings.rest_time,
                 collect=self._garbage.collect,
                 reachable=reachable(session, config),
+                degradation=Degradation(
+                    arm.manipulator,
+                    arm.held,
+                    arm.settings.on_stuck == "continue",
+                    lambda held: self._adapt(arm, held, weights, planner, follower),
+                ),
             )
             closing.callback(self.loop.inbox.close)
             tip = TipWatch(arm.manipulator, arm.settings.tracker, self.loop) if arm.settings.tracker else None
@@ -174,6 +185,15 @@ class Daemon:
         """Runs the control loop in this thread until `quit`; then closes all, the boards last."""
         with self._closing, self._garbage, self._real_time:
             self.loop.run()
+
+    def _adapt(self, arm: Arm, held: Held, weights: NDArray[np.float64], planner: Planner, follower: Follower) -> None:
+        """Has planner and follower go by other actuators held."""
+        left = hold(arm.manipulator, held)
+        densities = map_densities(left, arm.pixel, arm.level_pixels)
+        solver = Solver(left, densities, weights)
+        solver.prepare()
+        follower.use(Solver(left, densities, weights))
+        planner.use(solver)
 
     def quit(self) -> None:
         """Asks the loop to end; from any thread or signal handler."""

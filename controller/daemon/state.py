@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from controller.daemon.events import Payload
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
+from controller.manipulator.held import Held
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import format_configuration
 from drivers.faults import Fault
@@ -30,6 +31,7 @@ class Snapshot:
         goal: id of the running goal.
         waypoint: index of the waypoint last switched to.
         faults: all since the last reset.
+        held: the state in which each actuator is held, -1 where it is free, shape (A,).
     """
 
     stamp: float
@@ -40,6 +42,7 @@ class Snapshot:
     goal: str | None
     waypoint: int | None
     faults: tuple[Fault, ...]
+    held: Held
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,11 @@ def state_payload(manipulator: Manipulator, snapshot: Snapshot) -> Payload:
         "goal": snapshot.goal,
         "waypoint": snapshot.waypoint,
         "faults": [asdict(fault) for fault in snapshot.faults],
+        "degraded": [
+            {"actuator": label, "state": state}
+            for label, state in zip(manipulator.actuators, snapshot.held.tolist(), strict=True)
+            if state >= 0
+        ],
     }
 
 

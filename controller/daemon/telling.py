@@ -7,6 +7,7 @@ from controller.daemon.ledger import Ledger
 from controller.daemon.runner import Runner
 from controller.daemon.state import Diagnostics, LoopStatus, Mode, Snapshot, Telemetry
 from controller.daemon.worries import Worries
+from controller.manipulator.held import Held
 from drivers.boards import Boards
 from drivers.faults import Fault
 
@@ -40,7 +41,7 @@ class Teller:
         """Returns whether the state is to be told."""
         return self.changed or now >= self._next_state
 
-    def show(self, now: float, mode: Mode, reason: str, faults: tuple[Fault, ...]) -> None:
+    def show(self, now: float, mode: Mode, reason: str, faults: tuple[Fault, ...], held: Held) -> None:
         """Tells the state."""
         self.changed, self._next_state = False, now + STATE_EVERY
         execution = self._runner.execution
@@ -54,6 +55,7 @@ class Teller:
                 goal=execution.goal.id if execution else None,
                 waypoint=execution.waypoint if execution and execution.waypoint >= 0 else None,
                 faults=faults + self._worries.look(),
+                held=held,
             )
         )
 

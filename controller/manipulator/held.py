@@ -13,6 +13,8 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 
 Held = NDArray[np.int8]  # the state in which each actuator is held, -1 where it is free, shape (A,)
 
+STATES = ("contracted", "extended")
+
 
 def free(manipulator: Manipulator) -> Held:
     """Returns that no actuator is held."""
@@ -35,7 +37,8 @@ def hold(manipulator: Manipulator, held: Held) -> Manipulator:
         start += len(module.actuators)
         kept = ((own < 0) | (module.bits == own)).all(axis=1)
         if not kept.any():
-            named = ", ".join(f"{name} = {s}" for name, s in zip(module.actuators, own.tolist(), strict=True) if s >= 0)
+            pairs = zip(module.actuators, own.tolist(), strict=True)
+            named = " and ".join(f"{name} is {STATES[state]}" for name, state in pairs if state >= 0)
             raise ValueError(f"module {i + 1} has no state in which {named}")
         left = replace(module, frames=module.frames[kept], bits=module.bits[kept], body=module.body[kept])
         modules.append(module if kept.all() else left)

@@ -74,6 +74,23 @@ def test_plan_prints_one_line_of_json(hyperbit):
     assert line["switches"] == sum(bin(int(digit)).count("1") for digit in line["configuration"])
 
 
+def test_plan_leaves_an_actuator_that_is_declared_stuck(hyperbit, tmp_path):
+    document = yaml.safe_load(Path(ARM).read_text())
+    for label in ("left", "right"):
+        next(a for a in document["actuators"] if (a["module"], a["actuator"]) == (3, label))["stuck"] = "extended"
+    file = tmp_path / "stuck.yaml"
+    file.write_text(yaml.safe_dump(document))
+    for goal in ("0.55,2.9", "-0.4,2.9"):
+        code, out, _ = hyperbit("plan", str(file), "--goal", goal, "--json")
+        line = json.loads(out)
+        found = json.loads(hyperbit("fk", ARM, line["configuration"], "--json")[1])
+        assert (code, int(line["configuration"][2]) & 0b101) == (0, 0b101)
+        assert found["position"] == pytest.approx(line["position"])
+    code, _, err = hyperbit("plan", str(file), "--goal", "0.55,2.9", "--previous", "0" * 16)
+    assert code == 2
+    assert "--previous: 0000000000000000: as actuators are stuck, module 3 has no configuration" in err
+
+
 @pytest.mark.parametrize("method", ["minimum-switch", "pop", "ipop-previous", "ipop-contracted"])
 def test_plan_takes_method_tolerance_and_previous(hyperbit, method):
     words = (

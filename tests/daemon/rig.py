@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from controller.daemon.degradation import Degradation
 from controller.daemon.events import Cancel, Follow, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.state import Diagnostics, Snapshot
@@ -42,6 +43,7 @@ class FakeBoards:
         self.halt: Fault | None = None
         self.busy = self.stuck = self.slow = self.returned = False
         self.broken: set[str] = set()
+        self.held: list[int] = []
         self._pending: tuple[float, np.ndarray] | None = None
         self._now = 0.0
         self._tell: Any = None
@@ -64,6 +66,13 @@ class FakeBoards:
 
     def settle(self, now: float) -> bool:
         return True
+
+    @property
+    def sensed(self) -> np.ndarray:
+        return np.ones(len(ARM.actuators), dtype=np.bool_)
+
+    def degrade(self, held: np.ndarray) -> None:
+        self.held = held.tolist()
 
     def passive(self) -> tuple[Fault, ...]:
         return ()
@@ -151,7 +160,7 @@ class FakeNotifier:
 class Rig:
     """The loop and all it says; `go` lets time pass."""
 
-    def __init__(self, inrush: int | None = None, rest: float = 0.0) -> None:
+    def __init__(self, inrush: int | None = None, rest: float = 0.0, degradation: Degradation | None = None) -> None:
         self.now = 1000.0
         self.boards, self.ledger, self.notifier = FakeBoards(), FakeLedger(), FakeNotifier()
         self.published: list[tuple[str, dict[str, Any]]] = []
@@ -162,6 +171,7 @@ class Rig:
         self.loop = ControlLoop(
             ARM, self.boards, TRAVEL, lambda key, payload: self.published.append((key, dict(payload))),
             self, self.ledger, self.notifier, self.arrival, lambda: self.now, inrush, rest,
+            degradation=degradation,
         )  # fmt: skip
         self.loop.begin()
         self.settle_start()

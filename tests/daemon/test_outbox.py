@@ -12,6 +12,7 @@ from controller.daemon.messages import encode
 from controller.daemon.outbox import MOST_WAITING, Outbox
 from controller.daemon.state import Snapshot
 from controller.daemon.telemetry import Publisher
+from controller.manipulator.held import free
 from tests.daemon.rig import ARM
 from tests.daemon.waiting import PATIENCE, eventually
 
@@ -128,7 +129,7 @@ def test_numpy_is_written_as_numbers_and_nothing_as_nan() -> None:
 
 
 def snapshot(reason: str) -> Snapshot:
-    return Snapshot(1.0, "ready", reason, None, np.full(len(ARM.actuators), -1, np.int8), None, None, ())
+    return Snapshot(1.0, "ready", reason, None, np.full(len(ARM.actuators), -1, np.int8), None, None, (), free(ARM))
 
 
 def test_for_a_slow_peer_only_the_latest_state_waits(session: FakeSession) -> None:

@@ -34,7 +34,7 @@ from tests.keys import DEPLOY, certificates, made, openssl
 
 pytestmark = pytest.mark.skipif(not made(), reason="openssl is missing")
 
-COMMANDS = ("goal", "setpoint", "measured_tip", "cancel", "stop", "reset")
+COMMANDS = ("goal", "setpoint", "measured_tip", "cancel", "stop", "reset", "degrade")
 CREDENTIALS = "/run/credentials/hyperbit.service/hyperbit."
 PREFIX = "hyperbit/planar16"
 AT_ONCE = 0.5  # [s] for an answer that shall not come
@@ -131,6 +131,8 @@ def test_an_operator_commands(requests: list[bytes], client: Observer, bench: Gu
         return bool(boards.switches().sum() > before)
 
     eventually(followed)
+    client.wait_now("ready")
+    assert "none of this arm's" in client.ask("degrade", actuator="17.left", state=None)["message"]
     assert client.ask("stop")["accepted"]
     client.wait_now("stopped")
     assert client.ask("reset")["accepted"]

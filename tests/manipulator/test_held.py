@@ -49,7 +49,7 @@ def test_a_configuration_that_is_left_out_cannot_be_carried():
 
 def test_a_module_that_has_no_state_left_is_named():
     motor = Manipulator([revolute((0, 0, 1), [0.0, 0.1, 0.2], np.eye(4))])  # spelled 00, 01, 11
-    with pytest.raises(ValueError, match="module 1 has no state in which 1 = 1, 2 = 0"):
+    with pytest.raises(ValueError, match="module 1 has no state in which 1 is extended and 2 is contracted"):
         hold(motor, np.array([1, 0], dtype=np.int8))
 
 

@@ -1,0 +1,118 @@
+"""What stuck actuators leave of an arm: python -m tests.benchmarks.stuck [ARM.yaml] [--goals N] [--draws N].
+
+For every number of stuck actuators, that many are drawn some times, each stuck in a random state, and the densities of
+the arm that is left are mapped. The goals are tips of random configurations of the whole arm, the same for all, each
+searched from the configuration reached for the one before.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from controller.config import Arm, load
+from controller.manipulator.held import Held, carried, free, hold
+from controller.manipulator.manipulator import Manipulator
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+
+PLANAR16 = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+MOST = 8
+
+
+@dataclass(frozen=True)
+class Row:
+    """So many stuck: shares of the goals within the tolerance, mean switches, and times [s], over all draws.
+
+    Switches are those for goals within the tolerance.
+    """
+
+    stuck: int
+    within: float
+    worst: float
+    excluded: float
+    switches: float
+    seconds: float
+    seconds_99: float
+    mapping: float
+
+
+def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> Held:
+    """Returns so many random actuators held in the states of a random configuration."""
+    held = free(manipulator)
+    chosen = rng.choice(len(held), stuck, replace=False)
+    held[chosen] = manipulator.actuator_states(rng.integers(0, manipulator.states))[chosen]
+    return held
+
+
+def searched(arm: Arm, held: Held, goals: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Returns error, whether surely out of reach, switches and seconds of each goal (n, 4), and the time of mapping."""
+    left = hold(arm.manipulator, held)
+    began = time.perf_counter()
+    densities = map_densities(left, arm.pixel, arm.level_pixels)
+    mapping = time.perf_counter() - began
+    solver = Solver(left, densities, arm.weights())
+    solver.prepare()
+    reached, rows = np.zeros(len(left.modules), dtype=np.int64), []
+    for goal in goals:
+        found = solver.solve(goal, reached, arm.tolerance)
+        reached = found.configuration
+        states = arm.manipulator.actuator_states(carried(reached, left, arm.manipulator))
+        if not np.array_equal(states[held >= 0], held[held >= 0]):
+            raise AssertionError("a held actuator was to switch")
+        rows.append((found.error, found.lower_bound == np.inf, found.switches, found.seconds))
+    return np.array(rows, dtype=float), mapping
+
+
+def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], draws: int) -> Row:
+    """Measures an arm with so many stuck actuators."""
+    rng = np.random.default_rng(stuck)
+    found, mapping = zip(
+        *(searched(arm, drawn(arm.manipulator, stuck, rng), goals) for _ in range(draws if stuck else 1)), strict=True
+    )
+    within = [float(np.mean(rows[:, 0] <= arm.tolerance)) for rows in found]
+    error, out, switches, seconds = np.concatenate(found).T
+    return Row(
+        stuck,
+        float(np.mean(within)),
+        min(within),
+        float(out.mean()),
+        float(switches[error <= arm.tolerance].mean()),
+        float(np.median(seconds)),
+        float(np.quantile(seconds, 0.99)),
+        float(np.mean(mapping)),
+    )
+
+
+def main() -> None:
+    """Measures and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("arm", nargs="?", type=Path, default=PLANAR16)
+    parser.add_argument("--goals", type=int, default=250)
+    parser.add_argument("--draws", type=int, default=10, help="of stuck actuators, for each number of them")
+    arguments = parser.parse_args()
+    arm = load(arguments.arm)
+    manipulator = arm.manipulator
+    map_densities(manipulator, manipulator.length / 20, 1_000)  # loads the kernels
+    rng = np.random.default_rng(1)
+    configurations = rng.integers(0, manipulator.states, (arguments.goals, len(manipulator.states)))
+    goals = manipulator.tips(configurations)[:, : manipulator.dimension, 3]
+    head = f"{arm.settings.name}, {arguments.draws} draws of stuck actuators, {len(goals)} goals each,"
+    table = Table("stuck", title=f"{head} tolerance {arm.tolerance:g}")
+    for header in ("within", "worst draw", "surely out of reach", "switches", "ms", "99 % ms", "mapped in s"):
+        table.add_column(header, justify="right")
+    for stuck in range(MOST + 1):
+        r = measured(arm, stuck, goals, arguments.draws)
+        shares = (f"{share:.2%}" for share in (r.within, r.worst, r.excluded))
+        times = (f"{1e3 * r.seconds:.2f}", f"{1e3 * r.seconds_99:.1f}", f"{r.mapping:.2f}")
+        table.add_row(str(stuck), *shares, f"{r.switches:.2f}", *times)
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
