@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from controller.daemon.degradation import MOST_BYTES, Degradation, decode
 from controller.daemon.events import Cancel, Degrade, Reset, Stop
@@ -18,6 +20,9 @@ from tests.daemon.rig import ARM, LOST, A, B, Rig, states
 
 LABELS = list(ARM.actuators)
 STUCK = Fault("stuck", "1.left (can0/1 output 0)", "actuator 1.left is stuck")
+
+scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
+anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)
 
 
 class Shop:
@@ -298,6 +303,16 @@ def test_what_is_wrong_with_a_request_is_named_by_field(payload: bytes, named: s
     with pytest.raises(Refusal) as refused:
         decode(payload)
     assert str(refused.value).startswith(named)
+
+
+@given(st.binary(max_size=60) | anything.map(lambda value: json.dumps(value).encode()))
+def test_whatever_bytes_come_are_a_request_or_refused(payload: bytes) -> None:
+    try:
+        wish = decode(payload)
+    except Refusal:
+        return
+    assert isinstance(wish.actuator, str)
+    assert wish.state in (0, 1, None)
 
 
 def test_a_request_that_is_malformed_is_answered(shop: Shop) -> None:

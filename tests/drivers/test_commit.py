@@ -131,6 +131,18 @@ def test_moving_for_the_travel_time_without_an_end_stop(make_rig):
     assert not rig.boards.moving(rig.now + 0.051)
 
 
+def test_an_actuator_that_is_held_is_in_its_state_whatever_its_output_unless_its_end_stop_tells(make_rig):
+    rig = make_rig([Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 1, None), Channel("c", "can0", 5, 2, None)])
+    rig.up().boards.degrade(np.array([1, 1, -1], dtype=np.int8))
+    assert rig.boards.measured().tolist() == [0, 1, 0]
+    assert rig.boards.outputs().tolist() == [0, 0, 0]
+    assert rig.frames() == []
+    rig.commit(0, 1, 1)
+    assert (rig.boards.measured().tolist(), rig.boards.outputs().tolist()) == ([0, 1, 1], [0, 1, 1])
+    rig.boards.degrade(np.array([-1, 0, -1], dtype=np.int8))
+    assert rig.boards.measured().tolist() == [0, 0, 1]
+
+
 def test_an_actuator_called_back_halfway_moves_for_the_travel_time(make_rig):
     rig = make_rig().up()
     rig.simulation.slow("5.left", 1e9)
