@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.search.meeting import CELLS, collect, match, put_into_cells, sort_into_cells
+from controller.search.meeting import collect, match
 from controller.search.pose_meeting import match_poses, write_points
+from controller.search.sorting import CELLS, put_into_cells, sort_into_cells
 
 Array = NDArray[np.float64]
 

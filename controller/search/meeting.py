@@ -14,9 +14,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Index32 = NDArray[np.int32]
 
-CELLS = 1 << 17
-POINTS_A_CELL = 0.5  # at least, on the average
-
 
 @njit("void(f8[::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
 def seen(frame: Array, frames: Array, out: Array) -> None:
@@ -53,76 +50,6 @@ def chord(turned: Array, i: int, by: Array, j: int, other: Array, k: int) -> flo
             d = by[j, a] * turned[i, 3 + b] + by[j, a + 1] * turned[i, 6 + b] + by[j, a + 2] * turned[i, 9 + b]
             total += (d - other[k, a + b]) ** 2
     return 0.5 * total
-
-
-@njit("i8(f8[:,::1], i8, f8, i4[::1], i4[::1], f8[::1])", cache=True, nogil=True, error_model="numpy")
-def sort_into_cells(rows: Array, size: int, tolerance: float, starts: Index32, cells: Index32, grid: Array) -> int:
-    """Counts points into cells at least two tolerances wide; returns the cells' number.
-
-    Args:
-        rows: each begins with a point's coordinates, shape (n, ...).
-        size: how many they are, at most 6.
-        tolerance: of the questions to come.
-        starts: written: where each cell's points end, shape (cells + 1,).
-        cells: written: the cell of each point, shape (n,).
-        grid: written: the least corner (6,), cells per unit of length, cells along each coordinate (6,).
-    """
-    low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
-    low[:size], high[:size] = np.inf, -np.inf
-    for n in range(len(rows)):
-        for a in range(size):
-            low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
-    most = min(len(starts) - 1, len(rows) / POINTS_A_CELL + 64)
-    side = 2.0 * tolerance * (1 + 1e-9)  # with room for rounding
-    while True:
-        for a in range(size):
-            shape[a] = np.floor((high[a] - low[a]) / side) + 1.0
-        if shape.prod() <= most:
-            break
-        side *= 1.25
-    per = 1.0 / side
-    grid[:6], grid[6], grid[7:] = low, per, shape
-    count = int(shape.prod())
-    starts[: count + 1] = 0
-    for n in range(len(rows)):
-        c = 0
-        for a in range(size - 1, -1, -1):
-            # Rounding may put the outermost just outside.
-            c = c * int(shape[a]) + min(int((rows[n, a] - low[a]) * per), int(shape[a]) - 1)
-        cells[n] = c
-        starts[c] += 1
-    for c in range(count):
-        starts[c + 1] += starts[c]
-    return count
-
-
-@njit(
-    "void(f8[:,::1], f8[::1], i4[::1], i4[::1], i4[::1], f8[:,::1], f8[::1])",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def put_into_cells(
-    rows: Array, costs: Array, starts: Index32, cells: Index32, order: Index32, points: Array, prices: Array
-) -> None:
-    """Copies points and costs in the order of their cells, after sort_into_cells; `starts` are then starts.
-
-    Args:
-        rows: see sort_into_cells.
-        costs: of the rows, shape (n,).
-        starts: see sort_into_cells.
-        cells: see sort_into_cells.
-        order: written: the row of each point, shape (n,).
-        points: written, as many coordinates as were sorted by, shape (n, ...).
-        prices: written, shape (n,).
-    """
-    for n in range(len(rows) - 1, -1, -1):
-        c = cells[n]
-        starts[c] -= 1
-        at = starts[c]
-        order[at], prices[at] = n, costs[n]
-        for a in range(points.shape[1]):
-            points[at, a] = rows[n, a]
 
 
 @njit(
