@@ -129,8 +129,8 @@ class Degradation:
 
     @property
     def behind(self) -> bool:
-        """Whether planning does not go by what is held yet."""
-        return not np.array_equal(self.held, self._prepared)
+        """Whether planning does not go by what is held, or is about to go by something else."""
+        return self._running or not np.array_equal(self.held, self._prepared)
 
     def begin(self, ended: Callable[[Prepared], None]) -> None:
         """Has planning go by what is held, in a thread that tells the end of it; one at a time."""

@@ -206,6 +206,16 @@ def test_what_is_held_changes_once_more_while_planning_is_made_ready(shop: Shop)
     assert (shop.rig.loop.mode, shop.prepared) == ("ready", [held(one_left=0), [0, -1, -1, -1, -1, 0]])
 
 
+def test_what_is_held_changes_back_while_planning_is_made_ready(shop: Shop) -> None:
+    shop.open.clear()
+    assert shop.ask("1.left", 0)["accepted"]
+    assert shop.ask("1.left", None)["accepted"]
+    assert shop.rig.loop.mode == "starting", "planning is about to go by what was held"
+    shop.planned()
+    shop.planned()
+    assert (shop.rig.loop.mode, shop.prepared) == ("ready", [held(one_left=0), [-1] * 6])
+
+
 def test_a_goal_that_runs_is_not_disturbed_nor_actuators_on_their_way(shop: Shop) -> None:
     rig = shop.rig
     rig.run("a", A, B)
