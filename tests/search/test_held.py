@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator.held import carried, hold
 from controller.motion.lookahead import LookAhead
+from controller.motion.trajectory import through
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
@@ -64,7 +65,7 @@ def test_many_ways_along_a_trajectory_are_found_where_few_actuators_are_free(fre
     for _ in solver.expect(start, 0.01):
         pass
     tips = left.tips(rng.integers(0, left.states, (5, 6)))[:, :2, 3]
-    ahead = LookAhead(solver, start, tips, np.full(5, 0.01))
+    ahead = LookAhead(solver, start, through(np.arange(5.0), tips, 0.01))
     for _ in tips:
         ahead.extend()
     way = ahead.decide(5)
