@@ -31,7 +31,8 @@ def test_the_arm_is_described(client: Observer, arm: Arm) -> None:
     assert described["frames"][0][0] == arm.manipulator.frames[0][0].tolist()
     assert described["tolerance"] == {"position": arm.tolerance, "orientation": arm.turn}
     assert described["boards"][4] == {
-        "module": 2, "actuator": "diagonal", "bus": "can0", "node": 2, "output": 1, "input": 1, "weight": 1.0, "stuck": None,
+        "module": 2, "actuator": "diagonal", "bus": "can0", "node": 2, "output": 1, "input": 1, "weight": 1.0,
+        "stuck": None,
     }  # fmt: skip
 
 
