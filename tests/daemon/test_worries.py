@@ -1,6 +1,7 @@
 """What stops no arm and is told all the same."""
 
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,14 +28,16 @@ def world() -> World:
 
 
 @pytest.fixture
-def worries(world: World, tmp_path: Path) -> Worries:
-    return Worries(
+def worries(world: World, tmp_path: Path) -> Iterator[Worries]:
+    ledger = Ledger(tmp_path / "ledger.sqlite", ["a"])
+    yield Worries(
         world,  # type: ignore[arg-type]
-        Ledger(tmp_path / "ledger.sqlite", ["a"]),
+        ledger,
         lambda: world.reachable,
         lambda: world.offset + world.now,
         lambda: world.now,
     )
+    ledger.close()
 
 
 def codes(worries: Worries) -> list[str]:
