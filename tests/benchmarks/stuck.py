@@ -1,8 +1,9 @@
-"""What stuck actuators leave of an arm: python -m tests.benchmarks.stuck [ARM.yaml] [--goals N] [--draws N].
+"""What stuck actuators leave of the paper's arm: python -m tests.benchmarks.stuck [--goals N] [--draws N].
 
 For every number of stuck actuators, that many are drawn some times, each stuck in a random state, and the densities of
 the arm that is left are mapped. The goals are tips of random configurations of the whole arm, the same for all, each
-searched from the configuration reached for the one before.
+searched from the configuration reached for the one before; and tips of configurations that lead to the edge of the
+workspace.
 """
 
 import argparse
@@ -20,9 +21,10 @@ from controller.manipulator.held import Held, carried, free, hold
 from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
+from tests.benchmarks.goals import boundary
 
 PLANAR16 = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
-MOST = 8
+MOST, EDGE = 8, 20
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Row:
     seconds: float
     seconds_99: float
     mapping: float
+    edge: float
 
 
 def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> Held:
@@ -50,8 +53,13 @@ def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> Hel
     return held
 
 
-def searched(arm: Arm, held: Held, goals: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Returns error, whether surely out of reach, switches and seconds of each goal (n, 4), and the time of mapping."""
+def searched(
+    arm: Arm, held: Held, goals: NDArray[np.float64], edge: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float, float]:
+    """Returns error, whether surely out of reach, switches and seconds of each goal (n, 4).
+
+    And the time of mapping, and the share of the goals on the edge within the tolerance.
+    """
     left = hold(arm.manipulator, held)
     began = time.perf_counter()
     densities = map_densities(left, arm.pixel, arm.level_pixels)
@@ -66,15 +74,15 @@ def searched(arm: Arm, held: Held, goals: NDArray[np.float64]) -> tuple[NDArray[
         if not np.array_equal(states[held >= 0], held[held >= 0]):
             raise AssertionError("a held actuator was to switch")
         rows.append((found.error, found.lower_bound == np.inf, found.switches, found.seconds))
-    return np.array(rows, dtype=float), mapping
+    there = [solver.solve(goal, reached, arm.tolerance).within_tolerance for goal in edge]
+    return np.array(rows, dtype=float), mapping, float(np.mean(there))
 
 
-def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], draws: int) -> Row:
+def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], edge: NDArray[np.float64], draws: int) -> Row:
     """Measures an arm with so many stuck actuators."""
     rng = np.random.default_rng(stuck)
-    found, mapping = zip(
-        *(searched(arm, drawn(arm.manipulator, stuck, rng), goals) for _ in range(draws if stuck else 1)), strict=True
-    )
+    each = [searched(arm, drawn(arm.manipulator, stuck, rng), goals, edge) for _ in range(draws if stuck else 1)]
+    found, mapping, on_edge = zip(*each, strict=True)
     within = [float(np.mean(rows[:, 0] <= arm.tolerance)) for rows in found]
     error, out, switches, seconds = np.concatenate(found).T
     return Row(
@@ -86,32 +94,42 @@ def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], draws: int) -> Ro
         float(np.median(seconds)),
         float(np.quantile(seconds, 0.99)),
         float(np.mean(mapping)),
+        float(np.mean(on_edge)),
     )
 
 
 def main() -> None:
     """Measures and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("arm", nargs="?", type=Path, default=PLANAR16)
     parser.add_argument("--goals", type=int, default=250)
     parser.add_argument("--draws", type=int, default=10, help="of stuck actuators, for each number of them")
     arguments = parser.parse_args()
-    arm = load(arguments.arm)
+    arm = load(PLANAR16)
     manipulator = arm.manipulator
-    map_densities(manipulator, manipulator.length / 20, 1_000)  # loads the kernels
+    densities = map_densities(manipulator, arm.pixel, arm.level_pixels)
+    edge = boundary(manipulator, densities, arm.tolerance, EDGE)
     rng = np.random.default_rng(1)
     configurations = rng.integers(0, manipulator.states, (arguments.goals, len(manipulator.states)))
     goals = manipulator.tips(configurations)[:, : manipulator.dimension, 3]
     head = f"{arm.settings.name}, {arguments.draws} draws of stuck actuators, {len(goals)} goals each,"
     table = Table("stuck", title=f"{head} tolerance {arm.tolerance:g}")
-    for header in ("within", "worst draw", "surely out of reach", "switches", "ms", "99 % ms", "mapped in s"):
+    for header in (
+        "within",
+        "worst draw",
+        "surely out of reach",
+        "switches",
+        "ms",
+        "99 % ms",
+        "mapped in s",
+        f"of {EDGE} on the edge",
+    ):
         table.add_column(header, justify="right")
     for stuck in range(MOST + 1):
-        r = measured(arm, stuck, goals, arguments.draws)
+        r = measured(arm, stuck, goals, edge, arguments.draws)
         shares = (f"{share:.2%}" for share in (r.within, r.worst, r.excluded))
         times = (f"{1e3 * r.seconds:.2f}", f"{1e3 * r.seconds_99:.1f}", f"{r.mapping:.2f}")
-        table.add_row(str(stuck), *shares, f"{r.switches:.2f}", *times)
-    Console().print(table)
+        table.add_row(str(stuck), *shares, f"{r.switches:.2f}", *times, f"{r.edge:.1%}")
+    Console(width=max(110, Console().width)).print(table)
 
 
 if __name__ == "__main__":
