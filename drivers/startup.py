@@ -55,7 +55,12 @@ class Startup:
         heard = self._find(boards)
         present = each(self._configure, [b for b in boards if b[0] in heard])
         faults += [self._missing(node) for node, _, _ in boards if node not in heard]
-        self._wait(lambda: all(n.state is State.OPERATIONAL for n, _, _ in present), self._timing.boot_timeout)
+        if not self._wait(lambda: operational(present), 3 * self._timing.heartbeat):
+            # Some may have missed the heartbeat of the daemon before just now: these are brought up from there.
+            fell = [board for board in present if board[0].state is State.PRE_OPERATIONAL]
+            up = each(self._configure, fell)
+            present = [board for board in present if board in up or board not in fell]
+            self._wait(lambda: operational(present), self._timing.boot_timeout)
         each(self._finish, present)
         return faults
 
@@ -82,6 +87,7 @@ class Startup:
         entries = configuration.communication(board, self._timing, action, no_remote)
         loss = configuration.on_loss(board, action)
         if node.state is State.OPERATIONAL and all(sdo.holds(e) for e in configuration.final(entries) + loss):
+            node.state = None  # it may have left that since its last heartbeat
             return
         # Some boards take 6207h already when they become pre-operational: the outputs hold from first to last.
         for entry in configuration.hold(board):
@@ -134,6 +140,11 @@ class Startup:
             return False
         return True
 
-    def _wait(self, what: Callable[[], bool], patience: float) -> None:
+    def _wait(self, what: Callable[[], bool], patience: float) -> bool:
         with self._news:
-            self._news.wait_for(what, patience)
+            return self._news.wait_for(what, patience)
+
+
+def operational(boards: Sequence[_Board]) -> bool:
+    """Whether all boards say that they are."""
+    return all(node.state is State.OPERATIONAL for node, _, _ in boards)

@@ -191,6 +191,20 @@ def test_a_daemon_that_dies_and_comes_back_finds_the_arm_as_it_is(
             assert second.results("never") == []
 
 
+@pytest.mark.parametrize("pause", [0.35, 0.4, 0.45])
+def test_a_daemon_that_comes_back_just_when_the_boards_miss_the_last_one_brings_them_up(
+    wiring: Wiring, timing: Timing, bench: Bench, pause: float
+) -> None:
+    with simulated(wiring, timing):
+        with running(bench.daemon()):
+            bench.observer().wait_for("ready")
+        gone = time.monotonic()
+        again = bench.daemon()
+        eventually(lambda: time.monotonic() - gone >= pause * SLOWNESS)
+        with running(again):
+            assert bench.observer().wait_for("ready")["faults"] == []
+
+
 def test_a_closed_daemon_leaves_no_thread(daemon: Daemon, bench: Bench, client: Observer) -> None:
     client.move(MIDDLE)
     bench.stack.close()
