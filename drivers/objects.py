@@ -24,7 +24,7 @@ _PDOS = (0x1400, 0x1800)
 
 @functools.cache
 def _described(node: int) -> canopen.ObjectDictionary:
-    """What the EDS says, which takes 30 ms to read and is never changed; values are kept apart."""
+    """What the EDS says, which takes milliseconds to read and is never changed; values are kept apart."""
     return canopen.import_od(str(EDS), node)
 
 

@@ -1,58 +1,19 @@
 """Actuators that are stuck or were declared so: which are held in what state, and whether planning goes by that."""
 
-import json
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from controller.daemon.events import Prepared
 from controller.manipulator.held import STATES, Held, free, hold
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.goal import once, refusal
-from controller.strict import check
+from controller.motion.degrade import DegradeMessage
 from drivers.faults import Fault
 
 log = logging.getLogger(__name__)
-
-MOST_BYTES = 10_000
-
-
-class DegradeMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `degrade`: an actuator, and the state to hold it in, null to use it like any other."""
-
-    actuator: str
-    state: Literal[0, 1] | None
-
-
-def decode(payload: bytes) -> DegradeMessage:
-    """Returns the message in a payload.
-
-    Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
-    """
-    if len(payload) > MOST_BYTES:
-        raise refusal(f"degrade of {len(payload)} bytes, at most {MOST_BYTES} are taken")
-    try:
-        value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
-    except UnicodeDecodeError as error:
-        raise refusal(f"degrade is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
-    except (ValueError, RecursionError) as error:
-        raise refusal(f"degrade is not JSON: {error}") from None
-    if not isinstance(value, dict):
-        raise refusal("degrade: an object with `actuator` and `state` is needed")
-    faults: list[str] = []
-    try:
-        message = check(value, DegradeMessage, faults)
-    except RecursionError:
-        raise refusal("degrade is nested too deeply") from None
-    if message is None:
-        raise refusal("; ".join(faults[:3]))
-    return message
 
 
 class Degradation:

@@ -6,6 +6,7 @@ from typing import Any
 
 from controller.manipulator.held import Held
 from controller.manipulator.manipulator import Configuration
+from controller.motion.degrade import DegradeMessage
 from controller.motion.plan import Plan
 from drivers.faults import Fault
 
@@ -75,9 +76,9 @@ class Reset(Request):
 
 @dataclass(frozen=True, eq=False)
 class Degrade(Request):
-    """Hold an actuator in a state from now on, or use it again: a payload to be decoded."""
+    """Hold an actuator in a state from now on, or use it again."""
 
-    payload: bytes
+    wish: DegradeMessage
 
 
 @dataclass(frozen=True, eq=False)

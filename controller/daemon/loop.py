@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from controller.daemon.bringup import BringUp
-from controller.daemon.degradation import Degradation, decode
+from controller.daemon.degradation import Degradation
 from controller.daemon.events import (
     Cancel,
     Degrade,
@@ -33,7 +33,6 @@ from controller.daemon.telling import Teller
 from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
-from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace
 from drivers.boards import Boards
 from drivers.faults import BusBusy, Fault
@@ -357,18 +356,13 @@ class ControlLoop:
 
     def _degrade(self, event: Degrade) -> None:
         """Holds an actuator from now on, or uses it again; nothing moves by that."""
-        try:
-            wish = decode(event.payload)
-        except Refusal as refusal:
-            event.reply(refused(refusal.code, str(refusal)))
-            return
-        objection = self._degradation.objection(wish, self._boards.measured(), self._boards.sensed)
+        objection = self._degradation.objection(event.wish, self._boards.measured(), self._boards.sensed)
         if self.mode == "executing" or self._boards.moving(self._clock()):
             objection = f"the arm is {self.mode}, and may not be while what is held changes: cancel, then try again"
         if objection is not None:
             event.reply(refused(codes.INVALID_GOAL, objection))
             return
-        self._degradation.take(wish)
+        self._degradation.take(event.wish)
         waits = self.mode in ("fault", "stopped")
         event.reply(done(f"{self._degradation.sentence()}{', from the reset on' if waits else ''}"))
         if self.mode == "ready" or (self.mode == "starting" and not self._bring_up.running):

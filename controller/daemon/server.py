@@ -14,7 +14,8 @@ from controller.daemon.messages import refused
 from controller.daemon.outbox import Outbox
 from controller.daemon.planner import Planner, Question
 from controller.manipulator.notation import format_configuration
-from controller.motion import codes
+from controller.motion import codes, degrade
+from controller.motion.codes import Refusal
 
 Take = Callable[[bytes, Reply], None]
 Declared = zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken
@@ -46,7 +47,7 @@ class Server:
         self._act("cancel", lambda _, reply: loop.inbox.hand_over(Cancel(arrivals.request(), reply)))
         self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(arrivals.request(), reply)))
         self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(arrivals.request(), reply)))
-        self._act("degrade", lambda payload, reply: loop.inbox.hand_over(Degrade(arrivals.request(), reply, payload)))
+        self._act("degrade", lambda payload, reply: self._degrade(payload, reply, loop))
         self._answer("plan", lambda payload, reply: self._question(payload, reply, run=False))
         self._answer("arm", lambda _, reply: reply(described))
         self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
@@ -89,6 +90,12 @@ class Server:
 
     def _question(self, payload: bytes, reply: Reply, *, run: bool) -> None:
         self._planner.submit(Question(self._arrivals.request(), reply, payload, time.time(), run))
+
+    def _degrade(self, payload: bytes, reply: Reply, loop: ControlLoop) -> None:
+        try:
+            loop.inbox.hand_over(Degrade(self._arrivals.request(), reply, degrade.decode(payload)))
+        except Refusal as error:
+            reply(refused(error.code, str(error)))
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

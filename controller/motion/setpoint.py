@@ -79,7 +79,8 @@ def parse(payload: bytes, kind: type[S], name: str) -> S:
     except (ValueError, RecursionError) as error:
         raise refusal(f"{name} is not JSON: {error}") from None
     if not isinstance(value, dict):
-        raise refusal(f"{name}: an object with `position` is needed")
+        needed = " and ".join(f"`{field.name}`" for field in msgspec.structs.fields(kind) if field.required)
+        raise refusal(f"{name}: an object with {needed} is needed")
     try:
         return msgspec.convert(value, kind)
     except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check tells what, by field

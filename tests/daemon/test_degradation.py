@@ -1,28 +1,22 @@
 """Actuators that are held: found stuck, asked for, or declared; nothing moves by that, and goals go on."""
 
-import json
 import threading
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from controller.daemon.degradation import MOST_BYTES, Degradation, decode
+from controller.daemon.degradation import Degradation
 from controller.daemon.events import Cancel, Degrade, Reset, Stop
 from controller.daemon.loop import PERIOD, RETRY
 from controller.daemon.state import state_payload
 from controller.manipulator.held import Held
-from controller.motion.codes import Refusal
+from controller.motion.degrade import DegradeMessage
 from drivers.faults import Fault
 from tests.daemon.rig import ARM, LOST, A, B, Rig, states
 
 LABELS = list(ARM.actuators)
 STUCK = Fault("stuck", "1.left (can0/1 output 0)", "actuator 1.left is stuck")
-
-scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
-anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)
 
 
 class Shop:
@@ -43,10 +37,11 @@ class Shop:
         self.prepared.append(held.tolist())
 
     def ask(self, label: str, state: int | None) -> dict[str, Any]:
-        payload = json.dumps({"actuator": label, "state": state}).encode()
         rig = self.rig
         answers = list[dict[str, Any]]()
-        rig.loop.inbox.hand_over(Degrade(rig.arrival(), lambda p: answers.append(dict(p)), payload))
+        rig.loop.inbox.hand_over(
+            Degrade(rig.arrival(), lambda p: answers.append(dict(p)), DegradeMessage(label, state))
+        )
         rig.go()
         return answers[0]
 
@@ -290,43 +285,3 @@ def test_an_actuator_that_came_free_is_held_where_it_went_once_somebody_had_a_lo
     rig.go(4 * PERIOD)
     shop.planned()
     assert (rig.loop.mode, shop.prepared) == ("ready", [held(one_left=0), held(one_left=1)])
-
-
-@pytest.mark.parametrize(
-    ("payload", "named"),
-    [
-        (b"{}", "actuator: required, but missing; state: required, but missing"),
-        (b'{"actuator": "1.left"}', "state: required, but missing"),
-        (b'{"actuator": "1.left", "state": 2}', "state: Invalid enum value 2"),
-        (b'{"actuator": "1.left", "state": true}', "state: Expected `int | null`, got `bool`"),
-        (b'{"actuator": 1, "state": 0}', "actuator: Expected `str`, got `int`"),
-        (b'{"actuator": "1.left", "state": 0, "now": 1}', "now: unknown field; known are actuator, state"),
-        (b'{"actuator": "a", "actuator": "b", "state": 0}', "degrade is not JSON: 'actuator' stands twice"),
-        (b"[]", "degrade: an object with `actuator` and `state` is needed"),
-        (b"", "degrade is not JSON"),
-        (b"\xff", "degrade is not UTF-8: byte 0 is 0xff"),
-        (b"[" * 5000, "degrade is not JSON"),
-        (bytes(MOST_BYTES + 1), f"degrade of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
-    ],
-)
-def test_what_is_wrong_with_a_request_is_named_by_field(payload: bytes, named: str) -> None:
-    with pytest.raises(Refusal) as refused:
-        decode(payload)
-    assert str(refused.value).startswith(named)
-
-
-@given(st.binary(max_size=60) | anything.map(lambda value: json.dumps(value).encode()))
-def test_whatever_bytes_come_are_a_request_or_refused(payload: bytes) -> None:
-    try:
-        wish = decode(payload)
-    except Refusal:
-        return
-    assert isinstance(wish.actuator, str)
-    assert wish.state in (0, 1, None)
-
-
-def test_a_request_that_is_malformed_is_answered(shop: Shop) -> None:
-    answers = list[Any]()
-    shop.rig.loop.inbox.hand_over(Degrade(shop.rig.arrival(), answers.append, b"{}"))
-    shop.rig.go()
-    assert [answer["accepted"] for answer in answers] == [False]

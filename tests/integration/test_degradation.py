@@ -65,6 +65,8 @@ def test_an_actuator_that_an_operator_degrades_is_left_as_it_is_and_nothing_move
     label, state_now = first_to_switch(client, arm, RIGHT)
     k = arm.manipulator.actuators.index(label)
     before = boards.switches().tolist()
+    malformed = client.ask("degrade")
+    assert (malformed["accepted"], malformed["message"][:9]) == (False, "actuator:")
     refused = client.ask("degrade", actuator=label, state=1 - state_now)
     assert (refused["accepted"], f"the end-stop of {label} reads" in refused["message"]) == (False, True)
     assert client.ask("degrade", actuator=label, state=state_now)["accepted"]

@@ -100,7 +100,7 @@ def test_a_message_is_read():
     ("text", "fault"),
     [
         ("{", "measured tip is not JSON"),
-        ("[]", "measured tip: an object with `position` is needed"),
+        ("[]", "measured tip: an object with `position` and `stamp` is needed"),
         ('{"position": [1, 2]}', "stamp: required, but missing"),
         ('{"stamp": 1}', "position: required, but missing"),
         ('{"stamp": 1, "position": [1, 2, 3]}', "position: 3 coordinates, this arm's tip has 2"),

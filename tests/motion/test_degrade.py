@@ -1,0 +1,47 @@
+"""Requests to hold an actuator, as they come from the network."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.motion.codes import Refusal
+from controller.motion.degrade import decode
+from controller.motion.setpoint import MOST_BYTES
+
+scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
+anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)
+
+
+@pytest.mark.parametrize(
+    ("payload", "named"),
+    [
+        (b"{}", "actuator: required, but missing; state: required, but missing"),
+        (b'{"actuator": "1.left"}', "state: required, but missing"),
+        (b'{"actuator": "1.left", "state": 2}', "state: Invalid enum value 2"),
+        (b'{"actuator": "1.left", "state": true}', "state: Expected `int | null`, got `bool`"),
+        (b'{"actuator": 1, "state": 0}', "actuator: Expected `str`, got `int`"),
+        (b'{"actuator": "1.left", "state": 0, "now": 1}', "now: unknown field; known are actuator, state"),
+        (b'{"actuator": "a", "actuator": "b", "state": 0}', "degrade is not JSON: 'actuator' stands twice"),
+        (b"[]", "degrade: an object with `actuator` and `state` is needed"),
+        (b"", "degrade is not JSON"),
+        (b"\xff", "degrade is not UTF-8: byte 0 is 0xff"),
+        (b"[" * 5000, "degrade is not JSON"),
+        (bytes(MOST_BYTES + 1), f"degrade of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
+    ],
+)
+def test_what_is_wrong_with_a_request_is_named_by_field(payload: bytes, named: str) -> None:
+    with pytest.raises(Refusal) as refused:
+        decode(payload)
+    assert str(refused.value).startswith(named)
+
+
+@given(st.binary(max_size=60) | anything.map(lambda value: json.dumps(value).encode()))
+def test_whatever_bytes_come_are_a_request_or_refused(payload: bytes) -> None:
+    try:
+        wish = decode(payload)
+    except Refusal:
+        return
+    assert isinstance(wish.actuator, str)
+    assert wish.state in (0, 1, None)
