@@ -1,0 +1,91 @@
+"""Whether an arm's modules keep clear of regions and, where that is asked for, of each other."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.gaps import Array, Index
+from controller.obstacles.regions import Regions
+from controller.obstacles.touching import touching
+
+# Of the arm's length: what comes so near counts as touching, however sums are rounded. Where two lines that are nearly
+# parallel cross is known to half of the digits only.
+ROUNDING = 1e-7
+
+
+class Clearance:
+    """An arm's bodies among regions. A body is the line segments of a module's structure, thickened by a radius.
+
+    Attributes:
+        manipulator: the arm.
+        regions: that no body may touch.
+        radius: of the bodies, as the arm's file gives it.
+        margin: with which kernels compare: the radius, and what rounding takes.
+        self_collision: whether bodies of modules that are not neighbours must stay apart, too.
+        bodies: of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
+        balls: centre and radius of a ball around each, shape (B, Kmax, 4).
+        lines: number of line segments of each module, shape (B,).
+    """
+
+    def __init__(
+        self, manipulator: Manipulator, regions: Regions, radius: float = 0.0, *, self_collision: bool = False
+    ) -> None:
+        """Pads the modules' bodies."""
+        self.manipulator, self.regions, self.radius, self.self_collision = manipulator, regions, radius, self_collision
+        self.margin = radius + ROUNDING * manipulator.length
+        self.lines = np.array([module.body.shape[1] for module in manipulator.modules])
+        self.bodies = np.zeros((*manipulator.frames.shape[:2], self.lines.max(), 2, 3))
+        self.balls = np.zeros((*manipulator.frames.shape[:2], 4))
+        for i, module in enumerate(manipulator.modules):
+            self.bodies[i, : len(module.body), : self.lines[i]] = module.body
+            self.balls[i, : len(module.body)] = balls(module.body)
+
+    @property
+    def free(self) -> bool:
+        """Whether there is nothing to avoid."""
+        return len(self.regions) == 0 and not self.self_collision
+
+    def blocked(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Returns which of configurations (n, B) touch anything, shape (n,)."""
+        chosen = np.ascontiguousarray(configurations, dtype=np.int64)
+        return np.zeros(len(chosen), dtype=bool) if self.free else np.asarray(self._touching(chosen)[:, 0] >= 0)
+
+    def where(self, configuration: Configuration) -> str | None:
+        """Returns what touches first from the base, "module 7 is in disc 'pillar'", or None."""
+        if self.free:
+            return None
+        module, region, other = self._touching(np.array([configuration], dtype=np.int64))[0].tolist()
+        if module < 0:
+            return None
+        if region >= 0:
+            return f"module {module + 1} is in {self.regions.names[region]}"
+        return f"modules {other + 1} and {module + 1} touch"
+
+    def _touching(self, configurations: Index) -> Index:
+        arm, regions = self.manipulator, self.regions
+        return np.asarray(
+            touching(
+                np.ascontiguousarray(arm.base[:3, :3]),
+                np.ascontiguousarray(arm.base[:3, 3]),
+                arm.rotations,
+                arm.translations,
+                self.bodies,
+                self.balls,
+                self.lines,
+                regions.kinds,
+                regions.axes,
+                regions.centres,
+                regions.sizes,
+                self.margin,
+                2 * self.radius + ROUNDING * arm.length if self.self_collision else -1.0,
+                configurations,
+            )
+        )
+
+
+def balls(bodies: Array) -> Array:
+    """Returns centre and radius (..., 4) of balls that hold the line segments (..., L, 2, 3)."""
+    ends = bodies.reshape(*bodies.shape[:-3], -1, 3)
+    middle = (ends.min(axis=-2) + ends.max(axis=-2)) / 2
+    reach = np.linalg.norm(ends - middle[..., None, :], axis=-1).max(axis=-1)
+    return np.concatenate([middle, reach[..., None]], axis=-1)

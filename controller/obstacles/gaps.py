@@ -1,0 +1,160 @@
+"""How far points, line segments and bodies are from a region, see Regions.
+
+Signed distances, negative inside, change by no more than the point moves; so a ball that is far enough from a region by
+its centre is far enough with all that it holds. How far a straight line segment is from a region is in closed form:
+the squared distance from a box along the segment is a convex chain of parabolas, joined where the segment crosses the
+planes of the box's faces.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SPHERE, BOX, HALF_SPACE = 0, 1, 2
+
+
+@njit("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", cache=True, nogil=True, error_model="numpy")
+def depth(kind: int, axes: Array, centre: Array, size: Array, x: float, y: float, z: float) -> float:
+    """Returns the signed distance of a point from a region, negative inside."""
+    x, y, z = x - centre[0], y - centre[1], z - centre[2]
+    if kind == SPHERE:
+        return float(np.sqrt(x * x + y * y + z * z) - size[0])
+    if kind == HALF_SPACE:
+        return float(axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
+    square, deepest = 0.0, -np.inf
+    for a in range(3):
+        over = abs(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z) - size[a]
+        square += max(over, 0.0) ** 2
+        deepest = max(deepest, over)
+    return float(np.sqrt(square) if deepest > 0 else deepest)
+
+
+@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8)", cache=True, nogil=True, inline="always")
+def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: float) -> float:
+    """Returns half the derivative of the squared distance from a box along a line, seen from the box."""
+    total = 0.0
+    for a in range(3):
+        at = start[a] + t * way[a]
+        if at > half[a]:
+            total += (at - half[a]) * way[a]
+        elif at < -half[a]:
+            total += (at + half[a]) * way[a]
+    return total
+
+
+@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))", cache=True, nogil=True, error_model="numpy")
+def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]) -> float:
+    """Returns where along a segment the distance from a box is least, 0 at its start, 1 at its end."""
+    low, high = 0.0, 1.0
+    falling, rising = slope(half, start, way, low), slope(half, start, way, high)
+    if falling >= 0:
+        return low
+    if rising <= 0:
+        return high
+    for a in range(3):
+        if way[a] != 0:
+            for side in (-half[a], half[a]):
+                t = (side - start[a]) / way[a]
+                if low < t < high:
+                    at = slope(half, start, way, t)
+                    if at == 0:
+                        return float(t)
+                    if at > 0:
+                        high, rising = t, at
+                    else:
+                        low, falling = t, at
+    # No face is crossed between: the slope is linear.
+    return float(low - (high - low) * falling / (rising - falling))
+
+
+@njit(
+    "f8(i8, f8[:,::1], f8[::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def gap(kind: int, axes: Array, centre: Array, size: Array, start: tuple[float, ...], end: tuple[float, ...]) -> float:
+    """Returns the distance between a line segment and a region, 0 where they meet."""
+    x, y, z = start[0] - centre[0], start[1] - centre[1], start[2] - centre[2]
+    dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    if kind == HALF_SPACE:
+        here = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+        change = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
+        return float(max(here + min(change, 0.0), 0.0))
+    if kind == SPHERE:
+        square, t = dx * dx + dy * dy + dz * dz, 0.0
+        if square > 0:
+            t = min(max(-(x * dx + y * dy + z * dz) / square, 0.0), 1.0)
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        return float(max(np.sqrt(x * x + y * y + z * z) - size[0], 0.0))
+    seen = (
+        axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
+        axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
+        axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z,
+    )
+    way = (
+        axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz,
+        axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz,
+        axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz,
+    )
+    t, square = nearest_to_box(size, seen, way), 0.0
+    for a in range(3):
+        square += max(abs(seen[a] + t * way[a]) - size[a], 0.0) ** 2
+    return float(np.sqrt(square))
+
+
+@njit("UniTuple(f8, 3)(f8[:,::1], f8[::1], f8[::1])", cache=True, nogil=True)
+def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
+    """Returns b + R p."""
+    x, y, z = point[0], point[1], point[2]
+    return (
+        b[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
+        b[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
+        b[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
+    )
+
+
+@njit(
+    "i8(f8[:,::1], f8[::1], f8[:,:,::1], f8[::1], i8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8)",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def touches(
+    r: Array,
+    b: Array,
+    body: Array,
+    ball: Array,
+    kinds: Index,
+    axes: Array,
+    centres: Array,
+    sizes: Array,
+    radius: float,
+) -> int:
+    """Returns the first region that a body touches, -1 if none: a point of it is no farther than `radius` away.
+
+    Args:
+        r: orientation of the frame that the body is in, shape (3, 3).
+        b: its position in the world, shape (3,).
+        body: line segments in that frame, shape (L, 2, 3).
+        ball: centre and radius of a ball in that frame that holds them, shape (4,).
+        kinds: and the next three: those of Regions.
+        axes: see Regions.
+        centres: see Regions.
+        sizes: see Regions.
+        radius: that the body is thickened by.
+    """
+    if len(kinds) == 0:
+        return -1
+    middle = placed(r, b, ball[:3])
+    for k in range(len(kinds)):
+        if depth(kinds[k], axes[k], centres[k], sizes[k], middle[0], middle[1], middle[2]) > radius + ball[3]:
+            continue
+        for n in range(len(body)):
+            start, end = placed(r, b, body[n, 0]), placed(r, b, body[n, 1])
+            if gap(kinds[k], axes[k], centres[k], sizes[k], start, end) <= radius:
+                return k
+    return -1

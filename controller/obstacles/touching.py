@@ -1,0 +1,135 @@
+"""Which module of a configuration touches first, from the base on: a region, or another module."""
+
+import numpy as np
+from numba import njit
+
+from controller.obstacles.gaps import Array, Index, placed, touches
+
+
+@njit("f8(f8[:,::1], f8[:,::1])", cache=True, nogil=True, error_model="numpy")
+def segment_gap(first: Array, second: Array) -> float:
+    """Returns the distance between two line segments (2, 3).
+
+    Their nearest points are sought on the straight lines, and at the ends where they lie beyond (Ericson 2004,
+    Real-Time Collision Detection, section 5.1.9).
+    """
+    along, across, both, ahead, aside = 0.0, 0.0, 0.0, 0.0, 0.0
+    for a in range(3):
+        u, v, w = first[1, a] - first[0, a], second[1, a] - second[0, a], first[0, a] - second[0, a]
+        along += u * u
+        across += v * v
+        both += u * v
+        ahead += u * w
+        aside += v * w
+    s = 0.0
+    parallel = along * across - both * both
+    if parallel > 0:
+        s = min(max((both * aside - ahead * across) / parallel, 0.0), 1.0)
+    t = (both * s + aside) / across if across > 0 else 0.0
+    if across <= 0 or not 0 <= t <= 1:
+        t = min(max(t, 0.0), 1.0)
+        s = min(max((both * t - ahead) / along, 0.0), 1.0) if along > 0 else 0.0
+    square = 0.0
+    for a in range(3):
+        u, v, w = first[1, a] - first[0, a], second[1, a] - second[0, a], first[0, a] - second[0, a]
+        square += (w + s * u - t * v) ** 2
+    return float(np.sqrt(square))
+
+
+@njit("i8(f8[:,:,:,::1], f8[:,::1], i8[::1], i8, f8)", cache=True, nogil=True)
+def first_near(ends: Array, middles: Array, lines: Index, i: int, apart: float) -> int:
+    """Returns the first module that module i comes no farther from than `apart`, but for its neighbours; -1 if none.
+
+    Args:
+        ends: line segments in the world, shape (B, Lmax, 2, 3).
+        middles: centres and radii of balls around them, shape (B, 4).
+        lines: number of line segments of each module, shape (B,).
+        i: the module.
+        apart: the distance.
+    """
+    for j in range(i - 1):
+        square = 0.0
+        for a in range(3):
+            square += (middles[i, a] - middles[j, a]) ** 2
+        if square > (middles[i, 3] + middles[j, 3] + apart) ** 2:
+            continue
+        for m in range(lines[i]):
+            for n in range(lines[j]):
+                if segment_gap(ends[i, m], ends[j, n]) <= apart:
+                    return j
+    return -1
+
+
+@njit(
+    "i8[:,::1](f8[:,::1], f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,:,::1], f8[:,:,::1], i8[::1],"
+    " i8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8, f8, i8[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def touching(
+    base_r: Array,
+    base_b: Array,
+    rotations: Array,
+    translations: Array,
+    bodies: Array,
+    ball_table: Array,
+    lines: Index,
+    kinds: Index,
+    axes: Array,
+    centres: Array,
+    sizes: Array,
+    margin: float,
+    apart: float,
+    configurations: Index,
+) -> Index:
+    """Returns for each configuration the first module that touches, the region, and else the module that it touches.
+
+    Where there is none of them it says -1; shape (n, 3).
+
+    Args:
+        base_r: orientation of frame F_0 in the world, shape (3, 3).
+        base_b: its position, shape (3,).
+        rotations: configuration sets, shape (B, Kmax, 3, 3).
+        translations: configuration sets, shape (B, Kmax, 3).
+        bodies: and the next two: see Clearance.
+        ball_table: the balls of Clearance.
+        lines: see Clearance.
+        kinds: and the next three: see Regions.
+        axes: see Regions.
+        centres: see Regions.
+        sizes: see Regions.
+        margin: how near to a region is too near.
+        apart: how near to each other, if they are not neighbours; less than 0 where that does not matter.
+        configurations: shape (n, B).
+    """
+    n, modules = configurations.shape
+    result = np.full((n, 3), -1)
+    r, b, turned, moved = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    ends, middles = np.empty((modules, bodies.shape[2], 2, 3)), np.empty((modules, 4))
+    for c in range(n):
+        r[:], b[:] = base_r, base_b
+        for i in range(modules):
+            state = configurations[c, i]
+            ball, body = ball_table[i, state], bodies[i, state, : lines[i]]
+            region = touches(r, b, body, ball, kinds, axes, centres, sizes, margin)
+            if region >= 0:
+                result[c, 0], result[c, 1] = i, region
+                break
+            if apart >= 0:
+                for line in range(lines[i]):
+                    for side in range(2):
+                        x, y, z = placed(r, b, body[line, side])
+                        ends[i, line, side, 0], ends[i, line, side, 1], ends[i, line, side, 2] = x, y, z
+                x, y, z = placed(r, b, ball[:3])
+                middles[i, 0], middles[i, 1], middles[i, 2], middles[i, 3] = x, y, z, ball[3]
+                other = first_near(ends, middles, lines, i, apart)
+                if other >= 0:
+                    result[c, 0], result[c, 2] = i, other
+                    break
+            s, t = rotations[i, state], translations[i, state]
+            moved[0], moved[1], moved[2] = placed(r, b, t)
+            for p in range(3):
+                for q in range(3):
+                    turned[p, q] = r[p, 0] * s[0, q] + r[p, 1] * s[1, q] + r[p, 2] * s[2, q]
+            r[:], b[:] = turned, moved
+    return result
