@@ -1,11 +1,15 @@
 """A module: its configuration set C_i and the actuator states that bring each configuration about."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.frames import Frame
+from controller.manipulator.frames import Frame, quaternion, spatial
+
+Array = NDArray[np.float64]
+Motion = Callable[[Array], tuple[Frame, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +22,8 @@ class Module:
         actuators: the actuators' names, in the order of the columns of `bits`.
         body: line segments of the module's structure in frame i-1, for each state, shape (K, L, 2, 3).
         planar: whether every frame stays in the plane z = 0.
+        motion: returns frames (n, 4, 4) and bodies (n, L, 2, 3) where the actuators are at strokes (n, A), each between
+            0, contracted, and 1, extended; not numbers where nobody knows. None: `blended` from the states around.
     """
 
     frames: Frame
@@ -25,6 +31,11 @@ class Module:
     actuators: tuple[str, ...]
     body: NDArray[np.float64]
     planar: bool
+    motion: Motion | None = None
+
+    def between(self, strokes: Array) -> tuple[Frame, Array]:
+        """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) in mid-stroke, see `motion`."""
+        return blended(self, strokes) if self.motion is None else self.motion(strokes)
 
 
 def binary_code(states: int) -> NDArray[np.uint8]:
@@ -41,12 +52,38 @@ def gray_code(states: int) -> NDArray[np.uint8]:
     return bits
 
 
-def spelled(stack: Frame, bits: NDArray[np.uint8], *, planar: bool) -> Module:
+def shares(bits: NDArray[np.uint8], strokes: Array) -> Array:
+    """Returns how much of each of the codes (K, A) there is in strokes (n, A) between them, shape (n, K), 1 in all.
+
+    Not a number where one of the codes around has no state.
+    """
+    parts = np.where(bits == 1, strokes[:, None], 1.0 - strokes[:, None]).prod(axis=2)
+    return np.where(abs(parts.sum(axis=1, keepdims=True) - 1.0) < 1e-9, parts, np.nan)
+
+
+def blended(module: Module, strokes: Array) -> tuple[Frame, Array]:
+    """Returns frames and bodies in mid-stroke: straight on between the states around, turning evenly."""
+    parts = shares(module.bits, strokes)
+    frames = np.full((len(strokes), 4, 4), np.nan)
+    for n in np.flatnonzero(np.isfinite(parts).all(axis=1)):
+        around = np.flatnonzero(parts[n])
+        turns = np.array([quaternion(frame) for frame in module.frames[around]])
+        turns *= np.where(turns @ turns[0] < 0, -1.0, 1.0)[:, None]
+        frames[n] = spatial(parts[n, around] @ module.frames[around, :3, 3], parts[n, around] @ turns)
+    return frames, np.tensordot(parts, module.body, 1)
+
+
+def spelled(stack: Frame, bits: NDArray[np.uint8], *, planar: bool, motion: Motion | None = None) -> Module:
     """Returns the module whose states are frames (K, 4, 4), spelled by actuators 1, 2, ... (K, A); its body a line."""
+    names = tuple(str(k + 1) for k in range(bits.shape[1]))
+    return Module(stack, bits, names, lines(stack), planar, motion)
+
+
+def lines(stack: Frame) -> Array:
+    """Returns the bodies (n, 1, 2, 3) that lead straight to frames (n, 4, 4)."""
     body = np.zeros((len(stack), 1, 2, 3))
     body[:, 0, 1] = stack[:, :3, 3]
-    names = tuple(str(k + 1) for k in range(bits.shape[1]))
-    return Module(stack, bits, names, body, planar)
+    return body
 
 
 def transforms(frames: ArrayLike, *, planar: bool) -> Module:

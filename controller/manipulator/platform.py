@@ -47,6 +47,11 @@ class Legs:
         """Returns the upper joints t_i (L, 3) in the frame below."""
         return np.asarray(self.top @ frame[:3, :3].T + frame[:3, 3])
 
+    def body(self, frame: Frame) -> Array:
+        """Returns legs, base and plate as line segments (3 L, 2, 3)."""
+        ends = self.joints(frame)
+        return np.array([*zip(self.base, ends, strict=True), *around(self.base), *around(ends)])
+
     def misfit(self, frame: Frame, lengths: Array) -> tuple[Array, Array]:
         """Returns what each constraint misses (n,), and how the plate's free motions change it (n, n)."""
         ends = self.joints(frame)
@@ -73,6 +78,35 @@ class Legs:
                 return None
             frame = moved(frame, twist * (CLOSE / max(size, CLOSE)))
         return None
+
+    def followed(self, frame: Frame, lengths: Array) -> Frame:
+        """Returns the poses (n, 4, 4) near one, where legs have lengths (n, L); not numbers where it is loose."""
+        side, frames = self.stiffness(frame)[1], np.tile(frame, (len(lengths), 1, 1))
+        for _ in range(FEW):
+            missed, change = self._misfits(frames, lengths)
+            if abs(missed).max(initial=0.0) < RESIDUAL:
+                break
+            twists = np.zeros((len(frames), 6))
+            twists[:, self.free] = np.linalg.solve(change, -missed[..., None])[..., 0]
+            frames[:, :3, :3] = rotations(twists[:, 3:]) @ frames[:, :3, :3]
+            frames[:, :3, 3] += twists[:, :3]
+        missed, change = self._misfits(frames, lengths)
+        change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
+        loose = np.linalg.svd(change, compute_uv=False)[:, -1] < STIFFNESS
+        settled = abs(missed).max(axis=1) <= RESIDUAL
+        frames[loose | ~settled | (np.sign(np.linalg.det(change)) != side)] = np.nan
+        return frames
+
+    def _misfits(self, frames: Frame, lengths: Array) -> tuple[Array, Array]:
+        """Returns `misfit` of many frames (n, 4, 4) at once."""
+        arms = self.top @ np.swapaxes(frames[:, :3, :3], 1, 2)
+        ends = arms + frames[:, None, :3, 3]
+        found = np.linalg.norm(ends - self.base, axis=2)
+        normals = np.broadcast_to(self.normals, (len(frames), *self.normals.shape))
+        directions = np.concatenate([(ends - self.base) / found[..., None], normals], axis=1)
+        missed = np.concatenate([found - lengths, (ends[:, : len(self.normals)] * normals).sum(axis=2)], axis=1)
+        turns = np.cross(np.concatenate([arms, arms[:, : len(self.normals)]], axis=1), directions)
+        return missed, np.concatenate([directions, turns], axis=2)[..., self.free]
 
     def stiffness(self, frame: Frame) -> tuple[float, float]:
         """Returns how much the least felt motion of the plate changes the legs, and on which side of loose it is."""
@@ -112,7 +146,7 @@ class Legs:
         while done < 1.0:
             share = min(done + step, 1.0)
             following = self.settled(frame, 1.0 + share * (lengths - 1.0), FEW, CLOSE)
-            if following is not None and self._firm(following, side):
+            if following is not None and self.firm(following, side):
                 frame, done = following, share
             elif step > LAST_STEP:
                 step /= 2
@@ -120,7 +154,8 @@ class Legs:
                 raise ValueError(f"no assembly: the plate comes loose at {done:.0%} of the way from the legs' middle")
         return frame
 
-    def _firm(self, frame: Frame, side: float) -> bool:
+    def firm(self, frame: Frame, side: float) -> bool:
+        """Returns whether the plate is not loose, nor beyond a pose in which it is."""
         stiffness, own = self.stiffness(frame)
         return stiffness >= STIFFNESS and own == side
 
@@ -146,13 +181,18 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
         except ValueError as error:
             extended = ", ".join(str(k + 1) for k in np.flatnonzero(own)) or "none"
             raise ValueError(f"extended legs {extended}: {error}") from None
-    body, below = [], legs.base * size
-    for frame in frames:
-        ends = legs.joints(frame) * size
-        body.append([*zip(below, ends, strict=True), *around(below), *around(ends)])
+    names = tuple(str(k + 1) for k in range(len(legs.base)))
+    drawn = np.array([legs.body(frame) for frame in frames]) * size
     stack = np.array(frames)
     stack[:, :3, 3] *= size
-    return Module(stack, bits, tuple(str(k + 1) for k in range(len(below))), np.array(body), planar=len(legs.free) == 3)
+
+    def motion(strokes: Array) -> tuple[Frame, Array]:
+        there = legs.followed(middle, (lengths[0] + strokes * (lengths[1] - lengths[0])) / size)
+        bodies = np.array([legs.body(frame) for frame in there]) * size
+        there[:, :3, 3] *= size
+        return there, bodies
+
+    return Module(stack, bits, names, drawn, planar=len(legs.free) == 3, motion=motion)
 
 
 def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:
@@ -177,6 +217,15 @@ def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:
 def around(joints: Array) -> list[tuple[Array, Array]]:
     """Returns the sides of a plate with these joints (L, 3)."""
     return list(zip(joints, np.roll(joints, -1, axis=0), strict=True))
+
+
+def rotations(turns: Array) -> Array:
+    """Returns the rotations (n, 3, 3) about axes, by their lengths [rad] (n, 3)."""
+    angles = np.linalg.norm(turns, axis=1)[:, None, None]
+    x, y, z = turns.T
+    crosses = np.moveaxis(np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]]), -1, 0)
+    once, twice = np.sinc(angles / np.pi), np.sinc(angles / 2 / np.pi) ** 2 / 2
+    return np.asarray(np.eye(3) + once * crosses + twice * crosses @ crosses)
 
 
 def moved(frame: Frame, twist: Array) -> Frame:

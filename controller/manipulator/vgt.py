@@ -1,14 +1,15 @@
 """The variable geometry truss module of section 4: two triangles over a base of fixed width."""
 
 import math
+from collections.abc import Iterable
 from itertools import product
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import planar
-from controller.manipulator.module import Module, binary_code
+from controller.manipulator.frames import Frame, planar
+from controller.manipulator.module import Array, Module, binary_code
 
 Point = NDArray[np.float64]
 Lengths = tuple[float, float]
@@ -30,23 +31,39 @@ def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right:
     Raises:
         ValueError: some state's lengths do not close the two triangles.
     """
+    legs = np.array([left, middle, right])
+
+    def assembly(lengths: Iterable[tuple[float, float, float]]) -> tuple[Frame, Array]:
+        states = [assembled(diagonal, width, *three) for three in lengths]
+        return np.array([frame for frame, _ in states]), np.array([body for _, body in states])
+
+    def motion(strokes: Array) -> tuple[Frame, Array]:
+        return assembly((legs[:, 0] + strokes * (legs[:, 1] - legs[:, 0])).tolist())
+
+    frames, body = assembly(product(left, middle, right))
+    return Module(frames, binary_code(8), ACTUATORS, body, planar=True, motion=motion)
+
+
+def assembled(diagonal: Diagonal, width: float, ac: float, across: float, bd: float) -> tuple[Frame, Array]:
+    """Returns the frame (4, 4) and body (4, 2, 3) of a truss whose left leg, diagonal and right leg have these lengths.
+
+    Raises:
+        ValueError: they do not close the two triangles.
+    """
     a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
-    frames, body = [], []
-    for ac, across, bd in product(left, middle, right):
-        try:
-            if diagonal == "BC":
-                c = apex(a, b, ac, across)
-                d = apex(c, b, width, bd)
-            else:
-                d = apex(a, b, across, bd)
-                c = apex(a, d, ac, width)
-        except ValueError as error:
-            raise ValueError(f"legs {ac:g} and {bd:g}, diagonal {across:g}, width {width:g}: {error}") from None
-        x, y = (c + d) / 2
-        frames.append(planar(x, y, math.atan2(d[1] - c[1], d[0] - c[0])))
-        brace = (b, c) if diagonal == "BC" else (a, d)
-        body.append([[(*p, 0.0), (*q, 0.0)] for p, q in ((a, c), brace, (b, d), (c, d))])
-    return Module(np.array(frames), binary_code(8), ACTUATORS, np.array(body), planar=True)
+    try:
+        if diagonal == "BC":
+            c = apex(a, b, ac, across)
+            d = apex(c, b, width, bd)
+        else:
+            d = apex(a, b, across, bd)
+            c = apex(a, d, ac, width)
+    except ValueError as error:
+        raise ValueError(f"legs {ac:g} and {bd:g}, diagonal {across:g}, width {width:g}: {error}") from None
+    x, y = (c + d) / 2
+    brace = (b, c) if diagonal == "BC" else (a, d)
+    body = [[(*p, 0.0), (*q, 0.0)] for p, q in ((a, c), brace, (b, d), (c, d))]
+    return planar(x, y, math.atan2(d[1] - c[1], d[0] - c[0])), np.array(body)
 
 
 def apex(p: Point, q: Point, from_p: float, from_q: float) -> Point:
