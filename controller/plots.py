@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.regions import NONE, Regions
+from controller.region_plots import draw_regions, draw_spatial_regions
 from controller.workspace.densities import Densities
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who draw wait for it
@@ -43,7 +45,14 @@ class Panel:
     curve: ArrayLike = ()
 
 
-def save(path: Path, manipulator: Manipulator, densities: Densities, panels: Sequence[Panel], unit: str = "m") -> None:
+def save(
+    path: Path,
+    manipulator: Manipulator,
+    densities: Densities,
+    panels: Sequence[Panel],
+    unit: str = "m",
+    regions: Regions = NONE,
+) -> None:
     """Writes a picture of the panels side by side, in the format of the path's suffix.
 
     Args:
@@ -52,15 +61,18 @@ def save(path: Path, manipulator: Manipulator, densities: Densities, panels: Seq
         densities: of its intermediate workspaces; a spatial arm is drawn without.
         panels: from left to right.
         unit: of length, for the axes.
+        regions: that the arm keeps out of.
 
     Raises:
         OSError: the file cannot be written.
         ValueError: matplotlib knows no such suffix.
     """
-    figure(manipulator, densities, panels, unit).savefig(path, dpi=150, bbox_inches="tight")
+    figure(manipulator, densities, panels, unit, regions).savefig(path, dpi=150, bbox_inches="tight")
 
 
-def figure(manipulator: Manipulator, densities: Densities, panels: Sequence[Panel], unit: str = "m") -> Figure:
+def figure(
+    manipulator: Manipulator, densities: Densities, panels: Sequence[Panel], unit: str = "m", regions: Regions = NONE
+) -> Figure:
     """Returns the picture that `save` writes."""
     from matplotlib.figure import Figure
 
@@ -69,9 +81,10 @@ def figure(manipulator: Manipulator, densities: Densities, panels: Sequence[Pane
     for k, panel in enumerate(panels):
         if manipulator.planar:
             axes = result.add_subplot(1, len(panels), k + 1)
-            shades = draw(axes, manipulator, densities, panel, unit)
+            shades = draw(axes, manipulator, densities, panel, unit, regions)
         else:
-            draw_spatial(result.add_subplot(1, len(panels), k + 1, projection="3d"), manipulator, panel, unit)
+            axes = result.add_subplot(1, len(panels), k + 1, projection="3d")
+            draw_spatial(axes, manipulator, panel, unit, regions)
     if shades is not None:
         bar = result.colorbar(shades, ax=result.axes, extend="max", shrink=0.7, aspect=30, pad=0.02)
         bar.set_label(f"point density [1/{unit}²]")
@@ -79,7 +92,14 @@ def figure(manipulator: Manipulator, densities: Densities, panels: Sequence[Pane
     return result
 
 
-def draw(axes: Axes, manipulator: Manipulator, densities: Densities, panel: Panel, unit: str = "m") -> Any:
+def draw(
+    axes: Axes,
+    manipulator: Manipulator,
+    densities: Densities,
+    panel: Panel,
+    unit: str = "m",
+    regions: Regions = NONE,
+) -> Any:
     """Draws a planar arm in the world over the density of W_0; returns the density's image, for a colour bar."""
     from matplotlib.collections import LineCollection
     from matplotlib.patheffects import withStroke
@@ -101,6 +121,7 @@ def draw(axes: Axes, manipulator: Manipulator, densities: Densities, panel: Pane
         bold = [withStroke(linewidth=4.5, foreground="white")]
         axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
     low, high = bounds([*everything, curve, targets])
+    draw_regions(axes, regions, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=panel.title)
     axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     add_legend(axes)
@@ -135,7 +156,7 @@ def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> 
     return shades, centres[:, :2] @ base[:2, :2].T + base[:2, 2]
 
 
-def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m") -> None:
+def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m", regions: Regions = NONE) -> None:
     """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
     from matplotlib.patheffects import withStroke
     from matplotlib.ticker import MaxNLocator, MultipleLocator
@@ -157,6 +178,7 @@ def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = 
         bold = [withStroke(linewidth=4.5, foreground="white")]
         axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
     low, high = bounds([*everything, curve, targets])
+    draw_spatial_regions(axes, regions, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=panel.title)
     ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):

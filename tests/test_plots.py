@@ -11,6 +11,7 @@ from controller import figure5
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import parse_configuration
+from controller.obstacles.regions import box, half_space, sphere, together
 from controller.plots import COLOURS, Panel, figure, save
 from controller.search.method import PAPER_METHODS
 from controller.workspace.mapping import map_densities
@@ -19,6 +20,7 @@ from tests.arms import spatial_arm
 STRAIGHT, BENT = np.full(16, 7), np.full(16, 4)
 FAR = [(6.0, -5.0)]
 CURVE = [(-7.0, 0.0), (-7.5, 1.0)]
+TURNED = frames.planar(0, 0, np.pi / 2)[:3, :3]
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +119,32 @@ def test_figure_5_starts_contracted_and_goes_on_from_what_it_reached(manipulator
 def test_figure_5_is_one_picture(tmp_path, arm, densities, rows):
     figure5.save(tmp_path / "figure5.png", arm, densities, rows)
     assert (tmp_path / "figure5.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_regions_are_drawn_where_they_are(manipulator, densities):
+    floor = half_space("floor", [0, -0.5], [0, 1])
+    regions = together([sphere("disc", [1, 2], 0.3), box("box", [-1, 1], [0.8, 0.2], TURNED), floor])
+    axes = figure(manipulator, densities, [Panel("", {"bent": BENT})], regions=regions).axes[0]
+    drawn = [patch.get_transform().transform_path(patch.get_path()).vertices for patch in axes.patches]
+    disc, turned, below = ((axes.transData.inverted().transform(path)) for path in drawn)
+    assert_allclose(np.linalg.norm(disc - [1, 2], axis=1).min(), 0.3, atol=0.01)
+    assert_allclose([turned.min(axis=0), turned.max(axis=0)], [[-1.1, 0.6], [-0.9, 1.4]], atol=1e-9)
+    assert_allclose(below[:, 1].max(), -0.5)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["bent", "keep out"]
+
+
+def test_a_half_plane_beyond_the_picture_is_not_drawn(manipulator, densities):
+    far = half_space("floor", [0, -50], [0, 1])
+    assert len(figure(manipulator, densities, [Panel()], regions=far).axes[0].patches) == 0
+
+
+def test_regions_in_space_are_drawn_translucent(tmp_path):
+    arm = spatial_arm(4)
+    shapes = [sphere("s", [0, 0.3, 0.5], 0.1), box("b", [0.3, 0, 0.5], [0.1, 0.2, 0.3])]
+    regions = together([*shapes, half_space("h", [0, 0, 0.1], [0, 0.1, 1]), half_space("far", [0, 0, -9], [0, 0, 1])])
+    densities = map_densities(arm, 0.1, 4000)
+    (axes,) = figure(arm, densities, [Panel("", {"bent": np.zeros(4, int)})], regions=regions).axes
+    balls, boxes, plane = axes.collections[1:]
+    assert all(shape.get_alpha() is None and shape.get_facecolor()[0][3] < 0.3 for shape in (balls, boxes, plane))
+    assert_allclose(np.unique(abs(np.concatenate(boxes._faces) - [0.3, 0, 0.5]).round(9), axis=0), [[0.05, 0.1, 0.15]])
+    assert_allclose(regions.depths(plane._faces[0])[:, 2], 0, atol=1e-9)

@@ -1,0 +1,32 @@
+"""Requests to keep out of regions: strict decoding."""
+
+from msgspec import Struct
+
+from controller.motion.goal import refusal
+from controller.motion.setpoint import parse
+from controller.obstacles.notation import RegionList, build_regions
+from controller.obstacles.regions import Regions
+
+
+class ObstaclesMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of `obstacles`: all regions beside those of the arm's file, in the same notation."""
+
+    regions: RegionList
+
+
+def decode(payload: bytes, dimension: int) -> Regions:
+    """Returns the regions in a payload.
+
+    Args:
+        payload: JSON.
+        dimension: of the arm, 2 or 3.
+
+    Raises:
+        Refusal: what is wrong, by field; nothing else, whatever the bytes.
+    """
+    message = parse(payload, ObstaclesMessage, "obstacles")
+    faults = list[str]()
+    regions = build_regions(message.regions, dimension, "regions", faults)
+    if faults:
+        raise refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))
+    return regions

@@ -1,0 +1,124 @@
+"""Regions as an arm's file and messages write them, and every fault in them by the path of the field."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from controller.manipulator import frames
+from controller.obstacles.regions import Regions, box, half_space, sphere, together
+
+# Lengths beyond these bounds are slips of the unit, and would overflow when squared.
+Positive = Annotated[float, Meta(gt=0, le=1e6)]
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
+Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
+Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # more is degrees, or a slip
+Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
+
+MOST = 256  # regions in one list
+UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
+PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
+
+
+class RoundSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A disc or a sphere."""
+
+    centre: Vector
+    radius: Positive
+
+
+class BoxSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A box, turned about its centre: in the plane by an angle [rad], in space by a quaternion x, y, z, w."""
+
+    centre: Vector
+    size: Sides
+    angle: Angle | None = None
+    orientation: Quaternion | None = None
+
+
+class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A half-plane or half-space: all that lies on the side of `point` that `normal` points away from."""
+
+    point: Vector
+    normal: Vector
+
+
+class RegionSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A region that no module may touch: one of these, and what sentences call it."""
+
+    disc: RoundSettings | None = None
+    sphere: RoundSettings | None = None
+    box: BoxSettings | None = None
+    half_plane: HalfSettings | None = None
+    half_space: HalfSettings | None = None
+    name: Name | None = None
+
+
+RegionList = Annotated[list[RegionSettings], Meta(max_length=MOST)]
+
+
+def build_regions(listed: Sequence[RegionSettings], dimension: int, path: str, faults: list[str]) -> Regions:
+    """Returns the regions of a list, those that are wrong replaced by faults.
+
+    Args:
+        listed: as written.
+        dimension: of the arm, 2 or 3.
+        path: of the list, such as "obstacles".
+        faults: appended to.
+    """
+    parts = list[Regions]()
+    for k, entry in enumerate(listed):
+        where = f"{path}[{k}]"
+        names = [other.name for other in listed[:k]]
+        if entry.name is not None and entry.name in names:
+            faults.append(f"{where}.name: {entry.name!r} is {path}[{names.index(entry.name)}]'s already")
+        if (part := build_region(entry, dimension, where, faults)) is not None:
+            parts.append(part)
+    return together(parts)
+
+
+def build_region(entry: RegionSettings, dimension: int, path: str, faults: list[str]) -> Regions | None:
+    """Returns a single region, or None and a fault."""
+    kinds = PLANAR if dimension == 2 else SPATIAL
+    arm = "planar" if dimension == 2 else "spatial"
+    given = [kind for kind in dict.fromkeys(PLANAR + SPATIAL) if getattr(entry, kind) is not None]
+    if len(given) != 1 or given[0] not in kinds:
+        got = " and ".join(given) or "none of them"
+        faults.append(f"{path}: one of {', '.join(kinds)} is needed for a {arm} arm, got {got}")
+        return None
+    kind, settings = given[0], getattr(entry, given[0])
+    before = len(faults)
+    for field in ("centre", "size", "point", "normal"):
+        vector = getattr(settings, field, None)
+        if vector is not None and len(vector) != dimension:
+            faults.append(f"{path}.{kind}.{field}: {len(vector)} coordinates, a {arm} arm's have {dimension}")
+    name = f"{kind.replace('_', '-')} {repr(entry.name) if entry.name else path}"
+    match settings:
+        case RoundSettings():
+            region = None if len(faults) > before else sphere(name, settings.centre, settings.radius)
+        case HalfSettings():
+            if math.hypot(*settings.normal) < 1e-9:
+                faults.append(f"{path}.{kind}.normal: a direction is needed, got {settings.normal}")
+            region = None if len(faults) > before else half_space(name, settings.point, settings.normal)
+        case BoxSettings():
+            rotation = build_rotation(settings, dimension, f"{path}.{kind}", faults)
+            region = None if len(faults) > before else box(name, settings.centre, settings.size, rotation)
+    return region
+
+
+def build_rotation(settings: BoxSettings, dimension: int, path: str, faults: list[str]) -> frames.Frame:
+    """Returns how a box is turned (3, 3)."""
+    if dimension == 2:
+        if settings.orientation is not None:
+            faults.append(f"{path}.orientation: a box of the plane is turned by an `angle`, got a quaternion")
+        return frames.planar(0.0, 0.0, settings.angle or 0.0)[:3, :3]
+    quaternion = settings.orientation or [0.0, 0.0, 0.0, 1.0]
+    if settings.angle is not None:
+        faults.append(f"{path}.angle: a box in space is turned by an `orientation`, a quaternion x, y, z, w")
+    if abs(math.hypot(*quaternion) - 1.0) > UNIT:
+        faults.append(f"{path}.orientation: a quaternion x, y, z, w of length 1 is needed, got {quaternion}")
+        return frames.spatial((0.0, 0.0, 0.0))[:3, :3]
+    return frames.spatial((0.0, 0.0, 0.0), quaternion)[:3, :3]

@@ -1,0 +1,67 @@
+"""Regions to keep out of, as they come from the network."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.motion.codes import Refusal
+from controller.motion.obstacles import decode
+from controller.motion.setpoint import MOST_BYTES
+
+scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
+fields = ["disc", "sphere", "box", "half_plane", "name", "centre", "radius", "size", "angle", "point", "normal"]
+anything = st.recursive(
+    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(fields), inner, max_size=4)
+)
+NAMED = {"disc": {"centre": [1, 2], "radius": 0.5}, "name": "crate"}
+
+
+def sent(*regions: object) -> bytes:
+    return json.dumps({"regions": regions}).encode()
+
+
+@pytest.mark.parametrize(
+    ("payload", "named"),
+    [
+        (b"{}", "regions: required, but missing"),
+        (b"[]", "obstacles: an object with `regions` is needed"),
+        (b"", "obstacles is not JSON"),
+        (b"\xff", "obstacles is not UTF-8: byte 0 is 0xff"),
+        (b"[" * 5000, "obstacles is not JSON"),
+        (bytes(MOST_BYTES + 1), f"obstacles of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
+        (b'{"regions": [], "now": 1}', "now: unknown field; known are regions"),
+        (sent({"sphere": {"centre": [1, 2], "radius": 1}}), "regions[0]: one of disc, box, half_plane is needed for"),
+        (sent({"disc": {"centre": [1, 2, 3], "radius": 1}}), "regions[0].disc.centre: 3 coordinates, a planar arm's"),
+        (sent({"disc": {"centre": [1, 2], "radius": 0}}), "regions[0].disc.radius: Expected `float` > 0.0"),
+        (sent(NAMED, NAMED), "regions[1].name: 'crate' is regions[0]'s already"),
+        (sent({}, {}, {}, {}), "regions[0]: one of disc"),
+    ],
+)
+def test_what_is_wrong_with_a_request_is_named_by_field(payload: bytes, named: str) -> None:
+    with pytest.raises(Refusal) as refused:
+        decode(payload, 2)
+    assert str(refused.value).startswith(named)
+
+
+def test_regions_are_taken_in_their_order() -> None:
+    assert decode(sent(NAMED, {"box": {"centre": [1, 2], "size": [1, 2]}}), 2).names == (
+        "disc 'crate'",
+        "box regions[1]",
+    )
+    assert len(decode(sent(), 3)) == 0
+
+
+def test_more_than_three_faults_are_counted() -> None:
+    with pytest.raises(Refusal, match="and 1 more faults"):
+        decode(sent({}, {}, {}, {}), 2)
+
+
+@given(st.binary(max_size=60) | st.lists(anything, max_size=3).map(lambda value: sent(*value)), st.sampled_from([2, 3]))
+def test_whatever_bytes_come_are_regions_or_refused(payload: bytes, dimension: int) -> None:
+    try:
+        regions = decode(payload, dimension)
+    except Refusal:
+        return
+    assert len(regions) == len(json.loads(payload)["regions"])
