@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE
+from controller.search.guard import no_part, part
 from controller.search.halves import middle
 from controller.search.meeting import seen
 from controller.search.segment import Storage, build_segment, coordinates, motions, write_rows
@@ -34,7 +35,7 @@ class Candidates:
         self._pairs, self._costs = np.empty((most, 2), dtype=np.int64), np.empty(most)
 
     def find(self, target: Target, centre: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
-        """Returns configurations (n, B) whose tips are within the tolerances, and what they cost (n,).
+        """Returns configurations (n, B) whose tips are within the tolerances and clear, and what they cost (n,).
 
         Args:
             target: in frame F_0.
@@ -47,7 +48,12 @@ class Candidates:
         self._cells.fill(upper.frames, upper.costs, target.tolerance * CLOSE)
         asking = self._asking[: len(lower.costs)]
         seen(target.row, lower.frames, asking)
-        found = self._cells.collect(asking, lower.costs, target.limit, self._pairs, self._costs)
+        pairs = None
+        if target.guard is not None:
+            rows = np.arange(max(len(lower.costs), len(upper.costs)))
+            known = np.zeros(len(lower.costs), dtype=np.int8)
+            pairs = target.guard, centre, known, no_part(), part(lower, rows), part(upper, rows)
+        found = self._cells.collect(asking, lower.costs, target.limit, self._pairs, self._costs, pairs)
         configurations = np.tile(centre, (found, 1))
         for segment, rows in zip((lower, upper), self._pairs[:found].T, strict=True):
             chosen = np.ascontiguousarray(rows)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.search.guard import Pairs
 from controller.search.meeting import collect, match
 from controller.search.pose_meeting import match_poses, write_points
 from controller.search.sorting import CELLS, put_into_cells, sort_into_cells
@@ -59,6 +60,7 @@ class Cells:
         weight: float,
         best: float,
         best_square: float,
+        pairs: Pairs,
         *,
         carried: bool = False,
     ) -> tuple[int, int, int, float, float]:
@@ -82,6 +84,7 @@ class Cells:
                 weight,
                 best,
                 best_square,
+                pairs,
             )
         return match(
             targets,
@@ -99,9 +102,12 @@ class Cells:
             weight,
             best,
             best_square,
+            pairs,
         )
 
-    def collect(self, asking: Array, costs: Array, limit: float, pairs: NDArray[np.int64], pair_costs: Array) -> int:
+    def collect(
+        self, asking: Array, costs: Array, limit: float, found: NDArray[np.int64], found_costs: Array, pairs: Pairs
+    ) -> int:
         """Writes the cheapest pairs of asking frames and rows, see meeting.collect; returns their number."""
         n = len(self._rows)
         return collect(
@@ -115,6 +121,7 @@ class Cells:
             self._rows,
             self._tolerance,
             limit,
+            found,
+            found_costs,
             pairs,
-            pair_costs,
         )

@@ -4,6 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.search.guard import KINDS, Guard, hits, stand
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -30,8 +32,11 @@ def measure(
 
 
 @njit(
-    "UniTuple(f8, 3)(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
-    " f8[:,::1], f8[::1], i8, i8[::1])",
+    [
+        "UniTuple(f8, 3)(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
+        f" f8[:,::1], f8[::1], i8, i8[::1], {guard})"
+        for guard in KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -50,12 +55,14 @@ def descend(
     thresholds: Array,
     depth: int,
     configuration: Index,
+    guard: Guard,
 ) -> tuple[float, float, float]:
     """Fixes modules 1 to `depth`; writes their states to `configuration`, returns the goal in frame F_depth.
 
     Of a module's states whose measure is at least the level's threshold, the one with the least penalty is taken (the
     secondary criterion), the greater measure deciding between equals; where no state reaches the threshold, the one
-    with the greatest measure. POP is the case of thresholds that nothing reaches.
+    with the greatest measure. POP is the case of thresholds that nothing reaches. States in which the module touches
+    something are passed over; where no other is left, that is the end, and the goal returned is not a number.
 
     Args:
         goal: position in frame F_0, shape (3,).
@@ -71,6 +78,7 @@ def descend(
         thresholds: on the primary criterion, for each level, shape (B+1,).
         depth: number of modules to fix.
         configuration: written, shape (B,).
+        guard: what to keep clear of, None if there is nothing.
     """
     x, y, z = goal[0], goal[1], goal[2]
     for i in range(depth):
@@ -92,17 +100,27 @@ def descend(
                 better = penalties[i, j] < best_penalty
             else:
                 better = m > best_measure
+            if guard is not None and better:
+                guard[11][i] = j
+                better = not hits(guard, i)
             if better:
                 best, best_measure, best_penalty, best_passes = j, m, penalties[i, j], passes
                 bx, by, bz = qx, qy, qz
+        if guard is not None:
+            if best < 0:
+                return np.nan, np.nan, np.nan
+            stand(guard, i, best)
         configuration[i] = best
         x, y, z = bx, by, bz
     return x, y, z
 
 
 @njit(
-    "i8(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
-    " f8[:,::1], f8, i8, i8[:,::1], f8[:,::1], f8[::1])",
+    [
+        "i8(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
+        f" f8[:,::1], f8, i8, i8[:,::1], f8[:,::1], f8[::1], {guard})"
+        for guard in KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -123,12 +141,13 @@ def spread(
     configurations: Index,
     wanted: Array,
     prices: Array,
+    guard: Guard,
 ) -> int:
     """Fixes modules 1 to `depth` of many configurations at once: a beam through the configuration tree.
 
-    Of all children of the nodes of one level, those of least cost less `worth` times their measure are kept, as many as
-    there is room for. Writes their states to `configurations` (W, B), the goal in frame F_depth to `wanted` (W, 3) and
-    the costs so far to `prices` (W,), the best first; returns the number of those within reach.
+    Of all children of the nodes of one level that touch nothing, those of least cost less `worth` times their measure
+    are kept, as many as there is room for. Writes their states to `configurations` (W, B), the goal in frame F_depth to
+    `wanted` (W, 3) and the costs so far to `prices` (W,), the best first; returns the number of those within reach.
 
     Args:
         goal: position in frame F_0, shape (3,).
@@ -146,6 +165,7 @@ def spread(
         configurations: written.
         wanted: written.
         prices: written.
+        guard: what to keep clear of, None if there is nothing.
     """
     width, most = len(prices), len(prices) * states.max()
     parents, choices = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
@@ -156,7 +176,14 @@ def spread(
         born = 0
         for n in range(count):
             x, y, z = wanted[n, 0], wanted[n, 1], wanted[n, 2]
+            if guard is not None:
+                for k in range(i):
+                    stand(guard, k, configurations[n, k])
             for j in range(states[i]):
+                if guard is not None:
+                    guard[11][i] = j
+                    if hits(guard, i):
+                        continue
                 r, b = rotations[i, j], translations[i, j]
                 dx, dy, dz = x - b[0], y - b[1], z - b[2]
                 points[born, 0] = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz

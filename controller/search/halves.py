@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE, Found
+from controller.search.guard import Guard, Pairs, no_part, part
 from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
 from controller.search.target import Target
 
@@ -15,6 +16,7 @@ Array = NDArray[np.float64]
 
 ONE_TARGET = np.zeros(1)
 AT_ONCE = 1 << 15  # lower rows that ask between two looks at the clock
+GUARDED = 1 << 12  # the same where pairs are looked at for what they touch
 
 
 class Halves:
@@ -45,6 +47,8 @@ class Halves:
         self._cells = Cells(self._storages[1].rows, coordinates(self._motions))
         self._key: tuple[NDArray[np.generic], ...] = ()
         self._sorted: tuple[float, ...] = ()
+        self._known = np.zeros(self._storages[0].rows, dtype=np.int8)  # of the lower rows, whether they touch
+        self._guard: Guard = None
 
     def claim(self) -> None:
         """Has the system hand out all memory now, not in the middle of a search with a deadline."""
@@ -65,7 +69,7 @@ class Halves:
         key = (centre, distances, costs, np.array([0 if most is None else most]))
         if self._key and all(map(np.array_equal, key, self._key)):
             return
-        self._key, self._sorted = (), ()  # until it is done
+        self._key, self._sorted, self._guard = (), (), None  # until it is done
         self.lower, self.upper = (
             build_segment(self._motions, self._states, storage, centre, distances, costs, *ends, most)
             for storage, ends in zip(self._storages, ((0, self.cut), (self.cut, self._count)), strict=True)
@@ -89,19 +93,21 @@ class Halves:
         """
         self.sort(target.tolerance * CLOSE, target.limit)
         self.unasked, lower = np.inf, self.lower
-        for start in range(0, len(lower.costs), AT_ONCE):
+        at_once = AT_ONCE if target.guard is None else GUARDED
+        for start in range(0, len(lower.costs), at_once):
             if start > 0 and time.perf_counter() > until:
                 self.unasked = float(lower.costs[start:].min())
                 break
-            part = slice(start, start + AT_ONCE)
+            asking = slice(start, start + at_once)
             _, i, j, cost, square = self._cells.match(
                 target.row[None],
                 ONE_TARGET,
-                lower.frames[part],
-                lower.costs[part],
+                lower.frames[asking],
+                lower.costs[asking],
                 target.weight,
                 best.cost,
                 best.square,
+                self._pairs(target.guard, asking),
             )
             if i >= 0:
                 configuration = self._key[0].astype(np.int64)
@@ -109,6 +115,17 @@ class Halves:
                 self.upper.write(j, configuration)
                 best = Found(configuration, cost, square)
         return best
+
+    def _pairs(self, guard: Guard, asking: slice) -> Pairs:
+        """Returns what kernels need to see whether pairs touch."""
+        if guard is None:
+            return None
+        lower, upper, rows = self.lower, self.upper, np.arange(max(len(self.lower.costs), len(self.upper.costs)))
+        if self._guard is not guard:
+            self._guard = guard
+            self._known[: len(lower.costs)] = 0
+        own = part(lower, rows[: len(lower.costs)][asking]), part(upper, rows)
+        return guard, self._key[0], self._known[: len(lower.costs)][asking], no_part(), *own
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:

@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.search.guard import PAIR_KINDS, Pairs, known_blocked, meets
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Index32 = NDArray[np.int32]
@@ -53,8 +55,11 @@ def chord(turned: Array, i: int, by: Array, j: int, other: Array, k: int) -> flo
 
 
 @njit(
-    "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
-    " f8[::1], f8[:,::1], f8, f8, f8, f8)",
+    [
+        "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
+        f" f8[::1], f8[:,::1], f8, f8, f8, f8, {pairs})"
+        for pairs in PAIR_KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -76,8 +81,9 @@ def match(
     weight: float,
     best: float,
     best_square: float,
+    pairs: Pairs,
 ) -> tuple[int, int, int, float, float]:
-    """Returns the target, frame and point of least cost together that fit, the nearer between equals.
+    """Returns the target, frame and point of least cost together that fit and are clear, the nearer between equals.
 
     They fit where the point is within the tolerance of the target as seen from the frame, or as carried by it.
 
@@ -97,6 +103,7 @@ def match(
         weight: length with which the chord between rotations counts in the squared distance; 0 where it does not.
         best: cost to be bettered, or equalled by what is nearer.
         best_square: square of its distance.
+        pairs: what to keep clear of, see guard; None if there is nothing.
 
     Returns:
         Rows of target, frame and asked row, (-1, -1, -1) if none is better; the best's cost and squared distance.
@@ -113,6 +120,8 @@ def match(
         for q in range(len(frames)):
             price = target_costs[t] + frame_costs[q]
             if price + least > best:
+                continue
+            if pairs is not None and known_blocked(pairs, q):
                 continue
             f = frames[q]
             pz = 0.0
@@ -163,12 +172,18 @@ def match(
                                 square += weight * weight * apart
                                 if cost == best and square >= best_square:
                                     continue
+                            if pairs is not None and meets(pairs, t, q, order[k]):
+                                continue
                             first, second, third, best, best_square = t, q, k, cost, square
     return first, second, int(order[third]) if third >= 0 else -1, best, best_square
 
 
 @njit(
-    "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8[:,::1], f8, f8, i8[:,::1], f8[::1])",
+    [
+        "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8[:,::1], f8, f8, i8[:,::1], f8[::1],"
+        f" {pairs})"
+        for pairs in PAIR_KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -184,14 +199,15 @@ def collect(
     rows: Array,
     tolerance: float,
     limit: float,
-    pairs: Index,
-    pair_costs: Array,
+    found: Index,
+    costs: Array,
+    pairs: Pairs,
 ) -> int:
     """Writes the cheapest pairs of an asking frame (n, 4 or 12) and a row that fit, see match, as many as find room.
 
-    Returns their number; `pairs` is of shape (n, 2), their costs `pair_costs` of shape (n,). The rest: see Cells.
+    Returns their number; `found` is of shape (n, 2), their `costs` of shape (n,). The rest: see match and Cells.
     """
-    count, room, worst, farthest = 0, len(pair_costs), np.inf, tolerance * tolerance
+    count, room, worst, farthest = 0, len(costs), np.inf, tolerance * tolerance
     size = points.shape[1]
     flat, oriented = size == 2, limit < np.inf
     per, nx, ny, nz = grid[6], int(grid[7]), int(grid[8]), int(grid[9])
@@ -221,12 +237,14 @@ def collect(
                             apart += (asking[q, a] - rows[n, a]) ** 2
                         if apart > (limit if flat else 2.0 * limit):
                             continue
+                    if pairs is not None and meets(pairs, 0, q, order[k]):
+                        continue
                     at = count
                     if count == room:  # the dearest gives way
-                        at = int(np.argmax(pair_costs))
+                        at = int(np.argmax(costs))
                     else:
                         count += 1
-                    pairs[at, 0], pairs[at, 1], pair_costs[at] = q, order[k], cost
+                    found[at, 0], found[at, 1], costs[at] = q, order[k], cost
                     if count == room:
-                        worst = pair_costs.max()
+                        worst = costs.max()
     return count

@@ -66,23 +66,25 @@ class MinimumSwitch:
         widen: Callable[[Found, int], Found],
         until: float,
         latest: float,
+        buried: bool = False,
     ) -> Found:
         """Returns the cheapest configuration within the tolerances, and what is proven of its cost.
 
         Args:
-            target: in frame F_0.
+            target: in frame F_0, with what to keep clear of.
             centre: the configuration that costs nothing, shape (B,).
             costs: of every state of every module, at least 0, shape (B, Kmax).
             first: gives an answer from far and wide, of infinite cost if it is not within the tolerance.
             widen: looks for a better one farther from the centre, with a beam of a width.
             until: `time.perf_counter()` at which to be done, nearly.
             latest: the same, where nothing is within the tolerances yet.
+            buried: whether surely nothing is that is clear.
         """
         best, near = Found(centre, np.inf, np.inf), self._near
-        if time.perf_counter() < until:
+        if time.perf_counter() < until and not buried:
             near.list(centre, costs, costs)
             best = self._proven(near, target, centre, costs, best, until)
-        if best.cost == np.inf and self._reach.excludes(target.position, target.tolerance):
+        if best.cost == np.inf and (buried or self._reach.excludes(target.position, target.tolerance)):
             best = replace(best, bound=np.inf)
         if best.bound < best.cost or best.cost == np.inf:
             best = replace(best.better(first()), bound=best.bound)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Manipulator
 from controller.search.found import Found
+from controller.search.guard import first_clear, part
 from controller.search.halves import Halves, rows
 from controller.search.segment import Storage, build_segment, motions
 from controller.search.target import Target
@@ -71,7 +72,12 @@ class Nearest:
         )
         squares = target.squares(segment.frames)
         row = int(squares.argmin())
-        if squares[row] >= best.square:
+        if target.guard is not None:
+            nearer = np.flatnonzero(squares < best.square)
+            nearer = nearer[np.argsort(squares[nearer])]
+            first = first_clear(target.guard, best.configuration, part(segment, nearer))
+            row = nearer[first] if first >= 0 else -1
+        if row < 0 or squares[row] >= best.square:
             return best
         configuration = best.configuration.copy()
         segment.write(row, configuration)

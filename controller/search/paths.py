@@ -1,6 +1,8 @@
 """Paths of probability: the densities' descent from the base, finished by the exact tail."""
 
 import math
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
 from controller.search.descent import descend, spread
 from controller.search.found import Found
+from controller.search.guard import Guard
 from controller.search.method import PaperMethod
 from controller.search.tail import build_tail, finish
 from controller.search.target import Target
@@ -20,7 +23,9 @@ Vector = NDArray[np.float64]
 # The primary criterion's threshold: as many configurations must be expected to end within the tolerance. The first asks
 # little, to leave the secondary criterion room; the next is tried where the one before misses the tolerance; the last,
 # which nothing reaches, makes the search POP.
-ENOUGH = (30.0, 1_000.0, 10_000.0, np.inf)
+ENOUGH: tuple[float, ...] = (30.0, 1_000.0, 10_000.0, np.inf)
+
+BEAM, BEAM_TIME = 64, 0.05  # width, and time [s] for its ends, where descents end among what is to be avoided
 
 
 class Paths:
@@ -36,25 +41,31 @@ class Paths:
     def follow(self, target: Target, previous: Configuration, method: PaperMethod) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, else the nearest seen.
 
+        Where there is something to avoid and that leads nowhere near, a beam is tried, and where that ends, too, it is
+        `previous`.
+
         Args:
             target: in frame F_0.
             previous: configuration to stay close to, shape (B,).
             method: the algorithm, and for IPOP the secondary criterion.
         """
+        best, least, within = previous, np.inf, False
+        aim, ladder = target, ENOUGH
         if method == "pop":
-            anyhow = replace(target, tolerance=0.0)  # the nearest
-            return self._descend(anyhow, criteria.indifferent(self.manipulator), np.inf)[0]
-        if method == "ipop-previous":
+            aim, ladder = replace(target, tolerance=0.0), (np.inf,)  # the nearest
+            penalties = criteria.indifferent(self.manipulator)
+        elif method == "ipop-previous":
             penalties = criteria.similarity(self.manipulator, previous)
         else:
             penalties = criteria.contraction(self.manipulator)
-        best, least = previous, np.inf
-        for enough in ENOUGH:
-            configuration, square, within = self._descend(target, penalties, enough)
+        for enough in ladder:
+            configuration, square, within = self._descend(aim, penalties, enough)
             if square < least or within:
                 best, least = configuration, square
             if within:
                 break
+        if target.guard is not None and not within and least > target.tolerance**2:
+            best = self._around(aim, penalties, best, least, target.tolerance**2)
         return best
 
     def spread(self, target: Target, costs: criteria.Penalties, worth: float, width: int, best: Found) -> Found:
@@ -67,11 +78,54 @@ class Paths:
             width: how many partial configurations are kept at each module.
             best: found before.
         """
+        modules = np.arange(len(self.manipulator.modules))
+        most = target.tolerance**2 * 1.001 + (target.weight**2 * target.limit if target.oriented else 0.0)
+        for configuration, (x, y, z), price in self._beam(target.position, target.guard, costs, worth, width):
+            if price < best.cost:
+                square, within = self._finish(x, y, z, target, costs, configuration, most)
+                cost = float(costs[modules, configuration].sum())
+                if within and cost < best.cost:
+                    best = Found(configuration, cost, square)
+        return best
+
+    def _around(
+        self, target: Target, penalties: criteria.Penalties, best: Configuration, least: float, enough: float
+    ) -> Configuration:
+        """Returns the first of a beam's configurations that is near enough, else the nearest, or `best`, if nearer.
+
+        Args:
+            target: in frame F_0.
+            penalties: the secondary criterion, shape (B, Kmax).
+            best: found before, shape (B,).
+            least: the square by which it misses.
+            enough: square that is near enough; so is what is within the target's tolerances.
+        """
+        towards, until = self._towards(target.position), time.perf_counter() + BEAM_TIME
+        for configuration, (x, y, z), _ in self._beam(towards, target.guard, penalties, 1.0, BEAM):
+            square, within = self._finish(x, y, z, target, penalties, configuration, least)
+            if square < least or within:
+                best, least = configuration, square
+            if within or least <= enough or time.perf_counter() > until:
+                break
+        return best
+
+    def _beam(
+        self, goal: Vector, guard: Guard, costs: criteria.Penalties, worth: float, width: int
+    ) -> Iterator[tuple[Configuration, Vector, float]]:
+        """Gives the configurations of a beam up to the tail, the goal in the frame there, and their costs so far.
+
+        Args:
+            goal: position in frame F_0, shape (3,).
+            guard: what to keep clear of.
+            costs: of every module's states, shape (B, Kmax).
+            worth: cost that one more unit of the measure makes up for.
+            width: how many partial configurations are kept at each module.
+        """
         m, d, t = self.manipulator, self.densities, self._tail
         configurations = np.zeros((width, len(m.modules)), dtype=np.int64)
         wanted, prices = np.zeros((width, 3)), np.zeros(width)
         count = spread(
-            target.position,
+            goal,
             m.rotations,
             m.translations,
             m.states,
@@ -86,16 +140,9 @@ class Paths:
             configurations,
             wanted,
             prices,
+            guard,
         )
-        modules = np.arange(len(m.modules))
-        most = target.tolerance**2 * 1.001 + (target.weight**2 * target.limit if target.oriented else 0.0)
-        for configuration, (x, y, z), price in zip(configurations[:count], wanted, prices, strict=False):
-            if price < best.cost:
-                square, within = self._finish(x, y, z, target, costs, configuration, most)
-                cost = float(costs[modules, configuration].sum())
-                if within and cost < best.cost:
-                    best = Found(configuration, cost, square)
-        return best
+        yield from zip(configurations[:count], wanted, prices.tolist(), strict=False)
 
     def _towards(self, goal: Vector) -> Vector:
         """Returns `goal`, or, where it is outside the box of W_0, the centre (3,) of the nearest pixel that has points.
@@ -127,7 +174,10 @@ class Paths:
             self._thresholds(target, enough),
             t.root,
             configuration,
+            target.guard,
         )
+        if math.isnan(wanted[0]):
+            return configuration, np.inf, False
         return configuration, *self._finish(*wanted, target, penalties, configuration)
 
     def _finish(
@@ -165,6 +215,7 @@ class Paths:
             m.translations,
             m.states,
             configuration,
+            target.guard,
         )
 
     def _thresholds(self, target: Target, enough: float) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.search.guard import PAIR_KINDS, Pairs, known_blocked, meets
 from controller.search.meeting import chord
 from controller.search.segment import compose
 
@@ -52,8 +53,11 @@ def see(targets: Array, t: int, frames: Array, q: int, out: Array) -> None:
 
 
 @njit(
-    "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
-    " f8[::1], f8[:,::1], f8, f8, f8, f8, f8)",
+    [
+        "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
+        f" f8[::1], f8[:,::1], f8, f8, f8, f8, f8, {pairs})"
+        for pairs in PAIR_KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -76,8 +80,9 @@ def match_poses(
     weight: float,
     best: float,
     best_square: float,
+    pairs: Pairs,
 ) -> tuple[int, int, int, float, float]:
-    """Returns the target, frame and row of least cost together that fit, the nearer between equals.
+    """Returns the target, frame and row of least cost together that fit and are clear, the nearer between equals.
 
     They fit where the row's position is within the tolerance of the target's as seen from the frame, or as carried by
     it, and the squared chord between their rotations within the limit.
@@ -99,6 +104,7 @@ def match_poses(
         weight: length with which chords count in the squared distance.
         best: cost to be bettered, or equalled by what is nearer.
         best_square: square of its distance.
+        pairs: what to keep clear of, see guard; None if there is nothing.
 
     Returns:
         Rows of target, frame and asked row, (-1, -1, -1) if none is better; the best's cost and squared distance.
@@ -117,6 +123,8 @@ def match_poses(
         for q in range(len(frames)):
             price = target_costs[t] + frame_costs[q]
             if price + least > best:
+                continue
+            if pairs is not None and known_blocked(pairs, q):
                 continue
             if away:
                 see(targets, t, frames, q, wanted)
@@ -164,6 +172,8 @@ def match_poses(
                     apart = chord(targets, t, frames, q, rows, n) if not away else chord(rows, n, frames, q, targets, t)
                     square += weight * weight * apart
                     if apart > limit or (cost == best and square >= best_square):
+                        continue
+                    if pairs is not None and meets(pairs, t, q, n):
                         continue
                     first, second, third, best, best_square = t, q, n, cost, square
     return first, second, third, best, best_square

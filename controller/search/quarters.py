@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE, Found
+from controller.search.guard import NOTHING_KNOWN, part
 from controller.search.halves import Halves, middle, rows
 from controller.search.meeting import seen
 from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
@@ -132,22 +133,28 @@ class Quarters:
         """
         asking, asked = quarters
         gap = min(asking.beyond, asked.beyond)
+        rows = np.arange(max(len(asking.costs), len(asked.costs)))
         for start in range(0, len(chosen), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
+            some = slice(start, start + AT_ONCE)
             cost = float(half.costs[chosen[start]])
             if cost + beyond >= best.cost:
                 break
             if time.perf_counter() > until:
                 return replace(best, bound=min(best.bound, cost + beyond))
             best = replace(best, bound=min(best.bound, cost + gap))
+            pairs = None
+            if target.guard is not None:
+                parts = part(half, chosen[some]), part(asking, rows), part(asked, rows)
+                pairs = target.guard, self._key[0], NOTHING_KNOWN, *parts
             t, i, j, found, square = cells.match(
-                frames[part],
-                half.costs[chosen[part]],
+                frames[some],
+                half.costs[chosen[some]],
                 asking.frames,
                 asking.costs,
                 target.weight,
                 best.cost,
                 best.square,
+                pairs,
                 carried=carried,
             )
             if t >= 0:

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,9 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.clearance import Clearance
 from controller.search import criteria
 from controller.search.candidates import Candidates
 from controller.search.found import Found
+from controller.search.guard import buried, guard_of
 from controller.search.method import Method
 from controller.search.minimum_switch import MinimumSwitch
 from controller.search.paths import Paths
@@ -36,10 +39,11 @@ class Solution:
         tip: the frame it brings the tip to, in the world, shape (4, 4).
         error: distance of the tip from the goal.
         switches: actuators that differ from the previous configuration.
-        within_tolerance: whether error and angle are within the tolerances asked for.
+        within_tolerance: whether error and angle are within the tolerances asked for, and the arm touches nothing that
+            it is to keep clear of.
         seconds: time the search took.
         cost: weighted number of switches.
-        lower_bound: no configuration within the tolerance costs less; infinite where there is proven to be none.
+        lower_bound: no clear configuration within the tolerance costs less; infinite where there is proven to be none.
         angle: between the tip's orientation and the goal's [rad]; 0 where any will do.
     """
 
@@ -55,7 +59,7 @@ class Solution:
 
     @property
     def optimal(self) -> bool:
-        """Whether it is proven that no configuration within the tolerance costs less."""
+        """Whether it is proven that no clear configuration within the tolerance costs less."""
         return self.within_tolerance and self.lower_bound >= self.cost * (1 - 1e-9)  # sums of weights are rounded
 
 
@@ -66,17 +70,26 @@ class Solver:
         manipulator: the arm.
         densities: of its intermediate workspaces.
         least_weight: of any actuator's switches.
+        clearance: what configurations keep clear of; None if nothing.
     """
 
-    def __init__(self, manipulator: Manipulator, densities: Densities, weights: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        manipulator: Manipulator,
+        densities: Densities,
+        weights: ArrayLike | None = None,
+        clearance: Clearance | None = None,
+    ) -> None:
         """Builds the tables of the paths.
 
         Args:
             manipulator: the arm.
             densities: of its intermediate workspaces.
             weights: of the actuators' switches, positive, shape (A,); all 1 if absent.
+            clearance: of this arm; configurations found keep clear, wherever the arm stands before.
         """
         self.manipulator = manipulator
+        self.clearance, self._guard = clearance, guard_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
@@ -84,6 +97,15 @@ class Solver:
         self._reach = Reach(manipulator)
         self._to_base = inverse(manipulator.base)
         self._candidates: tuple[int, Candidates] | None = None
+
+    def avoiding(self, clearance: Clearance | None) -> "Solver":
+        """Returns a solver that keeps clear of something else, or of nothing.
+
+        It shares the tables and the memory of this one: only one of them may search at a time.
+        """
+        other = copy(self)
+        other.clearance, other._guard = clearance, guard_of(self.manipulator, clearance)
+        return other
 
     def prepare(self) -> None:
         """Claims the memory of the search for fewest switches, which the first searches would else wait for."""
@@ -125,14 +147,14 @@ class Solver:
         chosen = np.asarray(previous, dtype=np.int64)
         world = self._target(goal, tolerance, turn)
         bound = 0.0
-        if method in ("minimum-switch", "ipop-previous") and world.met(self.manipulator.tip(chosen)):
+        if method in ("minimum-switch", "ipop-previous") and self._served(world, chosen):
             best = chosen.copy()
         elif method == "minimum-switch":
             latest = began + (max(deadline, patience) if world.oriented else deadline)
             best, bound = self._fewest(world, chosen, began + deadline, latest)
         else:
             best = self._paths.follow(self._local(world), chosen, method)
-            if world.oriented and not world.met(self.manipulator.tip(best)):  # densities know positions only
+            if world.oriented and not self._served(world, best):  # densities know positions only
                 best = self._minimum.reach(self._local(world), best, began + patience)
         return self._described(best, world, chosen, time.perf_counter() - began, bound)
 
@@ -161,7 +183,7 @@ class Solver:
             tip=tip,
             error=world.distance(tip),
             switches=self.manipulator.switches(configuration, previous),
-            within_tolerance=world.met(tip),
+            within_tolerance=self._served(world, configuration),
             seconds=seconds,
             cost=self._cost(configuration, previous),
             lower_bound=bound,
@@ -180,6 +202,13 @@ class Solver:
         costs = criteria.switching(self.manipulator, previous, self._weights)
         return self._candidates[1].find(self._local(self._target(goal, tolerance, turn)), previous, costs)
 
+    def _served(self, world: Target, configuration: Configuration) -> bool:
+        """Returns whether a configuration is within the tolerances, and clear."""
+        return world.met(self.manipulator.tip(configuration)) and self._clear(configuration)
+
+    def _clear(self, configuration: Configuration) -> bool:
+        return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
+
     def _target(self, goal: ArrayLike, tolerance: float, turn: float) -> Target:
         """Returns what a goal asks for, in the world; see solve."""
         given, frame = np.asarray(goal, dtype=float), np.eye(4)
@@ -188,7 +217,7 @@ class Solver:
         else:
             frame[: len(given), 3] = given
         weight = tolerance / turn if turn < math.pi else 0.0  # so that both tolerances count alike
-        return Target(frame, self.manipulator.planar, tolerance, turn, weight)
+        return Target(frame, self.manipulator.planar, tolerance, turn, weight, self._guard)
 
     def _local(self, world: Target) -> Target:
         """Returns a target in the world in frame F_0."""
@@ -211,13 +240,14 @@ class Solver:
         def first() -> Found:
             configuration = self._paths.follow(target, previous, "ipop-previous")
             tip = self.manipulator.tip(configuration)
-            cost = self._cost(configuration, previous) if world.met(tip) else np.inf
-            return Found(configuration, cost, world.square(tip))
+            cost = self._cost(configuration, previous) if self._served(world, configuration) else np.inf
+            return Found(configuration, cost, world.square(tip) if self._clear(configuration) else np.inf)
 
         def widen(best: Found, width: int) -> Found:
             return self._paths.spread(target, costs, worth, width, best)
 
-        found = self._minimum.improve(target, previous, costs, first, widen, until, latest)
+        inside = buried(self.clearance, world.position, world.tolerance)
+        found = self._minimum.improve(target, previous, costs, first, widen, until, latest, inside)
         return found.configuration, min(found.bound, found.cost)
 
     @cached_property

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Manipulator
+from controller.search.guard import KINDS, Guard, blocked, stand
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -14,6 +15,7 @@ Index = NDArray[np.int64]
 MOST_POINTS = 1 << 16
 MOST_BRANCHES = 64
 POINTS_A_CELL = 2
+MOST_CHECKS = 1 << 14  # of configurations, whether they touch something: where nearly all do, what is found will do
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,11 @@ def lowest(states: Index, top: int, most: int) -> int:
 
 
 @njit(
-    "Tuple((i8, f8, f8))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, f8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
-    " i8[::1], i8[::1], f8[:,::1], i8[::1], i8)",
+    [
+        "Tuple((i8, f8, f8))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, f8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
+        f" i8[::1], i8[::1], f8[:,::1], i8[::1], i8, {guard})"
+        for guard in KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -114,11 +119,13 @@ def nearest(
     penalties: Array,
     states: Index,
     depth: int,
+    guard: Guard,
 ) -> tuple[int, float, float]:
     """Finds the row of `points` to take for the tip to come to (x, y, z), turned, if it is better than the best so far.
 
     Within `tolerance` and `limit` the less penalty is better, and the nearer between equals; outside, where the penalty
-    counts as infinite, the nearer. Returns row (-1 if none is better), penalty and square of the distance of the best.
+    counts as infinite, the nearer. What touches something is passed over; the guard stands at the table's frame.
+    Returns row (-1 if none is better), penalty and square of the distance of the best.
     """
     oriented = weight > 0.0
     cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
@@ -159,6 +166,16 @@ def nearest(
                                 penalty += penalties[i, rest % states[i]]
                                 rest //= states[i]
                         if penalty < best_penalty or (penalty == best_penalty and square < best_square):
+                            if guard is not None:
+                                if guard[16][0] == 0:
+                                    continue
+                                guard[16][0] -= 1
+                                rest = n
+                                for i in range(len(states) - 1, depth - 1, -1):
+                                    guard[11][i] = rest % states[i]
+                                    rest //= states[i]
+                                if blocked(guard, depth, len(states)):
+                                    continue
                             best, best_penalty, best_square = n, penalty, square
     return best, best_penalty, best_square
 
@@ -175,8 +192,11 @@ def carried_back(rotation: Array, other: Array) -> Array:
 
 
 @njit(
-    "Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, i8, i8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
-    " i8[::1], i8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1])",
+    [
+        "Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, i8, i8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
+        f" i8[::1], i8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1], {guard})"
+        for guard in KINDS
+    ],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -204,11 +224,13 @@ def finish(
     translations: Array,
     states: Index,
     configuration: Index,
+    guard: Guard,
 ) -> tuple[float, bool]:
     """Fixes modules root+1 to B; writes their states to `configuration`.
 
     Of all their configurations whose tip is within `tolerance` and `limit` of the goal, the one with the least sum of
-    penalties is taken, the nearer deciding between equals; if there is none, the nearest of all.
+    penalties is taken, the nearer deciding between equals; if there is none, the nearest of all. With a guard only
+    MOST_CHECKS of those that touch something are passed over.
 
     Args:
         x: goal in frame F_root; `y` and `z` likewise.
@@ -233,6 +255,7 @@ def finish(
         translations: configuration sets, shape (B, Kmax, 3).
         states: K_i, shape (B,).
         configuration: written, shape (B,); its first `root` modules are those that the goal was carried through.
+        guard: what to keep clear of, None if there is nothing; the first `root` modules are clear.
 
     Returns:
         the square by which the tip misses, see Target, `most` if nothing is found, and whether it is within.
@@ -243,8 +266,19 @@ def finish(
             branches *= states[i]
         elif weight > 0.0:
             wanted = carried_back(rotations[i, configuration[i]], wanted)
+    if guard is not None:
+        guard[16][0] = MOST_CHECKS
+        for i in range(root):
+            stand(guard, i, configuration[i])
     best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, most
     for branch in range(branches):
+        if guard is not None:
+            rest = branch
+            for i in range(root, depth):
+                guard[11][i] = rest % states[i]
+                rest //= states[i]
+            if blocked(guard, root, depth):
+                continue
         qx, qy, qz, base, rest, turned = x, y, z, 0.0, branch, wanted
         for i in range(root, depth):
             j = rest % states[i]
@@ -277,6 +311,7 @@ def finish(
             penalties,
             states,
             depth,
+            guard,
         )
         if row >= 0:
             best_row, best_branch, best_penalty, best_square = row, branch, penalty + base, square

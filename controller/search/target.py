@@ -1,4 +1,4 @@
-"""What is asked of the tip: a position, or a pose, and how near is near enough."""
+"""What is asked of the tip: a position, or a pose, how near is near enough, and what is not to be touched."""
 
 import math
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.frames import Frame, angle_between
 from controller.search.found import CLOSE
+from controller.search.guard import Guard
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ class Target:
         tolerance: of the tip's distance.
         turn: of the angle between its orientation and the frame's [rad]; infinite where any will do.
         weight: of rotations, a length; 0 where any will do.
+        guard: what the whole arm is to keep clear of on the way there, None if there is nothing.
     """
 
     frame: Frame
@@ -33,6 +35,7 @@ class Target:
     tolerance: float
     turn: float = math.inf
     weight: float = 0.0
+    guard: Guard = None
 
     @property
     def oriented(self) -> bool:

@@ -7,7 +7,9 @@ from controller.manipulator.frames import angle_between
 from controller.motion import lookahead
 from controller.motion.lookahead import LookAhead
 from controller.motion.trajectory import through
+from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver
+from tests.obstacles.dense import Disc, nearest, regions
 
 TOLERANCE = 0.002
 
@@ -74,6 +76,18 @@ def test_a_waypoint_too_far_for_small_tables_is_met_all_the_same(solver):
     chosen = followed(solver, start, goals)
     tips = solver.manipulator.tips(chosen)[:, :2, 3]
     assert np.linalg.norm(tips - goals, axis=1).max() <= TOLERANCE
+
+
+def test_every_configuration_ahead_keeps_clear(solver):
+    goals, parts = curve(20), [Disc((-0.35, 1.5), 0.15)]
+    among = solver.avoiding(Clearance(solver.manipulator, regions(parts), 0.02))
+    start = among.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE).configuration
+    chosen = followed(among, start, goals[1:])
+    tips = solver.manipulator.tips(chosen)[:, :2, 3]
+    assert np.linalg.norm(tips - goals[1:], axis=1).max() <= TOLERANCE
+    assert min(nearest(solver.manipulator.body(c), parts) for c in [start, *chosen]) > 0.02
+    plain = followed(solver, np.zeros(16, dtype=np.int64), goals)
+    assert min(nearest(solver.manipulator.body(c), parts) for c in plain) < 0.02
 
 
 def test_weights_decide_what_is_cheap(arm, densities, monkeypatch):

@@ -70,6 +70,7 @@ def descended(manipulator: Manipulator, d: Densities, goal, penalties, threshold
         thresholds,
         depth,
         configuration,
+        None,
     )
     return np.array(wanted), configuration
 

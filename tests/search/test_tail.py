@@ -66,6 +66,7 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
         manipulator.translations,
         manipulator.states,
         configuration,
+        None,
     )
     return square, within, configuration
 
@@ -75,7 +76,7 @@ def run_nearest(manipulator, goal, penalties, best_penalty, best_square):
     t = build_tail(manipulator)
     cells = t.points, t.turns, t.cell, t.corner, t.shape, t.starts, t.order
     anyhow = NO_TURN, 0.0, math.inf, 0.0
-    return nearest(*goal, *anyhow, best_penalty, best_square, *cells, penalties, manipulator.states, t.depth)
+    return nearest(*goal, *anyhow, best_penalty, best_square, *cells, penalties, manipulator.states, t.depth, None)
 
 
 def cost(penalties, configurations):

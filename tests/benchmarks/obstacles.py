@@ -1,0 +1,195 @@
+"""Searches among regions: what each method finds, and what it costs. python -m tests.benchmarks.obstacles [--busy]
+
+Goals are tips of random configurations that are clear of the regions, so that each can be reached; each is searched
+from the configuration reached for the one before. The same goals, from the same configurations, are searched without
+the regions in the same run. On an arm of 18 actuators random regions are drawn again and again, and what is found is
+held to what trying every configuration finds. With --busy deadlines and times are those of the thread on its processor.
+"""
+
+import argparse
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from controller.config import load
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.regions import Regions, box, half_space, sphere, together
+from controller.search.method import Method
+from controller.search.solver import Solution, Solver
+from controller.workspace.mapping import map_densities
+from tests.arms import every_configuration, paper_arm
+
+PLANAR16 = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-previous", "pop")
+RADIUS, WARM = 0.02, 3
+POSE = 0.005, 0.03  # tolerances of poses
+
+# A pillar beside the arm, a beam over it, and a wall.
+REGIONS = together(
+    [
+        sphere("disc 'pillar'", (0.55, 1.5), 0.2),
+        box("box 'beam'", (-0.6, 2.6), (0.5, 0.2)),
+        half_space("half-plane 'wall'", (-1.4, 0.0), (1.0, 0.1)),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Solutions, one for each goal, and the configurations that they were searched from."""
+
+    before: list[Configuration]
+    found: list[Solution]
+
+    @property
+    def within(self) -> float:
+        return float(np.mean([f.within_tolerance for f in self.found]))
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        return np.array([f.seconds for f in self.found])
+
+
+def drawn(clearance: Clearance, number: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], float]:
+    """Returns random clear configurations (n, B), and which share of all is clear."""
+    arm, found, tried = clearance.manipulator, list[NDArray[np.int64]](), 0
+    while sum(map(len, found)) < number:
+        some = rng.integers(0, arm.states, (number, len(arm.states)))
+        found.append(some[~clearance.blocked(some)])
+        tried += number
+    every = np.concatenate(found)
+    return every[:number], len(every) / tried
+
+
+def traced(
+    solver: Solver,
+    method: Method,
+    goals: NDArray[np.float64],
+    tolerance: float,
+    turn: float,
+    before: list[Configuration],
+) -> Trace:
+    """Solves goals from the configurations given, from there on from what was found for the one before."""
+    before = list(before)
+    for goal in goals[:WARM]:
+        solver.solve(goal, before[0], tolerance, method, turn=turn)
+    found = list[Solution]()
+    for k, goal in enumerate(goals):
+        solution = solver.solve(goal, before[k], tolerance, method, turn=turn)
+        if (
+            solution.within_tolerance
+            and solver.clearance is not None
+            and solver.clearance.where(solution.configuration)
+        ):
+            raise AssertionError(f"{method}: {solver.clearance.where(solution.configuration)}")
+        found.append(solution)
+        if k + 1 == len(before):
+            before.append(solution.configuration if solution.within_tolerance else before[k])
+    return Trace(before[: len(goals)], found)
+
+
+def measured(
+    solver: Solver, clearance: Clearance, number: int, tolerance: float, turn: float, console: Console
+) -> None:
+    """Measures all methods on one arm, with and without regions."""
+    arm = solver.manipulator
+    chosen, share = drawn(clearance, number + 1, np.random.default_rng(1))
+    tips, home = arm.tips(chosen[1:]), chosen[0]
+    goals = tips if turn < math.inf else tips[:, : arm.dimension, 3]
+    table = Table(
+        "method",
+        title=f"{number} goals, tolerance {tolerance:g}, {turn:.3g} rad; {share:.0%} of configurations are clear",
+    )
+    for header in (
+        "within",
+        "without",
+        "switches",
+        "without",
+        "proven",
+        "median / 99 % [ms]",
+        "time, ratio of medians",
+    ):
+        table.add_column(header, justify="right")
+    for method in METHODS:
+        among = traced(solver.avoiding(clearance), method, goals, tolerance, turn, [home])
+        plain = traced(solver.avoiding(None), method, goals, tolerance, turn, among.before)
+        switches = (f"{np.mean([f.switches for f in t.found if f.within_tolerance]):.2f}" for t in (among, plain))
+        median, most = 1e3 * np.quantile(among.seconds, (0.5, 0.99))
+        proven = f"{np.mean([f.optimal for f in among.found]):.0%}" if method == "minimum-switch" else ""
+        times = f"{median:.2f} / {most:.1f}"
+        ratio = f"{np.median(among.seconds) / np.median(plain.seconds):.2f}"
+        table.add_row(method, f"{among.within:.1%}", f"{plain.within:.1%}", *switches, proven, times, ratio)
+    console.print(table)
+
+
+def scene(arm: Manipulator, rng: np.random.Generator) -> Regions:
+    """Returns two random regions among what a planar arm reaches."""
+    tips = arm.tips(rng.integers(0, arm.states, (2, len(arm.states))))[:, :2, 3] * rng.uniform(0.3, 1.1, (2, 1))
+    turn = rng.uniform(-np.pi, np.pi)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    size = arm.length * rng.uniform(0.05, 0.3, 2)
+    return together(
+        [sphere("disc", tips[0], arm.length * rng.uniform(0.03, 0.12)), box("box", tips[1], size, rotation)]
+    )
+
+
+def held_to_brute_force(scenes: int, each: int, console: Console) -> None:
+    """Counts what is found of goals that can be reached, by trying all configurations of 18 actuators."""
+    arm, tolerance, rng = paper_arm(6), 0.005, np.random.default_rng(2)
+    solver, every = Solver(arm, map_densities(arm, 0.02, 20_000)), every_configuration(arm)
+    tips = arm.tips(every)[:, :2, 3]
+    counts = {method: np.zeros(3, dtype=int) for method in METHODS}
+    solvable = asked = 0
+    for _ in range(scenes):
+        clearance = Clearance(arm, scene(arm, rng), RADIUS, self_collision=True)
+        own, previous = solver.avoiding(clearance), rng.integers(0, arm.states)
+        for goal in arm.tips(rng.integers(0, arm.states, (each, len(arm.states))))[:, :2, 3]:
+            near = every[np.linalg.norm(tips - goal, axis=1) <= tolerance * (1 - 1e-9)]
+            clear = near[~clearance.blocked(near)]
+            asked, solvable = asked + 1, solvable + (len(clear) > 0)
+            fewest = min((arm.switches(c, previous) for c in clear), default=-1)
+            for method, count in counts.items():
+                found = own.solve(goal, previous, tolerance, method)
+                if found.within_tolerance and clearance.where(found.configuration):
+                    raise AssertionError(f"{method}: {clearance.where(found.configuration)}")
+                count += found.within_tolerance, found.optimal, found.optimal and found.switches != fewest
+            previous = clear[0] if len(clear) else previous
+    title = (
+        f"18 actuators, {scenes} scenes of a disc and a box: {solvable} of {asked} goals can be reached clear of them"
+    )
+    table = Table("method", "found", "proven", "proven wrongly", title=title)
+    for method, (within, optimal, wrong) in counts.items():
+        proofs = (str(optimal), str(wrong)) if method == "minimum-switch" else ("", "")
+        table.add_row(method, f"{within / solvable:.1%}", *proofs)
+    console.print(table)
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--goals", type=int, default=500)
+    parser.add_argument("--scenes", type=int, default=100)
+    parser.add_argument("--busy", action="store_true", help="count the thread's own time, on a busy machine")
+    given = parser.parse_args()
+    if given.busy:
+        time.perf_counter = time.thread_time
+    console = Console(width=130)
+    held_to_brute_force(given.scenes, 5, console)
+    arm = load(PLANAR16)
+    m = arm.manipulator
+    solver = Solver(m, map_densities(m, arm.pixel, arm.level_pixels), arm.weights())
+    solver.prepare()
+    clearance = Clearance(m, REGIONS, RADIUS)
+    measured(solver, clearance, given.goals, arm.tolerance, math.inf, console)
+    measured(solver, clearance, max(given.goals // 5, 1), *POSE, console)
+
+
+if __name__ == "__main__":
+    main()

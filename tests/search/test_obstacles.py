@@ -1,0 +1,188 @@
+"""Searches among regions, held to brute force on arms whose every configuration can be tried."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.manipulator.frames import angle_between, turned
+from controller.manipulator.manipulator import Manipulator
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.regions import NONE
+from controller.search.method import METHODS
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
+from tests.obstacles.dense import Box, Disc, HalfPlane, Region, nearest, regions
+
+SURE = 1e-7  # what is nearer to a tolerance or a region than this may count as within or not
+bases = planar_frames | st.just(np.eye(4))
+
+
+def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: Clearance | None = None) -> Solver:
+    return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance)
+
+
+def scene(arm: Manipulator, rng: np.random.Generator) -> list[Region]:
+    """One region or more among what the arm reaches, that leave some of its configurations clear, if that succeeds."""
+    some = rng.integers(0, arm.states, (100, len(arm.states)))
+    for _ in range(20):
+        parts = any_scene(arm, rng)
+        if 0.2 < Clearance(arm, regions(parts)).blocked(some).mean() < 0.8:
+            break
+    return parts
+
+
+def any_scene(arm: Manipulator, rng: np.random.Generator) -> list[Region]:
+    size, found = arm.dimension, list[Region]()
+    for _ in range(rng.integers(1, 4)):
+        tip = arm.tip(rng.integers(0, arm.states))[:3, 3]
+        centre = arm.base[:3, 3] + (tip - arm.base[:3, 3]) * rng.uniform(0.2, 1.2) + rng.normal(0, 0.1, 3)
+        kind = rng.integers(3)
+        if kind == 0:
+            found.append(Disc(tuple(centre[:size]), arm.length * rng.uniform(0.02, 0.15)))
+        elif kind == 1:
+            frame = turned((0, 0, 1) if arm.planar else rng.normal(size=3), rng.uniform(-3, 3))
+            frame[:3, 3] = centre * (1, 1, not arm.planar)
+            found.append(Box(frame, tuple(arm.length * rng.uniform(0.02, 0.3, size))))
+        else:
+            away = arm.base[:3, 3] - centre + rng.normal(0, 0.1, 3)
+            found.append(HalfPlane(tuple(centre[:size]), tuple(away[:size])))
+    return found
+
+
+def clearances(arm: Manipulator, parts: list[Region], radius: float, touch: bool) -> list[Clearance]:
+    """As it is asked for, narrower and wider."""
+    return [Clearance(arm, regions(parts), max(radius + s, 0), self_collision=touch) for s in (0.0, -SURE, SURE)]
+
+
+def check_clear(arm: Manipulator, configuration: np.ndarray, parts: list[Region], radius: float) -> None:
+    assert nearest(arm.body(configuration), parts) > radius - 1e-9
+
+
+def cheapest(arm, every, goal, costs, tolerance, turn, loose, strict) -> tuple[float, float]:
+    """The least cost of clear configurations within the tolerances, taken narrowly and widely."""
+    tips = arm.tips(every)
+    away = np.linalg.norm(tips[:, :3, 3] - goal[:3, 3], axis=1)
+    angles = np.array([angle_between(tip, goal) for tip in tips]) if turn < np.inf else np.zeros(len(tips))
+    return tuple(
+        float(costs[(away <= tolerance + s) & (angles <= turn + s) & ~clearance.blocked(every)].min(initial=np.inf))
+        for s, clearance in ((-SURE, strict), (SURE, loose))
+    )
+
+
+@settings(max_examples=150)
+@given(
+    short_arms(bases=bases),
+    st.integers(0, 2**32 - 1),
+    st.floats(1e-3, 0.5),
+    st.just(np.inf) | st.floats(1e-3, 3.0),
+    st.booleans(),
+)
+def test_fewest_switches_are_those_of_brute_force(arm, seed, tolerance, turn, touch):
+    rng = np.random.default_rng(seed)
+    radius = rng.choice([0.0, 0.02])
+    weights = rng.uniform(0.5, 2.0, len(arm.actuators))
+    parts, previous = scene(arm, rng), rng.integers(0, arm.states)
+    exact, loose, strict = clearances(arm, parts, radius, touch)
+    goal = arm.tip(rng.integers(0, arm.states))
+    goal[:3, 3] += rng.normal(0, tolerance / 2, 3) * (1, 1, not arm.planar)
+    asked = goal if turn < np.inf else goal[: arm.dimension, 3]
+    found = solver_of(arm, weights, exact).solve(asked, previous, tolerance, deadline=10.0, turn=turn)
+    every = every_configuration(arm)
+    own = arm.actuator_states(previous)
+    costs = np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every])
+    narrow, wide = cheapest(arm, every, goal, costs, tolerance, turn, loose, strict)
+    if found.within_tolerance:
+        check_clear(arm, found.configuration, parts, radius)
+        assert not loose.blocked(found.configuration[None])[0]
+        assert wide - 1e-9 <= found.cost <= narrow + 1e-9
+        assert found.optimal
+    else:
+        assert narrow == np.inf
+        assert found.lower_bound == np.inf
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("arm", [paper_arm(5), paper_arm(6), spatial_arm(5)], ids=["15", "18", "spatial"])
+def test_every_method_reaches_what_can_be_reached(arm, method):
+    every, tolerance = every_configuration(arm), 0.01
+    tips, rng = arm.tips(every)[:, :3, 3], np.random.default_rng(len(arm.modules))
+    solver, found, solvable = solver_of(arm), 0, 0
+    for _ in range(10):
+        parts = scene(arm, rng)
+        exact, _, strict = clearances(arm, parts, 0.01, touch=False)
+        solver = solver.avoiding(exact)
+        previous = rng.integers(0, arm.states)
+        for goal in arm.tips(rng.integers(0, arm.states, (5, len(arm.states))))[:, :3, 3]:
+            near = every[np.linalg.norm(tips - goal, axis=1) <= tolerance - SURE]
+            there = near[~strict.blocked(near)]
+            solution = solver.solve(goal[: arm.dimension], previous, tolerance, method, deadline=1.0)
+            solvable += len(there) > 0
+            found += solution.within_tolerance and len(there) > 0
+            if solution.optimal and len(there):
+                assert solution.switches <= min(arm.switches(c, previous) for c in there)
+            if solution.within_tolerance:
+                check_clear(arm, solution.configuration, parts, 0.01)
+                previous = solution.configuration
+    assert solvable > 20
+    assert found == solvable
+
+
+@pytest.mark.parametrize("arm", [paper_arm(5), spatial_arm(5)], ids=["planar", "spatial"])
+def test_candidates_are_the_cheapest_that_are_clear(arm):
+    every, tolerance, rng = every_configuration(arm), 0.02, np.random.default_rng(8)
+    tips, plain, found = arm.tips(every), solver_of(arm), 0
+    for _ in range(10):
+        exact, _, strict = clearances(arm, parts := scene(arm, rng), 0.01, touch=True)
+        previous, goal = rng.integers(0, arm.states), arm.tip(rng.integers(0, arm.states))
+        configurations, costs = plain.avoiding(exact).candidates(goal, previous, tolerance, 8, turn=0.5)
+        for configuration, cost in zip(configurations, costs, strict=True):
+            check_clear(arm, configuration, parts, 0.01)
+            assert cost == arm.switches(configuration, previous)
+        near = every[np.linalg.norm(tips[:, :3, 3] - goal[:3, 3], axis=1) <= tolerance - SURE]
+        near = near[[angle_between(tip, goal) <= 0.5 - SURE for tip in arm.tips(near)]]
+        clear = near[~strict.blocked(near)]
+        assert len(costs) >= min(len(clear), 8)
+        fewest = np.sort([arm.switches(c, previous) for c in clear])[: len(costs)]
+        assert np.all(np.sort(costs)[: len(fewest)] <= fewest)
+        found += len(costs)
+    assert found > 20
+
+
+def test_what_was_noted_of_other_regions_is_forgotten():
+    """The same solver's memory, the same configuration before: only the regions change, and come back."""
+    arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
+    plain, goal = solver_of(arm), arm.tip([0, 3, 0, 5, 0, 0])[:2, 3]
+    there = plain.solve(goal, previous, 0.01)
+    middle = arm.body(there.configuration)[:, :, :2].reshape(-1, 2)[12]
+    among = plain.avoiding(Clearance(arm, regions([Disc(tuple(middle), 0.02)])))
+    around = among.solve(goal, previous, 0.01)
+    assert around.optimal
+    assert around.switches > there.switches
+    assert np.array_equal(plain.solve(goal, previous, 0.01).configuration, there.configuration)
+    assert np.array_equal(among.solve(goal, previous, 0.01).configuration, around.configuration)
+    elsewhere = plain.avoiding(Clearance(arm, regions([Disc((2.0, 0.0), 0.02)])))
+    assert np.array_equal(elsewhere.solve(goal, previous, 0.01).configuration, there.configuration)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_through_it(method):
+    arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
+    tip = arm.tip(previous)[:2, 3]
+    parts: list[Region] = [Disc(tuple(tip), 0.1)]  # around where the arm stands
+    solver = solver_of(arm, None, Clearance(arm, regions(parts), 0.01))
+    found = solver.solve(tip, previous, 0.01, method)
+    assert not found.within_tolerance
+    assert not found.optimal
+    check_clear(arm, found.configuration, parts, 0.01)
+    assert 0.1 < found.error < 0.2
+    if method == "minimum-switch":
+        assert found.lower_bound == np.inf
+
+
+def test_nothing_to_avoid_is_as_no_clearance_at_all():
+    arm = paper_arm(4)
+    assert solver_of(arm, None, Clearance(arm, NONE))._guard is None
