@@ -196,10 +196,10 @@ class Follower:
         """Returns what the arm's method finds, or IPOP where that misses by far: a longer search would, too."""
         method = self._arm.settings.method
         if method == "minimum-switch":
-            first = solver.solve(goal, previous, tolerance, "ipop-previous")
+            first = solver.solve(goal, previous, tolerance, "ipop-previous", patience=SEARCH_TIME)
             if first.error > FAR * tolerance:
                 return first
-        return solver.solve(goal, previous, tolerance, method, SEARCH_TIME)
+        return solver.solve(goal, previous, tolerance, method, SEARCH_TIME, patience=SEARCH_TIME)
 
     def _say(self, note: str, now: float) -> None:
         """Takes a note on the stream, unless the last is too young."""

@@ -66,7 +66,7 @@ class MinimumSwitch:
         widen: Callable[[Found, int], Found],
         until: float,
         latest: float,
-        buried: bool = False,
+        hopeless: bool = False,
     ) -> Found:
         """Returns the cheapest configuration within the tolerances, and what is proven of its cost.
 
@@ -78,13 +78,13 @@ class MinimumSwitch:
             widen: looks for a better one farther from the centre, with a beam of a width.
             until: `time.perf_counter()` at which to be done, nearly.
             latest: the same, where nothing is within the tolerances yet.
-            buried: whether surely nothing is that is clear.
+            hopeless: whether it is known that nothing is.
         """
         best, near = Found(centre, np.inf, np.inf), self._near
-        if time.perf_counter() < until and not buried:
+        if time.perf_counter() < until and not hopeless:
             near.list(centre, costs, costs)
             best = self._proven(near, target, centre, costs, best, until)
-        if best.cost == np.inf and (buried or self._reach.excludes(target.position, target.tolerance)):
+        if best.cost == np.inf and (hopeless or self._reach.excludes(target.position, target.tolerance)):
             best = replace(best, bound=np.inf)
         if best.bound < best.cost or best.cost == np.inf:
             best = replace(best.better(first()), bound=best.bound)
@@ -122,7 +122,7 @@ class MinimumSwitch:
             best = self._nearest.improve(target, best, until)
         for most in (NEAR, *LADDER):
             best = self._wander(target, costs, best, most, until)
-            if best.cost < np.inf or not target.oriented:
+            if best.cost < np.inf or not target.hard:
                 break
         best = self._proven(self._near, target, centre, costs, best, until)
         for most in LADDER:

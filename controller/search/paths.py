@@ -41,16 +41,16 @@ class Paths:
     def follow(self, target: Target, previous: Configuration, method: PaperMethod) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, else the nearest seen.
 
-        Where there is something to avoid and that leads nowhere near, a beam is tried, and where that ends, too, it is
-        `previous`.
+        With a guard only what is within the tolerances is sought at first, with a beam, too, and the nearest in the
+        end; `previous` if all ways are blocked.
 
         Args:
             target: in frame F_0.
             previous: configuration to stay close to, shape (B,).
             method: the algorithm, and for IPOP the secondary criterion.
         """
-        best, least, within = previous, np.inf, False
-        aim, ladder = target, ENOUGH
+        best, aim, ladder = previous, target, ENOUGH
+        most = least = np.inf if target.guard is None else within_squares(target)
         if method == "pop":
             aim, ladder = replace(target, tolerance=0.0), (np.inf,)  # the nearest
             penalties = criteria.indifferent(self.manipulator)
@@ -59,13 +59,16 @@ class Paths:
         else:
             penalties = criteria.contraction(self.manipulator)
         for enough in ladder:
-            configuration, square, within = self._descend(aim, penalties, enough)
+            configuration, square, within = self._descend(aim, penalties, enough, most)
             if square < least or within:
                 best, least = configuration, square
             if within:
                 break
-        if target.guard is not None and not within and least > target.tolerance**2:
-            best = self._around(aim, penalties, best, least, target.tolerance**2)
+        if least == most and target.guard is not None:
+            best, least = self._around(aim, penalties, best, most)
+        if least == most and target.guard is not None:
+            configuration, square, _ = self._descend(aim, penalties, np.inf, np.inf)
+            best = configuration if square < np.inf else self._around(aim, penalties, best, np.inf)[0]
         return best
 
     def spread(self, target: Target, costs: criteria.Penalties, worth: float, width: int, best: Found) -> Found:
@@ -79,7 +82,7 @@ class Paths:
             best: found before.
         """
         modules = np.arange(len(self.manipulator.modules))
-        most = target.tolerance**2 * 1.001 + (target.weight**2 * target.limit if target.oriented else 0.0)
+        most = within_squares(target)
         for configuration, (x, y, z), price in self._beam(target.position, target.guard, costs, worth, width):
             if price < best.cost:
                 square, within = self._finish(x, y, z, target, costs, configuration, most)
@@ -89,25 +92,24 @@ class Paths:
         return best
 
     def _around(
-        self, target: Target, penalties: criteria.Penalties, best: Configuration, least: float, enough: float
-    ) -> Configuration:
-        """Returns the first of a beam's configurations that is near enough, else the nearest, or `best`, if nearer.
+        self, target: Target, penalties: criteria.Penalties, best: Configuration, most: float
+    ) -> tuple[Configuration, float]:
+        """Returns the first of a beam's configurations that is nearer than `most`, and the square, or `best`.
 
         Args:
             target: in frame F_0.
             penalties: the secondary criterion, shape (B, Kmax).
-            best: found before, shape (B,).
-            least: the square by which it misses.
-            enough: square that is near enough; so is what is within the target's tolerances.
+            best: if there is none, shape (B,).
+            most: the square to be bettered.
         """
         towards, until = self._towards(target.position), time.perf_counter() + BEAM_TIME
         for configuration, (x, y, z), _ in self._beam(towards, target.guard, penalties, 1.0, BEAM):
-            square, within = self._finish(x, y, z, target, penalties, configuration, least)
-            if square < least or within:
-                best, least = configuration, square
-            if within or least <= enough or time.perf_counter() > until:
+            square, _ = self._finish(x, y, z, target, penalties, configuration, most)
+            if square < most:
+                return configuration, square
+            if time.perf_counter() > until:
                 break
-        return best
+        return best, most
 
     def _beam(
         self, goal: Vector, guard: Guard, costs: criteria.Penalties, worth: float, width: int
@@ -155,9 +157,12 @@ class Paths:
         return np.asarray(self._edge[np.argmin(((self._edge - goal) ** 2).sum(axis=1))])
 
     def _descend(
-        self, target: Target, penalties: criteria.Penalties, enough: float
+        self, target: Target, penalties: criteria.Penalties, enough: float, most: float
     ) -> tuple[Configuration, float, bool]:
-        """Returns the configuration of one descent, the square by which it misses, and whether it is within."""
+        """Returns the configuration of one descent, the square by which it misses, and whether it is within.
+
+        Where it does not miss by less than `most`, that is returned, and the configuration is none.
+        """
         m, d, t = self.manipulator, self.densities, self._tail
         configuration = np.zeros(len(m.modules), dtype=np.int64)
         wanted = descend(
@@ -177,8 +182,8 @@ class Paths:
             target.guard,
         )
         if math.isnan(wanted[0]):
-            return configuration, np.inf, False
-        return configuration, *self._finish(*wanted, target, penalties, configuration)
+            return configuration, most, False
+        return configuration, *self._finish(*wanted, target, penalties, configuration, most)
 
     def _finish(
         self,
@@ -230,6 +235,11 @@ class Paths:
         ball *= target.share
         volumes = self.densities.pixels**self.manipulator.dimension
         return np.log(np.maximum(enough * volumes / ball, 1.0))
+
+
+def within_squares(target: Target) -> float:
+    """Returns what is more than any square, see Target, of what is within the tolerances, by little."""
+    return target.tolerance**2 * 1.001 + (target.weight**2 * target.limit if target.oriented else 0.0)
 
 
 def edge(densities: Densities) -> NDArray[np.float64]:

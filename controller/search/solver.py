@@ -45,6 +45,7 @@ class Solution:
         cost: weighted number of switches.
         lower_bound: no clear configuration within the tolerance costs less; infinite where there is proven to be none.
         angle: between the tip's orientation and the goal's [rad]; 0 where any will do.
+        clear: whether it touches nothing that the arm is to keep clear of; if not, nothing clear was found at all.
     """
 
     configuration: Configuration
@@ -56,6 +57,7 @@ class Solution:
     cost: float
     lower_bound: float = 0.0
     angle: float = 0.0
+    clear: bool = True
 
     @property
     def optimal(self) -> bool:
@@ -141,7 +143,8 @@ class Solver:
             method: fewest switches, or the algorithm of section 3.2 and for IPOP the secondary criterion.
             deadline: time that the search for fewest switches may take [s]; it is never worse than IPOP.
             turn: angle from the goal's orientation that is good enough [rad]; infinite where any will do.
-            patience: time in all for a goal with orientation that is not reached within the deadline [s].
+            patience: time in all for a goal with orientation, or among regions, that is not reached within the
+                deadline [s].
         """
         began = time.perf_counter()
         chosen = np.asarray(previous, dtype=np.int64)
@@ -150,12 +153,12 @@ class Solver:
         if method in ("minimum-switch", "ipop-previous") and self._served(world, chosen):
             best = chosen.copy()
         elif method == "minimum-switch":
-            latest = began + (max(deadline, patience) if world.oriented else deadline)
+            latest = began + (max(deadline, patience) if world.hard else deadline)
             best, bound = self._fewest(world, chosen, began + deadline, latest)
         else:
             best = self._paths.follow(self._local(world), chosen, method)
-            if world.oriented and not self._served(world, best):  # densities know positions only
-                best = self._minimum.reach(self._local(world), best, began + patience)
+            if world.hard and not self._served(world, best) and not self._hopeless(world):
+                best = self._minimum.reach(self._local(world), best, began + patience)  # densities know positions only
         return self._described(best, world, chosen, time.perf_counter() - began, bound)
 
     def described(
@@ -177,17 +180,18 @@ class Solver:
         seconds: float = 0.0,
         bound: float = 0.0,
     ) -> Solution:
-        tip = self.manipulator.tip(configuration)
+        tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
         return Solution(
             configuration=configuration,
             tip=tip,
             error=world.distance(tip),
             switches=self.manipulator.switches(configuration, previous),
-            within_tolerance=self._served(world, configuration),
+            within_tolerance=clear and world.met(tip),
             seconds=seconds,
             cost=self._cost(configuration, previous),
             lower_bound=bound,
             angle=world.angle(tip),
+            clear=clear,
         )
 
     def candidates(
@@ -205,6 +209,10 @@ class Solver:
     def _served(self, world: Target, configuration: Configuration) -> bool:
         """Returns whether a configuration is within the tolerances, and clear."""
         return world.met(self.manipulator.tip(configuration)) and self._clear(configuration)
+
+    def _hopeless(self, world: Target) -> bool:
+        """Returns whether regions lie so around the goal that no clear tip can come within the tolerance."""
+        return buried(self.clearance, world.position, world.tolerance)
 
     def _clear(self, configuration: Configuration) -> bool:
         return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
@@ -246,8 +254,7 @@ class Solver:
         def widen(best: Found, width: int) -> Found:
             return self._paths.spread(target, costs, worth, width, best)
 
-        inside = buried(self.clearance, world.position, world.tolerance)
-        found = self._minimum.improve(target, previous, costs, first, widen, until, latest, inside)
+        found = self._minimum.improve(target, previous, costs, first, widen, until, latest, self._hopeless(world))
         return found.configuration, min(found.bound, found.cost)
 
     @cached_property

@@ -15,7 +15,7 @@ Index = NDArray[np.int64]
 MOST_POINTS = 1 << 16
 MOST_BRANCHES = 64
 POINTS_A_CELL = 2
-MOST_CHECKS = 1 << 14  # of configurations, whether they touch something: where nearly all do, what is found will do
+MOST_CHECKS = 1 << 12  # of a branch's configurations, whether they touch something: where nearly all do, no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def finish(
 
     Of all their configurations whose tip is within `tolerance` and `limit` of the goal, the one with the least sum of
     penalties is taken, the nearer deciding between equals; if there is none, the nearest of all. With a guard only
-    MOST_CHECKS of those that touch something are passed over.
+    MOST_CHECKS of each branch are looked at.
 
     Args:
         x: goal in frame F_root; `y` and `z` likewise.
@@ -267,7 +267,6 @@ def finish(
         elif weight > 0.0:
             wanted = carried_back(rotations[i, configuration[i]], wanted)
     if guard is not None:
-        guard[16][0] = MOST_CHECKS
         for i in range(root):
             stand(guard, i, configuration[i])
     best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, most
@@ -279,6 +278,7 @@ def finish(
                 rest //= states[i]
             if blocked(guard, root, depth):
                 continue
+            guard[16][0] = MOST_CHECKS
         qx, qy, qz, base, rest, turned = x, y, z, 0.0, branch, wanted
         for i in range(root, depth):
             j = rest % states[i]

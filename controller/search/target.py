@@ -42,6 +42,11 @@ class Target:
         """Whether the rotation counts."""
         return self.weight > 0
 
+    @property
+    def hard(self) -> bool:
+        """Whether more is asked than a position, so that what is near is not likely to serve."""
+        return self.oriented or self.guard is not None
+
     @cached_property
     def row(self) -> Array:
         """The frame as a row of numbers, see segment, shape (4,) or (12,)."""

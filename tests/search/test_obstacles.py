@@ -111,15 +111,17 @@ def test_every_method_reaches_what_can_be_reached(arm, method):
     every, tolerance = every_configuration(arm), 0.01
     tips, rng = arm.tips(every)[:, :3, 3], np.random.default_rng(len(arm.modules))
     solver, found, solvable = solver_of(arm), 0, 0
-    for _ in range(10):
+    for turn in (np.inf, 0.1) * 6:
         parts = scene(arm, rng)
-        exact, _, strict = clearances(arm, parts, 0.01, touch=False)
+        exact, _, strict = clearances(arm, parts, 0.01, touch=turn == np.inf)
         solver = solver.avoiding(exact)
         previous = rng.integers(0, arm.states)
-        for goal in arm.tips(rng.integers(0, arm.states, (5, len(arm.states))))[:, :3, 3]:
-            near = every[np.linalg.norm(tips - goal, axis=1) <= tolerance - SURE]
+        for goal in arm.tips(rng.integers(0, arm.states, (5, len(arm.states)))):
+            near = every[np.linalg.norm(tips - goal[:3, 3], axis=1) <= tolerance - SURE]
+            near = near[[turn == np.inf or angle_between(tip, goal) <= turn - SURE for tip in arm.tips(near)]]
             there = near[~strict.blocked(near)]
-            solution = solver.solve(goal[: arm.dimension], previous, tolerance, method, deadline=1.0)
+            asked = goal if turn < np.inf else goal[: arm.dimension, 3]
+            solution = solver.solve(asked, previous, tolerance, method, deadline=1.0, turn=turn)
             solvable += len(there) > 0
             found += solution.within_tolerance and len(there) > 0
             if solution.optimal and len(there):
