@@ -37,9 +37,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The arm of the paper; where the machine is slow, its actuators are, and its boards are patient."""
+    """The arm of the paper; where the machine is slow, so are its actuators, and its boards are patient, and fewer."""
     settings = yaml.safe_load(PAPER_ARM.read_text())
     settings["travel_time"] *= SLOWNESS
+    if SLOWNESS > 1:
+        for k, channel in enumerate(settings["actuators"]):
+            channel["node"], channel["output"] = 1 + k // 6, k % 6
+            channel["input"] = channel["output"]
     for name in ("heartbeat", "heartbeat_timeout", "boot_timeout"):
         settings["boards"][name] *= SLOWNESS
     path = tmp_path_factory.mktemp("arm") / "planar16.yaml"

@@ -6,6 +6,8 @@ module's states. Supports are convex and homogeneous: between the directions sam
 gives, so that the hull only ever comes out too large.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,3 +68,9 @@ class Reach:
                 index = index * side + low[:, a] + step
             total += weight * self._supports[index]
         return np.asarray(length * total)
+
+
+@lru_cache(maxsize=2)  # planning and following share it
+def build_reach(manipulator: Manipulator) -> Reach:
+    """Returns the hull of an arm's tips."""
+    return Reach(manipulator)

@@ -20,7 +20,7 @@ from controller.search.guard import buried, guard_of
 from controller.search.method import Method
 from controller.search.minimum_switch import MinimumSwitch
 from controller.search.paths import Paths
-from controller.search.reach import Reach
+from controller.search.reach import build_reach
 from controller.search.target import Target
 from controller.workspace.densities import Densities
 
@@ -96,7 +96,7 @@ class Solver:
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
         self._paths = Paths(manipulator, densities)
-        self._reach = Reach(manipulator)
+        self._reach = build_reach(manipulator)
         self._to_base = inverse(manipulator.base)
         self._candidates: tuple[int, Candidates] | None = None
 

@@ -1,6 +1,7 @@
 """Exact table of the last few modules: every tip they can reach, so that no pixel decides what the tolerance asks."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -45,6 +46,7 @@ class Tail:
     order: Index
 
 
+@lru_cache(maxsize=2)  # planning and following share it
 def build_tail(manipulator: Manipulator) -> Tail:
     """Returns the table of as many of the last modules as have at most MOST_POINTS configurations, at least of one.
 

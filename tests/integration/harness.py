@@ -3,10 +3,22 @@
 import time
 from typing import Any
 
+from controller.config import Arm
 from controller.daemon.client import Client, Message
+from controller.settings import ActuatorSettings
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 
 KEYS = ("feedback", "result", "diagnostics", "state")  # state last: who hears that hears all
+
+
+def wired(arm: Arm, label: str) -> ActuatorSettings:
+    """Where an actuator is wired."""
+    return arm.wiring[arm.manipulator.actuators.index(label)]
+
+
+def board_names(arm: Arm) -> list[str]:
+    """The boards' names, in the order of their nodes."""
+    return [f"{bus}/{node}" for bus, node in sorted({(channel.bus, channel.node) for channel in arm.wiring})]
 
 
 class Observer:

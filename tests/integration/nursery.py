@@ -1,9 +1,11 @@
 """A process that forks daemons, so that a test can kill many: python -m tests.integration.nursery
 
-Arguments: the arm's file, interface and channel of the bus, endpoint, ledger, folder of the densities. Each line on the
-standard input begins a daemon; its process id is printed. All it needs is imported and computed before.
+Arguments: the arm's file, and the folder of the densities. Each line on the standard input begins a daemon: interface
+and channel of the bus, endpoint, ledger and journal as a list in JSON; its process id is printed. All that daemons need
+is imported and computed before.
 """
 
+import json
 import logging
 import os
 import signal
@@ -23,17 +25,18 @@ from tests import emulated  # noqa: F401
 from tests.integration.conftest import bearing
 
 
-def main(file: str, interface: str, channel: str, endpoint: str, ledger: str, folder: str) -> None:
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+def main(file: str, folder: str) -> None:
     arm = load(Path(file))
     densities = load_or_map(arm.manipulator, 0.02, arm.level_pixels, Path(folder))
     Solver(arm.manipulator, densities).prepare()
-    wiring = replace(wiring_of(arm), buses=(BusSettings("can0", interface, channel),))
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the dead are not waited for
     print("ready", flush=True)
-    for _ in sys.stdin:
+    for line in sys.stdin:
         child = os.fork()
         if child == 0:
+            interface, channel, endpoint, ledger, journal = json.loads(line)
+            logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", filename=journal)
+            wiring = replace(wiring_of(arm), buses=(BusSettings("can0", interface, channel),))
             config = session.configuration("peer", listen=endpoint)
             run_until_signal(Daemon(arm, densities, wiring, config, Path(ledger), bearing(arm)))
             os._exit(0)

@@ -16,7 +16,7 @@ from drivers.simulation import Simulation
 from drivers.wiring import BusSettings, Timing
 from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench, bearing
-from tests.integration.harness import Observer
+from tests.integration.harness import Observer, board_names, wired
 from tests.integration.motions import Motions
 from tests.integration.test_bus_faults import aborted, ready_by_itself, running
 from tests.integration.test_faults import first_to_switch, reset
@@ -79,17 +79,20 @@ def test_a_board_without_power_for_long_is_told_to_have_rebooted_when_it_is_back
 
 
 def test_all_boards_rebooting_are_told_and_one_reset_brings_them_back(
-    client: Observer, boards: Simulation, motions: Motions
+    client: Observer, boards: Simulation, arm: Arm, motions: Motions
 ) -> None:
     running(client)
     rebooted = time.time()
-    for node in range(1, 17):
-        boards.power_cut(f"can0/{node}")
-    for node in range(1, 17):
-        boards.power_on(f"can0/{node}")
+    for board in board_names(arm):
+        boards.power_cut(board)
+    for board in board_names(arm):
+        boards.power_on(board)
     client.wait_fault("board-rebooted", rebooted, within=1.0)
     aborted(client, "a", "can0/")
-    eventually(lambda: len([s for s in client.heard["state"][-1]["faults"] if s["code"] == "board-rebooted"]) == 16)
+    told: Callable[[], bool] = lambda: (  # noqa: E731
+        [s["code"] for s in client.heard["state"][-1]["faults"]].count("board-rebooted") == len(board_names(arm))
+    )
+    eventually(told)
     eventually(lambda: not boards.positions().any())
     reset(client)
     assert client.wait_now("ready")["measured"] == [0] * 48
@@ -101,7 +104,7 @@ def test_inputs_that_come_later_than_the_actuator_may_take_are_a_stuck_actuator(
 ) -> None:
     """The board's inputs, and its answers when it is asked for them, are kept from the bus."""
     label, _ = first_to_switch(client, arm, RIGHT)
-    node = 1 + arm.manipulator.actuators.index(label) // 3
+    node = wired(arm, label).node
     late = list[tuple[int, bytes]]()
 
     def answer(cob_id: int, data: bytes) -> list[tuple[int, bytes]]:
@@ -126,7 +129,7 @@ def test_a_lost_word_of_the_inputs_is_asked_for(
     client: Observer, boards: Simulation, arm: Arm, motions: Motions
 ) -> None:
     label, _ = first_to_switch(client, arm, RIGHT)
-    node = 1 + arm.manipulator.actuators.index(label) // 3
+    node = wired(arm, label).node
     lost = list[bytes]()
 
     def answer(cob_id: int, data: bytes) -> list[tuple[int, bytes]]:
@@ -218,21 +221,21 @@ def test_an_end_stop_that_bounces_is_borne_while_the_actuator_travels_and_told_w
     client: Observer, boards: Simulation, arm: Arm, motions: Motions
 ) -> None:
     label, now = first_to_switch(client, arm, RIGHT)
-    node, bit = divmod(arm.manipulator.actuators.index(label), 3)
+    node, bit = wired(arm, label).node, wired(arm, label).output
 
     def answer(cob_id: int, data: bytes) -> list[tuple[int, bytes]]:
-        if cob_id != cia301.TPDO1 + node + 1 or data[0] >> bit & 1 == now:
+        if cob_id != cia301.TPDO1 + node or data[0] >> bit & 1 == now:
             return [(cob_id, data)]
         return [(cob_id, data), (cob_id, bytes([data[0] ^ 1 << bit])), (cob_id, data)] * 3  # on arrival
 
-    with answering(boards, f"can0/{node + 1}", answer):
+    with answering(boards, f"can0/{node}", answer):
         client.move(RIGHT)
     client.move(MIDDLE, goal="back")
     rest = time.time() + bearing(arm).settle_margin + bearing(arm).travel_time
     eventually(lambda: time.time() > rest)
     assert client.wait_now("ready")["faults"] == []
     rattled = time.time()
-    with boards.board(f"can0/{node + 1}") as (board, _):
+    with boards.board(f"can0/{node}") as (board, _):
         board.send_message(cia301.TPDO1 + board.node, bytes([board.objects.number(0x6000, 1) ^ 1 << bit]))
     state = client.wait_fault("unexpected-motion", rattled, within=1.0)
     assert label in state["reason"]

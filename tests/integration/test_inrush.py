@@ -14,7 +14,7 @@ from drivers import cia301
 from drivers.simulation import Simulation
 from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.harness import Observer
-from tests.integration.test_goals import LEFT, MIDDLE, RIGHT, drain, tip
+from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT, drain, tip
 
 INRUSH = 2
 RPDO = 0x200
@@ -41,10 +41,10 @@ def changes(frames: list[can.Message]) -> list[int]:
 
 def test_never_more_at_once_on_the_bus(client: Observer, boards: Simulation, arm: Arm, listener: can.BusABC) -> None:
     client.move(MIDDLE, RIGHT, goal="slow", times=[0.0, 2.0])
-    assert client.goal(LEFT, id="a")["accepted"]
+    assert client.goal(LEFT, MIDDLE, times=[0.0, HOUR], id="a")["accepted"]
     before = boards.switches().sum()
     eventually(lambda: boards.switches().sum() > before)
-    assert client.goal(RIGHT, id="b")["accepted"]
+    assert client.goal(RIGHT, MIDDLE, times=[0.0, HOUR], id="b")["accepted"]
     before = boards.switches().sum()
     eventually(lambda: boards.switches().sum() > before)
     assert client.goal(MIDDLE, id="c")["accepted"]

@@ -1,5 +1,6 @@
 """The daemon's process killed or halted at any instant: boards hold, counts are exact, and nothing stale moves."""
 
+import json
 import os
 import random
 import signal
@@ -13,6 +14,7 @@ import can
 import pytest
 import zenoh
 
+from controller.config import Arm
 from controller.daemon import session
 from controller.daemon.client import Client
 from controller.daemon.ledger import read
@@ -22,14 +24,14 @@ from drivers.wiring import BusSettings, Wiring
 from tests import emulated
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
-from tests.integration.harness import Observer
+from tests.integration.harness import Observer, board_names
 from tests.integration.motions import Motions
 from tests.integration.test_faults import reset
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT
 
 pytestmark = [pytest.mark.buses("emulated", "socketcan"), pytest.mark.timeout(600)]
 
-KILLS = 20 if SLOWNESS == 1 else 8
+KILLS = 20 if SLOWNESS == 1 else 5
 ROOT = Path(__file__).parents[2]
 
 
@@ -41,15 +43,16 @@ class Process:
         log: what all of them wrote to their journals.
     """
 
-    def __init__(self, nursery: subprocess.Popen[str], log: Path, endpoint: str) -> None:
-        self._nursery, self._endpoint, self.log, self.pid = nursery, endpoint, log, 0
+    def __init__(self, nursery: subprocess.Popen[str], bench: Bench, bus: BusSettings, log: Path) -> None:
+        self._nursery, self._endpoint, self.log, self.pid = nursery, bench.endpoint, log, 0
+        self._wanted = json.dumps([bus.interface, bus.channel, bench.endpoint, str(bench.ledger), str(log)])
         self._session: zenoh.Session | None = None
 
     def start(self) -> Observer:
         """Starts a daemon; returns a client of it."""
         assert self._nursery.stdin
         assert self._nursery.stdout
-        self._nursery.stdin.write("\n")
+        self._nursery.stdin.write(self._wanted + "\n")
         self._nursery.stdin.flush()
         self.pid = int(self._nursery.stdout.readline())
 
@@ -78,33 +81,26 @@ class Process:
         eventually(lambda: not os.path.exists(f"/proc/{self.pid}"))
 
 
-@pytest.fixture
-def process(
-    bus: BusSettings,
-    bench: Bench,
-    arm_file: Path,
-    endpoint: str,
-    tmp_path: Path,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[Process]:
-    command = [sys.executable, "-m", "tests.integration.nursery", str(arm_file)]
-    command += [bus.interface, bus.channel, endpoint, str(bench.ledger), str(tmp_path_factory.getbasetemp())]
-    log = tmp_path / "journal"
+@pytest.fixture(scope="module")
+def nursery(arm_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "tests.integration.nursery", str(arm_file), str(tmp_path_factory.getbasetemp())]
     environment = {**os.environ, "NOTIFY_SOCKET": ""}
-    with (
-        log.open("w") as journal,
-        subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=journal, text=True, cwd=ROOT, env=environment
-        ) as nursery,
-    ):
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
+    ) as nursery:
         assert nursery.stdout
-        assert nursery.stdout.readline() == "ready\n", log.read_text()
-        process = Process(nursery, log, endpoint)
-        yield process
-        process.close()
-        if os.path.exists(f"/proc/{process.pid}"):
-            process.end(signal.SIGKILL)
+        assert nursery.stdout.readline() == "ready\n"
+        yield nursery
         nursery.kill()
+
+
+@pytest.fixture
+def process(nursery: subprocess.Popen[str], bench: Bench, bus: BusSettings, tmp_path: Path) -> Iterator[Process]:
+    process = Process(nursery, bench, bus, tmp_path / "journal")
+    yield process
+    process.close()
+    if os.path.exists(f"/proc/{process.pid}"):
+        process.end(signal.SIGKILL)
 
 
 def zigzag(client: Observer, goal: str) -> None:
@@ -174,7 +170,7 @@ def _killer(emulation: emulated.Interface, process: Process) -> Callable[[int], 
 
 
 def test_a_halted_daemon_sends_nothing_stale_when_it_goes_on(
-    process: Process, boards: Simulation, listener: can.BusABC, wiring: Wiring
+    process: Process, boards: Simulation, arm: Arm, listener: can.BusABC, wiring: Wiring
 ) -> None:
     motions = Motions(wiring, listener)
     client = process.start()
@@ -184,7 +180,7 @@ def test_a_halted_daemon_sends_nothing_stale_when_it_goes_on(
     begun = time.time()
     eventually(lambda: client.feedback("passed"))
     os.kill(process.pid, signal.SIGSTOP)
-    eventually(lambda: all(state != 5 for state in _states(boards)))  # the boards fail safe
+    eventually(lambda: all(state != 5 for state in _states(boards, arm)))  # the boards fail safe
     eventually(lambda: time.time() > begun + 0.5 * SLOWNESS)  # the last waypoint has passed, Zenoh's lease has not
     before, sent = boards.switches().tolist(), time.time()
     client.client._session.put("hyperbit/planar16/goal", b'{"id": "late", "waypoints": [{"position": [0.55, 2.9]}]}')
@@ -202,16 +198,16 @@ def test_a_halted_daemon_sends_nothing_stale_when_it_goes_on(
     motions.check(client, boards)
 
 
-def _states(boards: Simulation) -> list[int | None]:
+def _states(boards: Simulation, arm: Arm) -> list[int | None]:
     states = []
-    for node in range(1, 17):
-        with boards.board(f"can0/{node}") as (board, _):
+    for name in board_names(arm):
+        with boards.board(name) as (board, _):
             states.append(board.state)
     return states
 
 
 def test_boards_of_a_killed_daemon_hold_in_the_middle_of_a_goal(
-    process: Process, boards: Simulation, listener: can.BusABC, wiring: Wiring
+    process: Process, boards: Simulation, arm: Arm, listener: can.BusABC, wiring: Wiring
 ) -> None:
     motions = Motions(wiring, listener)
     client = process.start()
@@ -220,6 +216,6 @@ def test_boards_of_a_killed_daemon_hold_in_the_middle_of_a_goal(
     eventually(lambda: client.feedback("a"))
     process.end(signal.SIGKILL)
     held = boards.switches().tolist()
-    eventually(lambda: all(state != 5 for state in _states(boards)), PATIENCE)
+    eventually(lambda: all(state != 5 for state in _states(boards, arm)), PATIENCE)
     motions.read()
     assert boards.switches().tolist() == held == motions.switched.tolist()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 PROJECT = Path(__file__).parents[2]
@@ -48,9 +49,12 @@ def prepare(robot: bool) -> None:
     (FOLDER / "robot").mkdir(parents=True, exist_ok=True)
     if older(FOLDER / "initrd", [HERE / "init", HERE / "prepare.py"]):
         pack()
-    warm()
+    parts = [warm]
     if robot and older(FOLDER / "robot.installed", [HERE / "robot.sh", HERE / "compile.py", *installed()]):
-        install()
+        parts.append(install)
+    with ThreadPoolExecutor() as pool:  # both compile for long, each on one processor
+        for part in [pool.submit(part) for part in parts]:
+            part.result()
 
 
 def search_path() -> str:
