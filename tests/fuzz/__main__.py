@@ -30,6 +30,12 @@ JOBS = [
     [("setpoint", "hypothesis", 10_000)],
     [("arm", "hypothesis", 3_000)],
     [("notation", "hypothesis", 10_000)],
+    [("measured_tip", "atheris", 50_000), ("measured_tip", "replay", 20_000)],
+    [("degrade", "atheris", 50_000), ("degrade", "replay", 20_000)],
+    [("obstacles", "atheris", 50_000), ("obstacles", "replay", 8_000)],
+    [("measured_tip", "hypothesis", 5_000)],
+    [("degrade", "hypothesis", 5_000)],
+    [("obstacles", "hypothesis", 10_000)],
     [("board", "hypothesis", 4_000)],
 ]
 LONGEST = 1800.0  # [s] for one of them

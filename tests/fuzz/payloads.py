@@ -1,4 +1,4 @@
-"""Goals, setpoints, configurations and arms' files, right ones and ones gone wrong: read, or refused in words."""
+"""What peers send, configurations and arms' files, right ones and ones gone wrong: read, or refused in words."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion import goal, setpoint
+from controller.motion import bias, degrade, goal, obstacles, setpoint
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.pacing import Pace
+from controller.obstacles.notation import MOST
 from controller.strict import InputFaults
 
 NOW = 1_800_000_000.0
@@ -62,6 +63,46 @@ def read_setpoint(data: bytes) -> int:
     assert np.isfinite(it.position).all()
     assert 0 < it.tolerance < 1e7
     return 1
+
+
+def read_degrade(data: bytes) -> int:
+    """A request to hold an actuator."""
+    try:
+        it = degrade.decode(data)
+    except Refusal as error:
+        told(str(error))
+        return 1
+    assert isinstance(it.actuator, str)
+    assert it.state in (0, 1, None)
+    return 1
+
+
+def read_measured_tip(data: bytes) -> int:
+    """A measured tip of a planar arm, and of one in space."""
+    for dimension in (2, 3):
+        try:
+            position, stamp = bias.decode(data, dimension)
+        except Refusal as error:
+            told(str(error))
+            continue
+        assert position.shape == (dimension,)
+        assert np.isfinite(position).all()
+        assert 0 <= stamp < np.inf
+    return 2
+
+
+def read_obstacles(data: bytes) -> int:
+    """Regions to keep a planar arm out of, and one in space."""
+    for dimension in (2, 3):
+        try:
+            it = obstacles.decode(data, dimension)
+        except Refusal as error:
+            told(str(error))
+            continue
+        assert len(it) == len(it.kinds) == len(it.axes) == len(it.centres) == len(it.sizes) <= MOST
+        assert np.isfinite(it.depths([[0.0, 0.0, 0.0], [0.5, -3.0, 0.0]])).all()
+        assert all(it.names)
+    return 2
 
 
 def arm_of(*states: int) -> Manipulator:
@@ -125,6 +166,22 @@ GOAL: dict[str, Any] = {
 }
 LINE: dict[str, Any] = {**GOAL, "path_tolerance": 0.01}
 SETPOINT: dict[str, Any] = {"position": [0.55, 2.9, 0.1], "stamp": NOW, "tolerance": {"position": 0.002}}
+DEGRADE: dict[str, Any] = {"actuator": "5.left", "state": 0}
+MEASURED_TIP: dict[str, Any] = {"position": [0.55, 2.9], "stamp": NOW, "orientation": 0.1}
+OBSTACLES: dict[str, Any] = {
+    "regions": [
+        {"disc": {"centre": [1.0, 2.0], "radius": 0.3}, "name": "pillar"},
+        {"box": {"centre": [-1, 1], "size": [0.4, 0.2], "angle": 0.5}},
+        {"half_plane": {"point": [0, -0.2], "normal": [0, 1]}, "name": "floor"},
+    ]
+}
+OBSTACLES_IN_SPACE: dict[str, Any] = {
+    "regions": [
+        {"sphere": {"centre": [1.0, 2.0, 0.5], "radius": 0.3}},
+        {"box": {"centre": [-1, 1, 2], "size": [0.4, 0.2, 1], "orientation": [0, 0.6, 0, 0.8]}},
+        {"half_space": {"point": [0, 0, -0.2], "normal": [0, 0, 1]}},
+    ]
+}
 ARM: dict[str, Any] = {
     "name": "short",
     "modules": [

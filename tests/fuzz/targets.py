@@ -53,6 +53,24 @@ TARGETS = {
         payloads.wrong(payloads.SETPOINT),
         payloads.spoiler(payloads.SETPOINT),
     ),
+    "measured_tip": Target(
+        lambda: payloads.read_measured_tip,
+        [payloads.written(payloads.MEASURED_TIP)],
+        payloads.wrong(payloads.MEASURED_TIP),
+        payloads.spoiler(payloads.MEASURED_TIP),
+    ),
+    "degrade": Target(
+        lambda: payloads.read_degrade,
+        [payloads.written(payloads.DEGRADE)],
+        payloads.wrong(payloads.DEGRADE),
+        payloads.spoiler(payloads.DEGRADE),
+    ),
+    "obstacles": Target(
+        lambda: payloads.read_obstacles,
+        [payloads.written(payloads.OBSTACLES), payloads.written(payloads.OBSTACLES_IN_SPACE)],
+        payloads.wrong(payloads.OBSTACLES, payloads.OBSTACLES_IN_SPACE),
+        payloads.spoiler(payloads.OBSTACLES, payloads.OBSTACLES_IN_SPACE),
+    ),
     "arm": Target(
         payloads.ReadArm,
         [

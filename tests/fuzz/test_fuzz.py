@@ -33,7 +33,7 @@ def test_seeds_and_what_was_found(name):
         attack(data)
 
 
-@pytest.mark.parametrize(("name", "examples"), [("daemon", 60), ("board", 300), ("arm", 100)])
+@pytest.mark.parametrize(("name", "examples"), [("daemon", 60), ("board", 300), ("arm", 100), ("obstacles", 300)])
 def test_hypothesis_finds_nothing(name, examples):
     attack = TARGETS[name].build()
 
