@@ -43,7 +43,8 @@ class Foresight:
         first = self._plan.solutions[0].configuration
         ahead = LookAhead(self._solver, first, trajectory, 1)
         between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
-        earliest = trajectory.times - self._pace.longest(between, actuators)
+        strict = any(transition.strict for transition in self._plan.transitions)
+        earliest = trajectory.times - self._pace.longest(between, actuators, strict)
         for k in range(1, len(trajectory.times)):
             began = time.perf_counter()
             ahead.extend()

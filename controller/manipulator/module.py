@@ -66,11 +66,26 @@ def blended(module: Module, strokes: Array) -> tuple[Frame, Array]:
     parts = shares(module.bits, strokes)
     frames = np.full((len(strokes), 4, 4), np.nan)
     for n in np.flatnonzero(np.isfinite(parts).all(axis=1)):
-        around = np.flatnonzero(parts[n])
-        turns = np.array([quaternion(frame) for frame in module.frames[around]])
-        turns *= np.where(turns @ turns[0] < 0, -1.0, 1.0)[:, None]
-        frames[n] = spatial(parts[n, around] @ module.frames[around, :3, 3], parts[n, around] @ turns)
+        free = np.flatnonzero((strokes[n] > 0) & (strokes[n] < 1))
+        corners = np.tile(strokes[n], (1 << len(free), 1))
+        corners[:, free] = binary_code(1 << len(free))[:, : len(free)]
+        states = (module.bits == corners[:, None]).all(axis=2).argmax(axis=1)
+        turns = np.array([quaternion(frame) for frame in module.frames[states]])
+        for stroke in strokes[n, free]:
+            first, second = np.split(turns, 2)
+            turns = midway(first, second, stroke)
+        frames[n] = spatial(parts[n] @ module.frames[:, :3, 3], turns[0])
     return frames, np.tensordot(parts, module.body, 1)
+
+
+def midway(first: Array, second: Array, share: float) -> Array:
+    """Returns the unit quaternions on the shortest ways from the first (n, 4) to the second."""
+    cosines = np.clip((first * second).sum(axis=1, keepdims=True), -1.0, 1.0)
+    angles, signs = np.arccos(abs(cosines)), np.where(cosines < 0, -1.0, 1.0)
+    near, sines = angles < 1e-6, np.maximum(np.sin(angles), 1e-9)
+    weights = np.where(near, 1.0 - share, np.sin((1.0 - share) * angles) / sines)
+    others = np.where(near, share, np.sin(share * angles) / sines)
+    return np.asarray(weights * first + others * signs * second)
 
 
 def spelled(stack: Frame, bits: NDArray[np.uint8], *, planar: bool, motion: Motion | None = None) -> Module:

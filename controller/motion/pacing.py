@@ -6,14 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import build_transition
-from controller.motion.stages import SKIPPED, order_stages
+from controller.motion.excursion import Transition, build_transition
+from controller.motion.stages import SKIPPED, order_stages, peaks
+from controller.motion.ways import Ways
+from controller.obstacles.sweep import Sweep
 
 MOST_STAGES = 8  # of a transition, unless the bound needs more: the tip then strays little less
 
 
 class Unfit(ValueError):
     """A transition cannot be carried out in the time there is."""
+
+
+class Blocked(Unfit):
+    """No order of its actuators was found in which nothing is touched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +29,12 @@ class Staged:
     Attributes:
         stages: actuator states that each stage ends in, shape (k, A); k is at least 1, and 1 where nothing switches.
         excursion: greatest distance of the tip from the straight line; None: not known.
+        strict: whether the stages keep clear of something, so that none may be left out or taken with another.
     """
 
     stages: NDArray[np.uint8]
     excursion: float | None
+    strict: bool = False
 
 
 @dataclass(frozen=True)
@@ -35,7 +43,8 @@ class Pace:
 
     Attributes:
         lead: time that one stage needs, from the tick before it to its end [s].
-        inrush: most actuators that may switch at once; None: no bound, and every transition is one stage.
+        inrush: most actuators that may switch at once; None: no bound, and every transition is one stage unless it must
+            keep clear of something.
         rest: time that an actuator rests between two travels [s].
     """
 
@@ -57,8 +66,10 @@ class Pace:
         """Returns the least time between two waypoints that are so many switches apart [s]."""
         return self.rest + self.lead * max(self._fewest(switches), 1)
 
-    def longest(self, available: NDArray[np.float64], actuators: int) -> NDArray[np.float64]:
-        """Returns the most time that transitions of an arm take where so much is available (n,) [s]."""
+    def longest(self, available: NDArray[np.float64], actuators: int, strict: bool) -> NDArray[np.float64]:
+        """Returns the most time that transitions of an arm take where so much is available (n,) [s]; see Staged."""
+        if strict:
+            return np.minimum(available - self.rest, self.lead * actuators)
         if self.inrush is None:
             return np.full_like(available, self.lead)
         return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self._fewest(actuators)))
@@ -70,6 +81,7 @@ class Pace:
         after: Configuration,
         available: float | None = None,
         reckon: bool = True,
+        sweep: Sweep | None = None,
     ) -> Staged:
         """Returns how a transition is carried out.
 
@@ -79,10 +91,14 @@ class Pace:
             after: configuration, shape (B,).
             available: time from the waypoint before to the one after [s]; None: as much as wanted.
             reckon: whether to reckon the excursion where there is no bound on what switches at once.
+            sweep: of what must touch nothing, in no order and mid-stroke of a stage's actuators; None: anything may.
 
         Raises:
             Unfit: that is too little; the message says what is needed.
+            Blocked: no stages are found that touch nothing; the message says what is in the way.
         """
+        if sweep is not None:
+            return self._clear(manipulator, before, after, available, reckon, sweep)
         n = manipulator.switches(before, after)
         if n == 0:
             return Staged(manipulator.actuator_states(after)[None], 0.0)
@@ -103,6 +119,42 @@ class Pace:
                 continue
             return Staged(rows(manipulator.actuator_states(before), found.actuators), found.excursion)
         raise Unfit(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
+
+    def _clear(
+        self,
+        manipulator: Manipulator,
+        before: Configuration,
+        after: Configuration,
+        available: float | None,
+        reckon: bool,
+        sweep: Sweep,
+    ) -> Staged:
+        """Returns a transition that touches nothing: as any other where that is clear, else in other stages."""
+        start, transition = manipulator.actuator_states(before), build_transition(manipulator, before, after)
+        n = len(transition.actuators)
+        most, room = self.inrush or max(n, 1), max(n, 1)
+        if available is not None and self.lead > 0:
+            room = min(room, int((available - self.rest) / self.lead + 1e-9))
+        ways = Ways(sweep, start, transition.actuators, most)
+        usual = self.staged(manipulator, before, after, available, reckon)
+        stages = numbered(transition, start, usual.stages)
+        if ways.clear(stages):
+            return replace(usual, strict=True)
+        if not ways.clear([np.arange(0)]):
+            raise Blocked(f"the arm touches something where it stands: {ways.blame}")
+        upwards, own = np.arange(n), np.concatenate(stages)
+        cuts = [cut for order in (own, upwards, upwards[::-1].copy()) if (cut := ways.cut(order))]
+        if not any(len(cut) <= room for cut in cuts) and (order := ways.order(own)) is not None:
+            cuts.append(ways.cut(order))
+        if not cuts:
+            raise Blocked(ways.blame)
+        best = min(cuts, key=len)
+        if len(best) > room:
+            raise Blocked(f"{len(best)} stages keep clear of all, there is time for {room}: {ways.blame}")
+        known = replace(transition, unknown=SKIPPED)
+        excursion = max(peaks(known, known.masks([]), best)) if reckon else None
+        masks = tuple(tuple(transition.actuators[stage].tolist()) for stage in best)
+        return Staged(rows(start, masks), excursion, strict=True)
 
     def _fewest(self, switches: int) -> int:
         """Returns the fewest stages."""
@@ -125,3 +177,9 @@ def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDAr
     for k, stage in enumerate(stages):
         result[k:, list(stage)] ^= 1
     return result
+
+
+def numbered(transition: Transition, states: NDArray[np.uint8], stages: NDArray[np.uint8]) -> list[NDArray[np.int64]]:
+    """Returns stages that follow on states (A,), as rows (k, A), as actuators counted among those that switch."""
+    changes = np.diff(np.vstack([states, stages]).astype(int), axis=0)[:, transition.actuators]
+    return [np.flatnonzero(change) for change in changes]

@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.pacing import Pace, Staged, Unfit
+from controller.motion.pacing import Blocked, Pace, Staged, Unfit
 from controller.motion.trajectory import Trajectory, upwards
+from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solution, Solver
 
 # [s] for the whole of a trajectory: the arm is to begin soon. First answers are kept time for, and given when the rest
 # is over; how far the tip strays there is left to looking ahead.
 PLANNING_TIME, FIRST_ANSWER = 0.03, 0.0002
+
+ASIDE, OTHERS = 0.2, 32  # [s] for other configurations where there is no way to the cheapest, and how many
 
 
 AT_ONCE = Pace(0.0)
@@ -71,7 +74,7 @@ class Plan:
             if not solutions[k].within_tolerance:
                 raise Unfit(f"{solutions[k].error:.4f} from point {k}")
             available = float(times[k] - times[k - 1])
-            transitions[k] = pace.staged(solver.manipulator, before, configuration, available)
+            transitions[k] = pace.staged(solver.manipulator, before, configuration, available, sweep=sweep_for(solver))
         return Plan(self.trajectory, tuple(solutions), tuple(transitions))
 
 
@@ -94,8 +97,11 @@ def plan(
         pace: of the transitions.
 
     Raises:
-        Refusal: a point is out of reach, the message has the nearest point found; or the time to it is too short.
+        Refusal: a point is out of reach, the message has the nearest point found; there is no way to it that touches
+            nothing, or too little time; or the arm touches something where it is.
     """
+    if solver.clearance is not None and (where := solver.clearance.where(previous)) is not None:
+        raise Refusal(INVALID_GOAL, f"the arm may not move from where it stands: {where}")
     solutions, transitions = list[Solution](), list[Staged]()
     reserved = min(FIRST_ANSWER * len(trajectory.times), 0.8 * PLANNING_TIME)
     until = time.perf_counter() + PLANNING_TIME - reserved
@@ -103,7 +109,7 @@ def plan(
         proceed()
         goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
         if trajectory.between(k) and (same := held(solutions[-1], position, tolerance)) is not None:
-            transitions.append(Staged(transitions[-1].stages[-1:], 0.0))
+            transitions.append(replace(transitions[-1], stages=transitions[-1].stages[-1:], excursion=0.0))
             solutions.append(same)
             continue
         left = max(until - time.perf_counter(), 0.0)
@@ -112,13 +118,59 @@ def plan(
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:
-            transitions.append(staged(solver, trajectory, previous, solution, k, pace, reckon))
+            transition = staged(solver, trajectory, previous, solution, k, pace, reckon)
+        except Blocked as blocked:
+            solution, transition = aside(solver, trajectory, previous, solution, k, pace, blocked)
         except Refusal:  # perhaps a search with more time finds what switches less
             solution = solver.solve(goal, previous, tolerance, method, turn=turn)
-            transitions.append(staged(solver, trajectory, previous, solution, k, pace))
+            try:
+                transition = staged(solver, trajectory, previous, solution, k, pace)
+            except Blocked as blocked:
+                solution, transition = aside(solver, trajectory, previous, solution, k, pace, blocked)
         solutions.append(solution)
+        transitions.append(transition)
         previous = solution.configuration
     return Plan(trajectory, tuple(solutions), tuple(transitions))
+
+
+def sweep_for(solver: Solver) -> Sweep | None:
+    """Returns what tells whether transitions touch anything; None where there is nothing to touch."""
+    return None if solver.clearance is None or solver.clearance.free else sweep_of(solver.clearance)
+
+
+def aside(
+    solver: Solver,
+    trajectory: Trajectory,
+    previous: Configuration,
+    cheapest: Solution,
+    k: int,
+    pace: Pace,
+    blocked: Blocked,
+) -> tuple[Solution, Staged]:
+    """Returns another configuration for point k, to which there is a way where there is none to the cheapest.
+
+    Raises:
+        Refusal: none is found in the time for that; the message has what is in the way to the cheapest.
+    """
+    goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
+    until = time.perf_counter() + ASIDE
+    others, costs = solver.candidates(goal, previous, tolerance, OTHERS, turn)
+    tried = {cheapest.configuration.tobytes()}
+    ranked = [others[n] for n in np.argsort(costs, kind="stable")]
+    methods: tuple[Method, ...] = ("ipop-previous", "pop", "ipop-contracted")
+    for found in (*ranked, *(solver.solve(goal, previous, tolerance, m, turn=turn).configuration for m in methods)):
+        if time.perf_counter() > until:
+            break
+        solution = solver.described(found, goal, previous, tolerance, turn)
+        if found.tobytes() in tried or not solution.within_tolerance:
+            continue
+        tried.add(found.tobytes())
+        try:
+            return solution, staged(solver, trajectory, previous, solution, k, pace)
+        except (Blocked, Refusal):
+            continue
+    what = f"no way to it without touching anything: {blocked}"
+    raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
 
 
 def held(solution: Solution, goal: NDArray[np.float64], tolerance: float) -> Solution | None:
@@ -167,6 +219,7 @@ def staged(
 
     Raises:
         Refusal: the time from point k - 1 is too short.
+        Blocked: something is in the way.
     """
     if k > 0:
         available: float | None = float(trajectory.times[k] - trajectory.times[k - 1])
@@ -176,7 +229,10 @@ def staged(
     else:
         available = None
     try:
-        return pace.staged(solver.manipulator, previous, solution.configuration, available, reckon)
+        configuration, sweep = solution.configuration, sweep_for(solver)
+        return pace.staged(solver.manipulator, previous, configuration, available, reckon, sweep)
+    except Blocked:
+        raise
     except Unfit as error:
         number = trajectory.next(k)
         if number == 0:

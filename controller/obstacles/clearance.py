@@ -22,6 +22,7 @@ class Clearance:
         radius: of the bodies, as the arm's file gives it.
         margin: with which kernels compare: the radius, and what rounding takes.
         self_collision: whether bodies of modules that are not neighbours must stay apart, too.
+        apart: how near to each other is too near; less than 0 where that does not matter.
         bodies: of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
         balls: centre and radius of a ball around each, shape (B, Kmax, 4).
         lines: number of line segments of each module, shape (B,).
@@ -33,6 +34,7 @@ class Clearance:
         """Pads the modules' bodies."""
         self.manipulator, self.regions, self.radius, self.self_collision = manipulator, regions, radius, self_collision
         self.margin = radius + ROUNDING * manipulator.length
+        self.apart = radius + self.margin if self_collision else -1.0
         self.lines = np.array([module.body.shape[1] for module in manipulator.modules])
         self.bodies = np.zeros((*manipulator.frames.shape[:2], self.lines.max(), 2, 3))
         self.balls = np.zeros((*manipulator.frames.shape[:2], 4))
@@ -48,20 +50,21 @@ class Clearance:
     def blocked(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Returns which of configurations (n, B) touch anything, shape (n,)."""
         chosen = np.ascontiguousarray(configurations, dtype=np.int64)
-        return np.zeros(len(chosen), dtype=bool) if self.free else np.asarray(self._touching(chosen)[:, 0] >= 0)
+        return np.zeros(len(chosen), dtype=bool) if self.free else np.asarray(self.touching(chosen)[:, 0] >= 0)
 
     def where(self, configuration: Configuration) -> str | None:
         """Returns what touches first from the base, "module 7 is in disc 'pillar'", or None."""
         if self.free:
             return None
-        module, region, other = self._touching(np.array([configuration], dtype=np.int64))[0].tolist()
+        module, region, other = self.touching(np.array([configuration], dtype=np.int64))[0].tolist()
         if module < 0:
             return None
         if region >= 0:
             return f"module {module + 1} is in {self.regions.names[region]}"
         return f"modules {other + 1} and {module + 1} touch"
 
-    def _touching(self, configurations: Index) -> Index:
+    def touching(self, configurations: Index) -> Index:
+        """Returns module, region and other module that touch first in configurations (n, B), or -1 each; (n, 3)."""
         arm, regions = self.manipulator, self.regions
         return np.asarray(
             touching(
@@ -77,7 +80,7 @@ class Clearance:
                 regions.centres,
                 regions.sizes,
                 self.margin,
-                2 * self.radius + ROUNDING * arm.length if self.self_collision else -1.0,
+                self.apart,
                 configurations,
             )
         )

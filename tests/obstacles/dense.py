@@ -81,9 +81,9 @@ def regions(parts: list[Region]) -> Regions:
     return together([part.region() for part in parts])
 
 
-def along(lines: np.ndarray) -> np.ndarray:
-    """Points (L * (PARTS + 1), 3) along line segments (L, 2, 3)."""
-    share = np.linspace(0, 1, PARTS + 1)[None, :, None]
+def along(lines: np.ndarray, parts: int = PARTS) -> np.ndarray:
+    """Points (L * (parts + 1), 3) along line segments (L, 2, 3)."""
+    share = np.linspace(0, 1, parts + 1)[None, :, None]
     return (lines[:, None, 0] * (1 - share) + lines[:, None, 1] * share).reshape(-1, 3)
 
 
@@ -92,6 +92,6 @@ def step(lines: np.ndarray) -> float:
     return float(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).max()) / PARTS / 2
 
 
-def nearest(lines: np.ndarray, parts: list[Region]) -> float:
+def nearest(lines: np.ndarray, regions: list[Region], parts: int = PARTS) -> float:
     """The least signed distance of these points from any region."""
-    return min((float(part.signed(along(lines)).min()) for part in parts), default=np.inf)
+    return min((float(region.signed(along(lines, parts)).min()) for region in regions), default=np.inf)

@@ -1,0 +1,148 @@
+"""What may be touched while strokes go on, by bounds: the kernel.
+
+Strokes are looked at in boxes, in which each goes from one part of its way to another. Seen from a box's middle, a
+module turns and moves all that it carries, each point by no more than it moves the frame above, and turns it, times the
+point's distance from there. Such bounds of all modules below add up, for each is taken where those above are in the
+middle of the box, and those below move rigidly whatever they do. So a module that in the middle of the box is farther
+from a region than its bounds touches nothing in all of it.
+"""
+
+import numpy as np
+from numba import njit
+
+from controller.obstacles.gaps import Array, Index, placed, touches
+from controller.obstacles.touching import segment_gap
+
+CLEAR, TOUCHED = -1, -2
+
+
+@njit("f8(f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,:,::1])", cache=True, nogil=True)
+def body_gap(r: Array, b: Array, body: Array, s: Array, c: Array, other: Array) -> float:
+    """Returns the distance between two bodies (L, 2, 3) in frames (r, b) and (s, c)."""
+    least, first, second = np.inf, np.empty((2, 3)), np.empty((2, 3))
+    for m in range(len(body)):
+        for side in range(2):
+            first[side, 0], first[side, 1], first[side, 2] = placed(r, b, body[m, side])
+        for n in range(len(other)):
+            for side in range(2):
+                second[side, 0], second[side, 1], second[side, 2] = placed(s, c, other[n, side])
+            least = min(least, segment_gap(first, second))
+    return least
+
+
+@njit("f8(f8, f8, f8, f8[::1])", cache=True, nogil=True, inline="always")
+def away(x: float, y: float, z: float, point: Array) -> float:
+    """Returns the distance between two points."""
+    return float(np.sqrt((x - point[0]) ** 2 + (y - point[1]) ** 2 + (z - point[2]) ** 2))
+
+
+@njit(
+    "i8[::1](f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1], f8[:,::1], f8[:,::1],"
+    " i8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8, f8, b1[:,::1], i8[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def look(
+    rotations: Array,
+    translations: Array,
+    bodies: Array,
+    balls: Array,
+    lines: Index,
+    owners: Index,
+    rates: Array,
+    halves: Array,
+    kinds: Index,
+    axes: Array,
+    centres: Array,
+    sizes: Array,
+    margin: float,
+    apart: float,
+    suspects: Array,
+    reports: Index,
+) -> Index:
+    """Returns for each box of strokes whether it is CLEAR or TOUCHED in its middle, else which stroke to halve.
+
+    Args:
+        rotations: of the base and of every module in the middle of each box, shape (n, B + 1, 3, 3).
+        translations: likewise, shape (n, B + 1, 3).
+        bodies: likewise of every module, shape (n, B, Lmax, 2, 3).
+        balls: centres and radii of balls around them, shape (n, B, 4).
+        lines: number of line segments of each module, shape (B,).
+        owners: module of each actuator that switches, shape (k,).
+        rates: see Strokes.rates, shape (k, 3).
+        halves: half of the share of its stroke that each box has, shape (n, k).
+        kinds: and the next three: see Regions.
+        axes: see Regions.
+        centres: see Regions.
+        sizes: see Regions.
+        margin: see Clearance.
+        apart: how near modules may not come to each other; less than 0 where that does not matter.
+        suspects: modules to look at, shape (n, B); those found clear are struck out.
+        reports: module, region and other module that touch, or may, are written there, shape (n, 3).
+    """
+    n, modules, k = len(bodies), bodies.shape[1], len(owners)
+    result = np.full(n, CLEAR)
+    r, b = np.empty((modules + 1, 3, 3)), np.empty((modules + 1, 3))
+    moves, turns, swells = np.empty(modules), np.empty(modules), np.empty(modules)
+    for box in range(n):
+        moves[:], turns[:], swells[:] = 0.0, 0.0, 0.0
+        for a in range(k):
+            moves[owners[a]] += halves[box, a] * rates[a, 0]
+            turns[owners[a]] += halves[box, a] * rates[a, 1]
+            swells[owners[a]] += halves[box, a] * rates[a, 2]
+        r[0], b[0] = rotations[box, 0], translations[box, 0]
+        for i in range(modules):
+            s = rotations[box, i + 1]
+            b[i + 1, 0], b[i + 1, 1], b[i + 1, 2] = placed(r[i], b[i], translations[box, i + 1])
+            for p in range(3):
+                for q in range(3):
+                    r[i + 1, p, q] = r[i, p, 0] * s[0, q] + r[i, p, 1] * s[1, q] + r[i, p, 2] * s[2, q]
+        greatest, worst, lowest = -1.0, -1, 0
+        for j in range(modules):
+            if not suspects[box, j]:
+                continue
+            body, ball = bodies[box, j, : lines[j]], balls[box, j]
+            x, y, z = placed(r[j], b[j], ball[:3])
+            region, other, swept, low = -1, -1, swells[j], 0
+            for i in range(j):
+                if turns[i] > 0 or moves[i] > 0:
+                    swept += moves[i] + turns[i] * (away(x, y, z, b[i + 1]) + ball[3])
+            region = touches(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin + swept)
+            touched = region >= 0 and touches(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin) >= 0
+            if apart >= 0 and region < 0:
+                swept = swells[j]
+                for i in range(j - 1, -1, -1):
+                    if turns[i] > 0 or moves[i] > 0:
+                        swept += moves[i] + turns[i] * (away(x, y, z, b[i + 1]) + ball[3])
+                    near = apart + swept + swells[i]
+                    u, v, w = placed(r[i], b[i], balls[box, i, :3])
+                    point = np.array([u, v, w])
+                    if i < j - 1 and away(x, y, z, point) <= ball[3] + balls[box, i, 3] + near:
+                        gap = body_gap(r[j], b[j], body, r[i], b[i], bodies[box, i, : lines[i]])
+                        if gap <= near:
+                            other, low, touched = i, i, gap <= apart
+                            swept += swells[i]
+                            break
+            suspects[box, j] = region >= 0 or other >= 0
+            if not suspects[box, j]:
+                continue
+            if touched or swept > greatest:
+                greatest, worst, lowest = swept, j, low
+                reports[box, 0], reports[box, 1], reports[box, 2] = j, region, other
+            if touched:
+                result[box] = TOUCHED
+                break
+        if worst < 0 or result[box] == TOUCHED:
+            continue
+        x, y, z = placed(r[worst], b[worst], balls[box, worst, :3])
+        most = -1.0
+        for a in range(k):
+            i = owners[a]
+            if i < lowest or i > worst:
+                continue
+            share = rates[a, 2] if i == worst or (i == lowest and lowest > 0) else 0.0
+            if i < worst:
+                share += rates[a, 0] + rates[a, 1] * (away(x, y, z, b[i + 1]) + balls[box, worst, 3])
+            if halves[box, a] * share > most:
+                most, result[box] = halves[box, a] * share, a
+    return result
