@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from controller.chain import build_frame, build_modules
 from controller.manipulator.held import STATES, Held, free, hold
 from controller.manipulator.manipulator import Manipulator
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.notation import build_regions
+from controller.obstacles.regions import NONE, Regions, together
 from controller.settings import ActuatorSettings, ArmSettings
 from controller.strict import InputFaults, check, read_yaml
 
@@ -25,11 +28,13 @@ class Arm:
         settings: the file's fields.
         manipulator: the chain.
         wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
+        regions: that no module may touch.
     """
 
     settings: ArmSettings
     manipulator: Manipulator
     wiring: tuple[ActuatorSettings, ...]
+    regions: Regions = NONE
 
     @cached_property
     def held(self) -> Held:
@@ -44,6 +49,15 @@ class Arm:
     def left(self) -> Manipulator:
         """The chain without the states that the actuators declared stuck rule out."""
         return hold(self.manipulator, self.held)
+
+    def clearance(self, manipulator: Manipulator | None = None, others: Regions = NONE) -> Clearance:
+        """Returns what the chain, or what is left of it, must keep clear of: the file's regions and others."""
+        return Clearance(
+            manipulator or self.manipulator,
+            together([self.regions, others]),
+            self.settings.body_radius,
+            self_collision=self.settings.self_collision,
+        )
 
     @property
     def pixel(self) -> float:
@@ -103,12 +117,24 @@ def load(path: Path) -> Arm:
     wiring = map_actuators(settings, manipulator, faults)
     if faults:
         raise InputFaults(path, faults)
-    arm = Arm(settings, manipulator, wiring)
+    regions = build_regions(settings.obstacles, manipulator.dimension, "obstacles", faults)
+    arm = Arm(settings, manipulator, wiring, regions)
+    if not faults and (walled := walled_in(arm)) is not None:
+        faults.append(f"obstacles: {walled}, whatever its state; the arm could not move")
     try:
         hold(manipulator, arm.held)
     except ValueError as error:
-        raise InputFaults(path, [f"actuators: as they are stuck, {error}"]) from None
+        faults.append(f"actuators: as they are stuck, {error}")
+    if faults:
+        raise InputFaults(path, faults)
     return arm
+
+
+def walled_in(arm: Arm) -> str | None:
+    """Returns what the first module touches in every state; None if it does not."""
+    first = Manipulator(arm.manipulator.modules[:1], arm.manipulator.base)
+    said = [arm.clearance(first).where(np.array([state])) for state in range(int(first.states[0]))]
+    return None if None in said else said[0]
 
 
 def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[str]) -> tuple[ActuatorSettings, ...]:

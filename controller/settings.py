@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, field
 
 from controller.manipulator.vgt import Diagonal
+from controller.obstacles.notation import RegionList
 from controller.search.method import Method
 
 # Lengths beyond these bounds are slips of the unit, and would overflow when squared.
@@ -173,5 +174,8 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     boards: BoardSettings = BoardSettings()
     real_time: RealTimeSettings | None = None
     tracker: TrackerSettings | None = None
+    obstacles: RegionList = field(default_factory=list)
+    body_radius: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)

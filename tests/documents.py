@@ -17,6 +17,13 @@ def document(count: int = 2) -> dict:
         "workspace": {"pixel": 0.01, "memory": 512},
         "method": "ipop-previous",
         "real_time": {"priority": 60},
+        "obstacles": [
+            {"disc": {"centre": [2, 2], "radius": 0.3}, "name": "pillar"},
+            {"box": {"centre": [-1, 1], "size": [0.4, 0.2], "angle": 0.5}},
+            {"half_plane": {"point": [0, -0.2], "normal": [0, 1]}, "name": "floor"},
+        ],
+        "body_radius": 0.02,
+        "self_collision": True,
         "buses": [
             {"name": "can0", "interface": "socketcan", "channel": "can0", "bitrate": 500000},
             {"name": "spare", "channel": "can1"},

@@ -77,6 +77,39 @@ FAULTS = [
     ("actuators.0.stuck", "yes", "actuators[0].stuck: Invalid enum value 'yes'"),
     ("on_stuck", "go", "on_stuck: Invalid enum value 'go'"),
     ("actuators.0.module", 0, "actuators[0].module: Expected `int` >= 1 (given: 0)"),
+    ("body_radius", -0.1, "body_radius: Expected `float` >= 0.0 (given: -0.1)"),
+    ("self_collision", 1, "self_collision: Expected `bool`, got `int` (given: 1)"),
+    ("obstacles", {}, "obstacles: Expected `array`, got `object`"),
+    ("obstacles.0.disk", 1, "obstacles[0].disk: unknown field; known are box, disc, half_plane, half_space, name"),
+    ("obstacles.0.disc.radius", -1, "obstacles[0].disc.radius: Expected `float` > 0.0 (given: -1)"),
+    ("obstacles.0.disc.radius", math.inf, "obstacles[0].disc.radius: inf is not a finite number"),
+    ("obstacles.0.disc.center", [0, 0], "obstacles[0].disc.center: unknown field; known are centre, radius"),
+    ("obstacles.0.disc.centre", [0, 0, 0], "obstacles[0].disc.centre: 3 coordinates, a planar arm's have 2"),
+    ("obstacles.0.disc.centre", [1e9, 0], "obstacles[0].disc.centre[0]: Expected `float` <= 1000000.0"),
+    ("obstacles.0.name", "a b", "obstacles[0].name: Expected `str` matching regex"),
+    ("obstacles.2.name", "pillar", "obstacles[2].name: 'pillar' is obstacles[0]'s already"),
+    ("obstacles.1.box.size", [0.4, 0], "obstacles[1].box.size[1]: Expected `float` > 0.0 (given: 0)"),
+    ("obstacles.1.box.size", [0.4, 1, 1], "obstacles[1].box.size: 3 coordinates, a planar arm's have 2"),
+    ("obstacles.1.box.angle", 90, "obstacles[1].box.angle: Expected `float` <= 6.2832 (given: 90)"),
+    ("obstacles.1.box.orientation", [0, 0, 0, 1], "obstacles[1].box.orientation: a box of the plane is turned by an"),
+    ("obstacles.2.half_plane.normal", [0, 0], "obstacles[2].half_plane.normal: a direction is needed, got [0"),
+    ("obstacles.1", {}, "obstacles[1]: one of disc, box, half_plane is needed for a planar arm, got none of them"),
+    (
+        "obstacles.1.disc",
+        {"centre": [0, 0], "radius": 1},
+        "obstacles[1]: one of disc, box, half_plane is needed for a planar arm, got disc and box",
+    ),
+    (
+        "obstacles.1",
+        {"sphere": {"centre": [0, 0], "radius": 1}},
+        "obstacles[1]: one of disc, box, half_plane is needed for a planar arm, got sphere",
+    ),
+    ("obstacles", [{"disc": {"centre": [5, 5], "radius": 1}}] * 257, "obstacles: Expected `array` of length <= 256"),
+    (
+        "obstacles.0.disc",
+        {"centre": [0.5, 0.35], "radius": 0.1},
+        "obstacles: module 1 is in disc 'pillar', whatever its state; the arm could not move",
+    ),
 ]
 
 
@@ -193,6 +226,11 @@ SPATIAL = {
     "name": "spatial",
     "modules": [*listed({"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}, {"position": [0, 1, 1]}, count=2), TRUSS],
     "tolerance": {"position": 0.01},
+    "obstacles": [
+        {"sphere": {"centre": [2, 2, 0], "radius": 0.3}},
+        {"box": {"centre": [-1, 1, 9], "size": [0.4, 0.2, 1], "orientation": [0, 0.6, 0, 0.8]}, "name": "shelf"},
+        {"half_space": {"point": [0, 0, -0.2], "normal": [0, 0, 1]}},
+    ],
 }
 CORNERS = [[0.1, 0.0], [-0.05, 0.087], [-0.05, -0.087]]
 MIXED = {
@@ -237,6 +275,33 @@ def test_however_a_document_is_changed_it_loads_or_says_why_not(read, data, seed
         said = arm.manipulator.actuators
     assert said
     assert all(said)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "expected"),
+    [
+        (
+            {"disc": {"centre": [2, 2], "radius": 1}},
+            ": one of sphere, box, half_space is needed for a spatial arm, got disc",
+        ),
+        (
+            {"box": {"centre": [2, 2], "size": [1, 1, 1], "angle": 0.1}},
+            ".box.centre: 2 coordinates, a spatial arm's have 3",
+        ),
+        (
+            {"box": {"centre": [9, 2, 2], "size": [1, 1, 1], "angle": 0.1}},
+            ".box.angle: a box in space is turned by an `orientation`, a quaternion x, y, z, w",
+        ),
+        (
+            {"box": {"centre": [9, 2, 2], "size": [1, 1, 1], "orientation": [0, 0, 1, 1]}},
+            ".box.orientation: a quaternion x, y, z, w of length 1 is needed, got [0.0, 0.0, 1.0, 1.0]",
+        ),
+        ({"half_space": {"point": [0, 0, 0], "normal": [0, 0]}}, ".half_space.normal: 2 coordinates, a spatial arm's"),
+    ],
+)
+def test_regions_of_a_spatial_arm_that_are_wrong(read, obstacle, expected):
+    fault, *_ = faults(read, {**SPATIAL, "obstacles": [obstacle]})
+    assert fault.startswith(f"obstacles[0]{expected}")
 
 
 def test_stuck_actuators_that_leave_a_module_no_state_are_named(read):

@@ -32,6 +32,7 @@ PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 48
 MANY = 100.0  # configurations expected within the tolerance of each point of the curve
 MOST = 100.0  # natural logarithm of the largest number of configurations worth telling apart
+DRAWN = 1000  # configurations among which targets are chosen
 STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half, for each stage, where that is longer
 PATIENCE = 180.0  # [s] for the daemon to be ready; the first start compiles its kernels
 
@@ -65,13 +66,15 @@ def demo(
         rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
     console.print(summary(arm, rows))
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
-    plots.save(picture, arm.manipulator, densities, [plots.Panel(title, reached, targets, curve)])
+    panels = [plots.Panel(title, reached, targets, curve)]
+    plots.save(picture, arm.manipulator, densities, panels, regions=arm.regions)
     console.print(f"picture: {picture}")
 
 
 def sample(arm: Arm, count: int) -> list[list[float]]:
-    """Returns tips of configurations drawn at random, the same each time."""
-    states = np.random.default_rng(16).integers(0, arm.manipulator.states, (count, len(arm.manipulator.modules)))
+    """Returns tips of configurations drawn at random, the same each time, that touch nothing."""
+    states = np.random.default_rng(16).integers(0, arm.manipulator.states, (DRAWN, len(arm.manipulator.modules)))
+    states = states[~arm.clearance().blocked(states)][:count]
     tips = arm.manipulator.tips(states)[:, : arm.manipulator.dimension, 3]
     return [list(map(float, tip)) for tip in tips]
 
@@ -91,7 +94,7 @@ def closed_curve(arm: Arm, densities: Densities) -> NDArray[np.float64]:
     size = 0.1 * chain.length
     while True:
         curves = tips[:, None] + size * ellipse
-        thinnest = looked_up(densities, promised, curves).min(axis=1)
+        thinnest = np.where(outside(arm, curves), looked_up(densities, promised, curves).min(axis=1), 0.0)
         best = int(np.argmax(thinnest))
         if thinnest[best] >= MANY or size <= arm.tolerance / 2:
             return np.asarray((curves[best] @ base[:3, :3].T + base[:3, 3])[:, : arm.manipulator.dimension])
@@ -117,6 +120,13 @@ def looked_up(densities: Densities, values: NDArray[np.float64], points: NDArray
     inside = ((index >= 0) & (index < values.shape)).all(axis=-1)
     z, y, x = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
     return np.where(inside, values[z, y, x], 0.0)
+
+
+def outside(arm: Arm, curves: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Returns which of curves (m, n, 3), as seen from the base, keep out of the arm's regions."""
+    world = curves.reshape(-1, 3) @ arm.manipulator.base[:3, :3].T + arm.manipulator.base[:3, 3]
+    depths = arm.regions.depths(world).min(axis=1, initial=np.inf).reshape(curves.shape[:2])
+    return np.asarray((depths > arm.settings.body_radius).all(axis=1))
 
 
 def stages(arm: Arm) -> int:

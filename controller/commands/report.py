@@ -118,7 +118,7 @@ def plan(
         raise InputFaults(goals or Path(), ["column previous: a line begins where the one before ended"])
     if path_tolerance is not None and any(orientation is not None for _, orientation, _ in wanted):
         raise InputFaults(goals or Path(), ["orientations: lines are followed by position only"])
-    solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights())
+    solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.left))
     solver.prepare()
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     missed = 0

@@ -4,6 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.daemon.avoidance import Kept
 from controller.manipulator.held import Held
 from controller.manipulator.manipulator import Configuration
 from controller.motion.degrade import DegradeMessage
@@ -29,18 +33,20 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Planned(Request):
-    """A goal that has a plan and asks to be run."""
+    """A goal that has a plan and asks to be run; `kept` is what the plan keeps clear of, None for nothing."""
 
     id: str
     plan: Plan
+    kept: Kept | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Improved:
-    """A better plan for a goal that is being run, told by its arrival."""
+    """A better plan for a goal that is being run, told by its arrival; `kept`: see Planned."""
 
     arrival: int
     plan: Plan
+    kept: Kept | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +59,7 @@ class Follow:
         configuration: to switch to once the last transition is settled, shape (B,); None: stay.
         until: when the stream has stopped, unless another of these comes before [s on the loop's clock].
         reason: a sentence on what is followed.
+        stages: actuator states that each stage on the way ends in, shape (k, A); None: the configuration's alone.
     """
 
     arrival: int
@@ -60,6 +67,7 @@ class Follow:
     configuration: Configuration | None
     until: float
     reason: str
+    stages: NDArray[np.uint8] | None = None
 
 
 class Cancel(Request):
@@ -82,6 +90,22 @@ class Degrade(Request):
 
 
 @dataclass(frozen=True, eq=False)
+class KeepOut(Request):
+    """Keep clear of something else from now on."""
+
+    kept: Kept
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is touched by what is left of the goal of an arrival, of what was to be kept clear of; None: nothing."""
+
+    arrival: int
+    kept: Kept
+    touched: str | None
+
+
+@dataclass(frozen=True, eq=False)
 class Prepared:
     """Planning goes by actuators that are held (A,), or does not, for a fault."""
 
@@ -101,4 +125,4 @@ class Quit:
     """The service is asked to end."""
 
 
-Event = Request | Improved | Follow | Prepared | Started | Quit
+Event = Request | Improved | Follow | Judged | Prepared | Started | Quit

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.daemon.events import Planned
 from controller.motion.plan import Plan
@@ -74,6 +75,19 @@ class Execution:
         if point < 0 or (point, stage) <= (self.point, self.stage) or self._holds(point):
             return None
         return point, stage
+
+    def onward(self, point: int, stage: int) -> list[tuple[int, int]]:
+        """Returns the points and stages after the one last reached up to another."""
+        since, transitions = (self.point, self.stage), self.plan.transitions
+        stages = [(p, s) for p in range(max(self.point, 0), point + 1) for s in range(len(transitions[p].stages))]
+        return [at for at in stages if since < at <= (point, stage)]
+
+    @property
+    def left(self) -> list[NDArray[np.uint8]]:
+        """Actuator states (A,) that each of the stages ends in that are not reached yet."""
+        transitions = self.plan.transitions
+        end = len(transitions) - 1, len(transitions[-1].stages) - 1
+        return [transitions[p].stages[s] for p, s in self.onward(*end)]
 
     def _holds(self, point: int) -> bool:
         """Returns whether nothing is to be done for a point, between waypoints and with the states there are."""

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
+from controller.daemon.avoidance import Avoidance, Guarded, Kept, keeping
 from controller.daemon.events import Follow, Payload
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.tip import Bias
 from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
+from controller.motion.pacing import Blocked, Pace
+from controller.motion.plan import sweep_for
 from controller.motion.setpoint import Setpoint, decode
 from controller.motion.tracking import GoalTracker, Tracking
 from controller.search.solver import Solution, Solver
@@ -36,6 +39,9 @@ FAR = 10.0  # tolerances; among 2000 positions that the arm reaches, IPOP misses
 MOST_WAITING = 16  # events of a loop that is behind: it needs no more of them
 SMOOTHING = 0.1  # share of the latest in running means
 
+# A configuration (B,), and the actuator states that each stage on the way there ends in, (k, A), where that matters.
+Way = tuple[Configuration, NDArray[np.uint8] | None]
+
 
 class Follower:
     """Follows one stream of setpoints at a time; all but `status` belongs to one thread.
@@ -50,6 +56,7 @@ class Follower:
         clock: of the loop [s].
         wall: UNIX time [s].
         bias: returns what the tip is beside the computed one, shape (dimension,), None where it is not measured.
+        avoidance: what is to be kept clear of; the regions of the arm's file if absent.
     """
 
     def __init__(
@@ -60,14 +67,17 @@ class Follower:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         bias: Callable[[], Bias | None] = lambda: None,
+        avoidance: Avoidance | None = None,
     ) -> None:
         """Builds the tracker, which takes most of a second."""
         self._bias = bias
         tracking = Tracking()
-        self._arm, self._solver, self._loop, self._clock, self._wall = arm, solver, loop, clock, wall
+        self._arm, self._loop, self._clock, self._wall = arm, loop, clock, wall
+        self._guarded = Guarded(arm, solver, avoidance or Avoidance(keeping(arm)))
         self._dimension, self._tolerance = arm.manipulator.dimension, arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._settling = arm.settings.travel_time + PERIOD
+        self._pace = Pace(self._settling, arm.settings.inrush, arm.settings.rest_time)
         self._stream, self._offset, self._searching = 0, 0.0, SEARCH_TIME / 2
         self._heard = self._fitted = self._next_word = self._next_sentence = self._retry = -math.inf
         self._interval, self._received, self._refused = math.inf, 0, 0
@@ -78,7 +88,7 @@ class Follower:
 
     def use(self, solver: Solver) -> None:
         """Searches with another solver from now on: of the arm as it is left by the actuators held."""
-        self._solver = solver
+        self._guarded.use(solver)
 
     # --- the thread
 
@@ -158,14 +168,15 @@ class Follower:
             return
         if self._loop.inbox.waiting() > MOST_WAITING:
             return
-        configuration = None if previous is None else self._wanted(previous, free_at, now)
-        if configuration is not None or now >= self._next_word:
+        wanted = None if previous is None else self._wanted(previous, free_at, now)
+        if wanted is not None or now >= self._next_word:
             self._next_word = now + WORD_EVERY
             until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"
-            self._loop.inbox.put(Follow(self._stream, previous, configuration, until, reason))
+            configuration, stages = wanted or (None, None)
+            self._loop.inbox.put(Follow(self._stream, previous, configuration, until, reason, stages))
 
-    def _wanted(self, previous: Configuration, free_at: float, now: float) -> Configuration | None:
-        """Returns the configuration (B,) to switch to from the previous; None: stay, or it is too early to tell."""
+    def _wanted(self, previous: Configuration, free_at: float, now: float) -> Way | None:
+        """Returns how to switch from the previous configuration; None: stay, or it is too early to tell."""
         if now < max(free_at - self._searching - PERIOD, self._retry):
             return None
         manipulator, tolerance = self._arm.manipulator, self._tolerance
@@ -177,7 +188,7 @@ class Follower:
         if goal is None:
             self._say("", now)
             return None
-        began, solver = time.perf_counter(), self._solver
+        began, (solver, kept) = time.perf_counter(), self._guarded.now()
         try:
             start = carried(previous, manipulator, solver.manipulator)
         except ValueError:  # what is held has changed, and this solver does not go by that yet
@@ -189,8 +200,33 @@ class Follower:
             self._say(f", which is out of reach at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now)
             self._retry = now + RETRY
             return None
+        if not found.switches:
+            self._say("", now)
+            return None
+        try:
+            way = self._way(solver, kept, previous, start, found.configuration)
+        except Blocked as blocked:
+            self._say(f", the way to which is barred: {blocked}", now)
+            self._retry = now + RETRY
+            return None
         self._say("", now)
-        return carried(found.configuration, solver.manipulator, manipulator) if found.switches else None
+        return way
+
+    def _way(
+        self, solver: Solver, kept: Kept, previous: Configuration, start: Configuration, end: Configuration
+    ) -> Way:
+        """Returns how the arm gets from a configuration, `start` of the solver's arm, to another of that, `end`.
+
+        Raises:
+            Blocked: no way was found on which nothing is touched.
+        """
+        configuration = carried(end, solver.manipulator, self._arm.manipulator)
+        if kept.free:
+            return configuration, None
+        stages = self._pace.staged(solver.manipulator, start, end, reckon=False, sweep=sweep_for(solver)).stages
+        if (touched := kept.touched(self._arm.manipulator.actuator_states(previous), stages)) is not None:
+            raise Blocked(touched)
+        return configuration, stages
 
     def _search(self, solver: Solver, goal: NDArray[np.float64], previous: Configuration, tolerance: float) -> Solution:
         """Returns what the arm's method finds, or IPOP where that misses by far: a longer search would, too."""

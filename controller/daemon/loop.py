@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
+from controller.daemon.avoidance import Avoidance, Kept
 from controller.daemon.bringup import BringUp
 from controller.daemon.degradation import Degradation
 from controller.daemon.events import (
@@ -14,6 +15,8 @@ from controller.daemon.events import (
     Event,
     Follow,
     Improved,
+    Judged,
+    KeepOut,
     Payload,
     Planned,
     Prepared,
@@ -34,6 +37,8 @@ from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
 from controller.motion.pacing import Pace
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.regions import NONE
 from drivers.boards import Boards
 from drivers.faults import BusBusy, Fault
 
@@ -71,6 +76,7 @@ class ControlLoop:
         collect: collects garbage; told after each tick, when most of a period is left, whether the loop is idle.
         reachable: whether anybody is connected of those that the daemon was told to connect to.
         degradation: actuators that are held; none if absent.
+        avoidance: what is to be kept clear of; nothing if absent.
     """
 
     def __init__(
@@ -89,12 +95,15 @@ class ControlLoop:
         collect: Callable[[bool], None] = lambda idle: None,
         reachable: Callable[[], bool] = lambda: True,
         degradation: Degradation | None = None,
+        avoidance: Avoidance | None = None,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being brought up"
         self.accept_after = self.follow_after = self._taken = 0
         self.inbox = Inbox()
-        self._runner = Runner(manipulator, boards, travel, Pace(travel + PERIOD, inrush, rest), publish, ledger)
+        self._avoidance = avoidance or Avoidance(Kept(Clearance(manipulator, NONE)))
+        pace = Pace(travel + PERIOD, inrush, rest)
+        self._runner = Runner(manipulator, boards, travel, pace, publish, ledger, self._avoidance)
         self._boards, self._notifier, self._arrival, self._collect = boards, notifier, arrival, collect
         self._reported: queue.SimpleQueue[Fault] = queue.SimpleQueue()  # apart from the inbox, to come before its rest
         self._degradation = degradation or Degradation(manipulator)
@@ -200,7 +209,8 @@ class ControlLoop:
             self._teller.diagnose(now, self._time.take(), self.inbox.waiting())
 
     def _show(self, now: float) -> None:
-        faults = self._faults.all() + self._degradation.faults()
+        standing = self._avoidance.faults(self._boards.measured())
+        faults = self._faults.all() + self._degradation.faults() + standing
         self._teller.show(now, self.mode, self.reason, faults, self._degradation.held)
 
     def _handle(self, event: Event) -> None:
@@ -229,7 +239,12 @@ class ControlLoop:
             case Prepared():
                 self._prepared(event)
             case Improved():
-                self._runner.improve(event.arrival, event.plan)
+                self._runner.improve(event.arrival, event.plan, event.kept)
+            case KeepOut():
+                self._keep_out(event)
+            case Judged():
+                if (end := self._runner.judged(event)) is not None:
+                    self._enter("ready", end)
             case Started():
                 self._started(event.faults)
             case Quit():
@@ -250,6 +265,12 @@ class ControlLoop:
         self._enter("executing", f"goal {goal.id}")
         message = f"accepted, {len(goal.plan.trajectory.waypoints)} waypoints, {goal.plan.switches} switches planned"
         goal.reply({**done(message), "id": goal.id})
+
+    def _keep_out(self, event: KeepOut) -> None:
+        """Keeps clear of something else from now on; nothing moves by that."""
+        self._avoidance.kept = event.kept
+        event.reply(done(self._avoidance.sentence(self._boards.measured())))
+        self._runner.judge(self.inbox.put)
 
     def _follow(self, wish: Follow) -> None:
         """Follows a moving goal, but none whose stream began before the last request that ended such."""

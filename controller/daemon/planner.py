@@ -4,12 +4,14 @@ import logging
 import queue
 import threading
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.config import Arm
+from controller.daemon.avoidance import Avoidance, Guarded, Kept, keeping
 from controller.daemon.events import Improved, Payload, Planned, Request
 from controller.daemon.foresight import Foresight
 from controller.daemon.loop import PERIOD, ControlLoop
@@ -24,11 +26,13 @@ from controller.motion.codes import Refusal
 from controller.motion.goal import GoalMessage, check_size, parse, schedule
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan, plan
+from controller.motion.trajectory import Trajectory
 from controller.search.solver import Solver
 
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 16
+TRIES = 3  # plans of a goal, while the arm moves on or what is to be kept clear of changes
 IDLE = 0.02  # [s] without a question, after which the planner prepares for one
 
 
@@ -45,11 +49,25 @@ class Planner:
     """Answers every request once: itself when refused or only asked, by the control loop when it is to be run."""
 
     def __init__(
-        self, arm: Arm, solver: Solver, loop: ControlLoop, bias: Callable[[], Bias | None] = lambda: None
+        self,
+        arm: Arm,
+        solver: Solver,
+        loop: ControlLoop,
+        bias: Callable[[], Bias | None] = lambda: None,
+        avoidance: Avoidance | None = None,
     ) -> None:
-        """Starts the thread; `bias` (dimension,) is what goals are corrected by."""
+        """Starts the thread.
+
+        Args:
+            arm: to plan for.
+            solver: used by nobody else.
+            loop: to run the plans.
+            bias: what goals are corrected by, (dimension,).
+            avoidance: what is to be kept clear of; the regions of the arm's file if absent.
+        """
         self._bias = bias
-        self._arm, self._solver, self._loop = arm, solver, loop
+        self._arm, self._loop = arm, loop
+        self._guarded = Guarded(arm, solver, avoidance or Avoidance(keeping(arm)))
         self._queue: queue.Queue[Question | None] = queue.Queue()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
@@ -57,7 +75,7 @@ class Planner:
 
     def use(self, solver: Solver) -> None:
         """Plans with another solver from the next question on: of the arm as it is left by the actuators held."""
-        self._solver = solver
+        self._guarded.use(solver)
 
     def submit(self, question: Question) -> None:
         """Takes a question, or refuses it at once when it is too large or too many wait."""
@@ -106,7 +124,7 @@ class Planner:
 
     def _expect(self) -> None:
         """Prepares, step by step so that nobody waits for it."""
-        solver = self._solver
+        solver, _ = self._guarded.now()
         previous = self._previous(solver)
         if previous is None or self._arm.settings.method != "minimum-switch":
             return
@@ -120,29 +138,47 @@ class Planner:
         trajectory = schedule(
             message, manipulator.dimension, self._arm.tolerance, self._arm.turn, pace, question.received
         )
-        mode, reason, solver = self._loop.mode, self._loop.reason, self._solver  # which the mode waits for
-        previous = self._previous(solver)
-        if previous is None or (question.run and mode not in ("ready", "executing")):
-            raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
         trajectory = trajectory.corrected(self._bias())
-        found = plan(solver, trajectory, previous, settings.method, lambda: self._proceed(question), pace)
+        for _ in range(TRIES):
+            solver, kept, previous, found = self._plan(question, trajectory, pace)
+            if kept is self._guarded.now()[1] and (kept.free or self._is_at(previous, solver)):
+                break
+        before = solver.manipulator.actuator_states(previous)
         ahead = Foresight(solver, found, pace) if settings.method == "minimum-switch" else None
         if question.run:
-            self._loop.inbox.hand_over(Planned(question.arrival, question.reply, goal, found))
+            self._loop.inbox.hand_over(Planned(question.arrival, question.reply, goal, found, kept))
             if ahead is not None:
-                self._improve(question, ahead)
+                self._improve(question, ahead, lambda plan: kept.touched(before, stages_of(plan)) is None, kept)
         else:
             if ahead is not None:
                 found = ahead.whole(hurry=lambda: self._closing or not self._queue.empty())
             question.reply(self._described(solver, previous, found))
 
-    def _improve(self, question: Question, ahead: Foresight) -> None:
+    def _plan(self, question: Question, trajectory: Trajectory, pace: Pace) -> tuple[Solver, Kept, Configuration, Plan]:
+        """Returns a plan from where the arm is, and what it was made with.
+
+        Raises:
+            Refusal: there is none.
+        """
+        mode, reason = self._loop.mode, self._loop.reason
+        solver, kept = self._guarded.now()  # which the mode waits for
+        previous = self._previous(solver)
+        if previous is None or (question.run and mode not in ("ready", "executing")):
+            raise Refusal(codes.INVALID_GOAL, f"the arm is {mode}: {reason}")
+        method = self._arm.settings.method
+        found = plan(solver, trajectory, previous, method, lambda: self._proceed(question), pace)
+        touched = kept.touched(solver.manipulator.actuator_states(previous), stages_of(found))
+        if touched is not None:  # looked at once more, here, so that the control loop need not
+            raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan that was found is not taken: {touched}")
+        return solver, kept, previous, found
+
+    def _improve(self, question: Question, ahead: Foresight, clear: Callable[[Plan], bool], kept: Kept) -> None:
         """Betters the plan of a goal until that is done, or the goal has ended, or something else is to be planned."""
         told = None
         try:
             for better in ahead.betters():
-                if better is not told:
-                    self._loop.inbox.put(Improved(question.arrival, better))
+                if better is not told and clear(better):
+                    self._loop.inbox.put(Improved(question.arrival, better, kept))
                     told = better
                 self._proceed(question)
                 if not self._queue.empty() or not self._loop.may_run(question.arrival):
@@ -170,6 +206,10 @@ class Planner:
             return None if commanded is None else carried(commanded, self._arm.manipulator, solver.manipulator)
         except ValueError:  # what is held has changed, and this solver does not go by that yet
             return None
+
+    def _is_at(self, configuration: Configuration, solver: Solver) -> bool:
+        now = self._previous(solver)
+        return now is not None and np.array_equal(configuration, now)
 
     def _described(self, solver: Solver, previous: Configuration, found: Plan) -> Payload:
         manipulator, left, trajectory = self._arm.manipulator, solver.manipulator, found.trajectory
@@ -201,3 +241,9 @@ class Planner:
         message = f"{len(trajectory.waypoints)} waypoints{along}, {found.switches} switches"
         bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
         return {**done(message), "waypoints": points, "switches": found.switches, **bias}
+
+
+def stages_of(plan: Plan) -> Iterator[NDArray[np.uint8]]:
+    """Yields the actuator states (A,) that each stage of a plan ends in."""
+    for transition in plan.transitions:
+        yield from transition.stages

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from controller.daemon.events import Follow, Payload, Planned
+from controller.daemon.avoidance import Avoidance, Kept
+from controller.daemon.events import Follow, Judged, Payload, Planned
 from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
 from controller.daemon.state import measured_tip, pose, written
-from controller.daemon.switching import Switching
+from controller.daemon.switching import States, Switching, Touching
 from controller.manipulator.frames import angle_between
 from controller.manipulator.manipulator import Manipulator
 from controller.motion import codes
@@ -37,6 +38,7 @@ class Runner:
         pace: of the transitions.
         publish: sends a payload on "feedback" or "result"; must not wait.
         ledger: counts switches and goals.
+        avoidance: tells what is to be kept clear of.
     """
 
     def __init__(
@@ -47,12 +49,13 @@ class Runner:
         pace: Pace,
         publish: Callable[[str, Payload], None],
         ledger: Ledger,
+        avoidance: Avoidance,
     ) -> None:
-        self.switching = Switching(manipulator, boards, travel, pace, ledger)
+        self.switching = Switching(manipulator, boards, travel, pace, ledger, avoidance)
         self.execution: Execution | None = None
         self.following: Follow | None = None
         self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, pace.lead
-        self._publish, self._ledger = publish, ledger
+        self._publish, self._ledger, self._avoidance = publish, ledger, avoidance
         self._accepted = 0
         self._now = 0.0
 
@@ -64,6 +67,13 @@ class Runner:
             return codes.OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it was planned"
         if self.execution is not None and self.execution.goal.id == goal.id:
             return codes.INVALID_GOAL, f"id: goal {goal.id} is running already; one that replaces it needs its own"
+        if self._avoidance.kept.free:
+            return None
+        if goal.kept is not self._avoidance.kept:
+            return codes.INVALID_GOAL, "what is to be kept out of changed while the goal was planned; send it again"
+        stages = self.switching.from_here(goal.plan.transitions[0].stages)
+        if (touched := self.switching.touched(stages)) is not None:
+            return codes.INVALID_GOAL, f"on the way from where the arm is, {touched}"
         return None
 
     def begin(self, goal: Planned, now: float) -> None:
@@ -77,10 +87,29 @@ class Runner:
         self._accepted += 1
         self._ledger.accepted(self._accepted, goal.id, len(goal.plan.trajectory.waypoints))
 
-    def improve(self, arrival: int, plan: Plan) -> None:
-        """Takes a better plan for what is left of the goal of this arrival, if that is the running one."""
-        if self.execution is not None and self.execution.goal.arrival == arrival:
+    def improve(self, arrival: int, plan: Plan, kept: Kept | None = None) -> None:
+        """Takes a better plan for what is left of the goal of this arrival, if that is the running one.
+
+        But none that keeps clear of something else than what is to be kept clear of now.
+        """
+        now = self._avoidance.kept
+        if self.execution is not None and self.execution.goal.arrival == arrival and (now.free or kept is now):
             self.execution.improve(plan)
+
+    def judge(self, ended: Callable[[Judged], None]) -> None:
+        """Has what is left of the running goal looked through, beside the loop, for what it touches."""
+        if (execution := self.execution) is not None:
+            arrival = execution.goal.arrival
+            self._avoidance.judge(
+                self._boards.outputs(), execution.left, lambda kept, touched: ended(Judged(arrival, kept, touched))
+            )
+
+    def judged(self, event: Judged) -> str | None:
+        """Ends the goal that was looked through, if it is running yet and touches; returns a sentence on that."""
+        running = self.execution is not None and self.execution.goal.arrival == event.arrival
+        if not running or event.touched is None or event.kept is not self._avoidance.kept:
+            return None
+        return self.abort(event.touched)
 
     def follow(self, wish: Follow) -> None:
         """Ends the running goal for a moving one, or has the next of its wishes replace the last."""
@@ -105,22 +134,42 @@ class Runner:
             if end is not None:
                 return end
         due = execution.due(now)
-        if due is not None:
-            self._switch(execution, *due, now)
+        if due is None:
+            return None
+        try:
+            self._switch(execution, *self._clear(execution, *due), now)
+        except Touching as error:
+            return self.abort(str(error))
         return None
+
+    def abort(self, touched: str) -> str:
+        """Ends the running goal that would touch something; returns a sentence on it."""
+        goal = "" if self.execution is None else f"; goal {self.execution.goal.id} was aborted"
+        self.end("aborted", codes.PATH_TOLERANCE_VIOLATED, f"on the way that was planned, {touched}; the arm holds")
+        return f"holding{goal}: on the way that was planned, {touched}"
+
+    def _clear(self, execution: Execution, point: int, stage: int) -> tuple[int, int]:
+        """Returns point and stage to switch to where those are due: none is passed over if that touched something."""
+        if self._avoidance.kept.free:
+            return point, stage
+        onward, transitions = execution.onward(point, stage), execution.plan.transitions
+        fitting = (at for at in reversed(onward) if self.switching.fitting(transitions[at[0]].stages[at[1]]))
+        return next(fitting, onward[0])
 
     def _switch(self, execution: Execution, point: int, stage: int, now: float) -> None:
         """Switches to a stage of the way to a point, or as near to it as may be.
 
         Raises:
             BusBusy: the bus has taken no frame for too long.
+            Touching: something would be touched on the way.
         """
-        first = execution.stage + 1 if point == execution.point else 0
+        done = execution.stage if point == execution.point else -1
+        first = done + 1 if self._avoidance.kept.free else stage
         before, commits = self.switching.switches, self.switching.commits
         reached = self.switching.toward(execution.plan.transitions[point].stages[first : stage + 1], now)
         switches = self.switching.switches - before
         if reached is not None or switches:
-            at = first - 1 if reached is None else first + reached
+            at = done if reached is None else first + reached
             execution.switched(point, at, switches, self.switching.commits - commits, now, self._travel)
 
     def end(self, status: str, code: int, message: str) -> bool:
@@ -152,9 +201,25 @@ class Runner:
             switching.busy_since = None
         elif now >= switching.free_at and not self._boards.moving(now):
             states = self._manipulator.actuator_states(wish.configuration)
-            if switching.toward(states[None], now) is None:  # but perhaps a stage nearer
-                self.following = replace(wish, previous=switching.commanded)
+            try:
+                self.following = self._toward(wish, states[None] if wish.stages is None else wish.stages, now)
+            except Touching:  # the follower is to find another way
+                self.following = replace(wish, configuration=None)
         return None
+
+    def _toward(self, wish: Follow, stages: States, now: float) -> Follow:
+        """Switches to the last of the stages (k, A) that may be reached at once; returns what is wished for then.
+
+        Raises:
+            BusBusy: the bus has taken no frame for too long.
+            Touching: something would be touched on the way.
+        """
+        last = len(stages) - 1
+        if not self._avoidance.kept.free:
+            last = max((k for k in range(len(stages)) if self.switching.fitting(stages[k])), default=0)
+        whole, stages = last == len(stages) - 1, stages[last : last + 1]
+        reached = self.switching.toward(stages, now)
+        return wish if whole and reached is not None else replace(wish, previous=self.switching.commanded)
 
     def _check(self, execution: Execution) -> str | None:
         """Sees to the point last switched to, now that it is settled; returns a sentence if that ends the goal."""

@@ -8,13 +8,14 @@ import zenoh
 
 from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
-from controller.daemon.events import Cancel, Degrade, Payload, Reply, Reset, Stop
+from controller.daemon.avoidance import keeping
+from controller.daemon.events import Cancel, Degrade, KeepOut, Payload, Reply, Reset, Stop
 from controller.daemon.loop import ControlLoop
 from controller.daemon.messages import refused
 from controller.daemon.outbox import Outbox
 from controller.daemon.planner import Planner, Question
 from controller.manipulator.notation import format_configuration
-from controller.motion import codes, degrade
+from controller.motion import codes, degrade, obstacles
 from controller.motion.codes import Refusal
 
 Take = Callable[[bytes, Reply], None]
@@ -48,6 +49,7 @@ class Server:
         self._act("stop", lambda _, reply: loop.inbox.hand_over(Stop(arrivals.request(), reply)))
         self._act("reset", lambda _, reply: loop.inbox.hand_over(Reset(arrivals.request(), reply)))
         self._act("degrade", lambda payload, reply: self._degrade(payload, reply, loop))
+        self._act("obstacles", lambda payload, reply: self._keep_out(payload, reply, loop, arm))
         self._answer("plan", lambda payload, reply: self._question(payload, reply, run=False))
         self._answer("arm", lambda _, reply: reply(described))
         self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
@@ -97,6 +99,13 @@ class Server:
         except Refusal as error:
             reply(refused(error.code, str(error)))
 
+    def _keep_out(self, payload: bytes, reply: Reply, loop: ControlLoop, arm: Arm) -> None:
+        try:
+            kept = keeping(arm, obstacles.decode(payload, arm.manipulator.dimension))
+            loop.inbox.hand_over(KeepOut(self._arrivals.request(), reply, kept))
+        except Refusal as error:
+            reply(refused(error.code, str(error)))
+
 
 def content(payload: zenoh.ZBytes | None) -> bytes:
     """Returns the bytes of a payload."""
@@ -120,5 +129,8 @@ def description(arm: Arm) -> Payload:
         "inrush": arm.settings.inrush,
         "rest_time": arm.settings.rest_time,
         "method": arm.settings.method,
+        "obstacles": [msgspec.to_builtins(entry) for entry in arm.settings.obstacles],
+        "body_radius": arm.settings.body_radius,
+        "self_collision": arm.settings.self_collision,
         "boards": [msgspec.to_builtins(entry) for entry in arm.wiring],
     }

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.daemon.arrivals import Arrivals
+from controller.daemon.avoidance import Avoidance, keeping
 from controller.daemon.degradation import Degradation
 from controller.daemon.events import Quit
 from controller.daemon.follower import Follower
@@ -143,7 +144,7 @@ class Daemon:
             ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # the latest wins
             setpoints = closing.enter_context(session.declare_subscriber(f"{prefix}/setpoint", ring))
             arrivals = Arrivals(setpoints.try_recv)
-            travel = arm.settings.travel_time
+            travel, avoidance = arm.settings.travel_time, Avoidance(keeping(arm))
             self.loop = ControlLoop(
                 arm.manipulator,
                 boards,
@@ -163,12 +164,13 @@ class Daemon:
                     arm.settings.on_stuck == "continue",
                     lambda held: self._adapt(arm, held, weights, planner, follower),
                 ),
+                avoidance=avoidance,
             )
             closing.callback(self.loop.inbox.close)
             tip = TipWatch(arm.manipulator, arm.settings.tracker, self.loop) if arm.settings.tracker else None
             bias = tip.bias if tip else lambda: None
-            follower = Follower(arm, follower_solver, self.loop, bias=bias)
-            planner = Planner(arm, solver, self.loop, bias)
+            follower = Follower(arm, follower_solver, self.loop, bias=bias, avoidance=avoidance)
+            planner = Planner(arm, solver, self.loop, bias, avoidance)
             closing.callback(planner.close)
             server = Server(session, arm, self.loop, planner, outbox, arrivals)
             closing.callback(server.close)

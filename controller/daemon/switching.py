@@ -1,10 +1,12 @@
 """Switching the boards: never more actuators at once than may be, none before it has rested, each switch counted."""
 
 import contextlib
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.daemon.avoidance import Avoidance
 from controller.daemon.ledger import Ledger
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.bounded import split, step
@@ -15,6 +17,10 @@ from drivers.faults import BusBusy, Leaving
 BUSY_FOR = 0.25  # [s]; a bus that takes no frame for longer is a fault
 
 States = NDArray[np.uint8]
+
+
+class Touching(ValueError):
+    """What was to be switched would touch something; the message says what."""
 
 
 class Switching:
@@ -35,9 +41,12 @@ class Switching:
         travel: longest time of an actuator from end-stop to end-stop [s].
         pace: of the transitions.
         ledger: counts switches.
+        avoidance: tells what is to be kept clear of.
     """
 
-    def __init__(self, manipulator: Manipulator, boards: Boards, travel: float, pace: Pace, ledger: Ledger) -> None:
+    def __init__(
+        self, manipulator: Manipulator, boards: Boards, travel: float, pace: Pace, ledger: Ledger, avoidance: Avoidance
+    ) -> None:
         self.commanded: Configuration | None = None
         self.states: States | None = None
         self.switches = self.commits = 0
@@ -45,7 +54,7 @@ class Switching:
         self.free_at = 0.0
         self.busy_since: float | None = None
         self._manipulator, self._boards, self._travel, self._ledger = manipulator, boards, travel, ledger
-        self._pace = pace
+        self._pace, self._avoidance = pace, avoidance
         self._most = len(manipulator.actuators) if pace.inrush is None else pace.inrush
 
     def forget(self) -> None:
@@ -69,7 +78,7 @@ class Switching:
     def ready(self, states: States) -> float:
         """Returns from when on states (A,) may be switched to [s]: the last stage has ended, the actuators rested."""
         differ, ready = self._boards.outputs() != states, -np.inf
-        if differ.any() and self._pace.inrush is not None:
+        if differ.any() and not (self._pace.inrush is None and self._avoidance.kept.free):
             ready = self.switched_at.max() + self._travel
         if differ.any() and self._pace.rest > 0:
             ready = max(ready, self.switched_at[differ].max() + self._travel + self._pace.rest)
@@ -83,12 +92,28 @@ class Switching:
 
         Raises:
             BusBusy: the bus has taken no frame for too long.
+            Touching: something would be touched on the way.
         """
         wanted = self._next(stages)
-        if now < self.ready(wanted) - 1e-9 or not self._commit(wanted, now):
+        if now < self.ready(wanted) - 1e-9:
+            return None
+        if (touched := self.touched([wanted])) is not None:
+            raise Touching(touched)
+        if not self._commit(wanted, now):
             return None
         reached = np.flatnonzero((stages == wanted).all(axis=1))
         return int(reached[-1]) if len(reached) else None
+
+    def touched(self, stages: Iterable[States]) -> str | None:
+        """Returns what stages, each (A,), would touch on the way from the states as they are; None for nothing."""
+        return self._avoidance.kept.touched(self._boards.outputs(), stages)
+
+    def fitting(self, stage: States) -> bool:
+        """Returns whether a stage (A,) may be switched to at once, and is known to touch nothing on the way."""
+        outputs = self._boards.outputs()
+        return bool(np.count_nonzero(outputs != stage) <= self._most) and self._avoidance.kept.known_clear(
+            outputs, stage
+        )
 
     def _next(self, stages: States) -> States:
         outputs = self._boards.outputs()  # beside `states`, which may have been measured, and one of several buses busy

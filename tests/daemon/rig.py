@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from controller.daemon.avoidance import Avoidance
 from controller.daemon.degradation import Degradation
 from controller.daemon.events import Cancel, Follow, Planned, Reset, Stop
 from controller.daemon.loop import PERIOD, ControlLoop
@@ -160,7 +161,13 @@ class FakeNotifier:
 class Rig:
     """The loop and all it says; `go` lets time pass."""
 
-    def __init__(self, inrush: int | None = None, rest: float = 0.0, degradation: Degradation | None = None) -> None:
+    def __init__(
+        self,
+        inrush: int | None = None,
+        rest: float = 0.0,
+        degradation: Degradation | None = None,
+        avoidance: Avoidance | None = None,
+    ) -> None:
         self.now = 1000.0
         self.boards, self.ledger, self.notifier = FakeBoards(), FakeLedger(), FakeNotifier()
         self.published: list[tuple[str, dict[str, Any]]] = []
@@ -171,7 +178,7 @@ class Rig:
         self.loop = ControlLoop(
             ARM, self.boards, TRAVEL, lambda key, payload: self.published.append((key, dict(payload))),
             self, self.ledger, self.notifier, self.arrival, lambda: self.now, inrush, rest,
-            degradation=degradation,
+            degradation=degradation, avoidance=avoidance,
         )  # fmt: skip
         self.loop.begin()
         self.settle_start()

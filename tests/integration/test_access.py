@@ -34,7 +34,7 @@ from tests.keys import DEPLOY, certificates, made, openssl
 
 pytestmark = pytest.mark.skipif(not made(), reason="openssl is missing")
 
-COMMANDS = ("goal", "setpoint", "measured_tip", "cancel", "stop", "reset", "degrade")
+COMMANDS = ("goal", "setpoint", "measured_tip", "cancel", "stop", "reset", "degrade", "obstacles")
 CREDENTIALS = "/run/credentials/hyperbit.service/hyperbit."
 PREFIX = "hyperbit/planar16"
 AT_ONCE = 0.5  # [s] for an answer that shall not come
@@ -133,6 +133,7 @@ def test_an_operator_commands(requests: list[bytes], client: Observer, bench: Gu
     eventually(followed)
     client.wait_now("ready")
     assert "none of this arm's" in client.ask("degrade", actuator="17.left", state=None)["message"]
+    assert client.ask("obstacles", regions=[])["accepted"]
     assert client.ask("stop")["accepted"]
     client.wait_now("stopped")
     assert client.ask("reset")["accepted"]
