@@ -4,13 +4,17 @@ VENV := .venv
 BIN := $(VENV)/bin
 MINUTES ?= 10
 
-.PHONY: demo test vm-test check bench fuzz soak clean
+.PHONY: demo test vm vm-test check bench fuzz soak clean
 
 demo: $(VENV)/installed
 	$(BIN)/hyperbit demo
 
 test: check
 	$(BIN)/pytest
+
+# What the virtual machine needs, so that its tests begin at once.
+vm: $(VENV)/installed
+	$(BIN)/python -m tests.vm.prepare
 
 # On the kernel's CAN and under systemd, in a virtual machine: make vm-test ARGS="tests/integration -k reset"
 vm-test: $(VENV)/installed

@@ -1,4 +1,7 @@
-"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches it would fill too slowly."""
+"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches it would fill too slowly.
+
+python -m tests.vm.prepare
+"""
 
 import os
 import re
@@ -69,7 +72,8 @@ def older(made: Path, sources: Iterable[Path]) -> bool:
 def installed() -> list[Path]:
     """Returns the files that deploy/install.sh installs."""
     folders = [PROJECT / name for name in ("controller", "drivers", "deploy")]
-    return [PROJECT / "pyproject.toml", *(path for folder in folders for path in folder.rglob("*.*"))]
+    files = [path for folder in folders for path in folder.rglob("*.*") if path.parent.name != "__pycache__"]
+    return [PROJECT / "pyproject.toml", *files]
 
 
 def fetch(package: str) -> Path:
@@ -163,3 +167,10 @@ def run(command: list[str], folder: Path = PROJECT, env: dict[str, str] | None =
     done = subprocess.run(command, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if done.returncode != 0:
         raise Missing(f"`{' '.join(command)}` failed with {done.returncode}:\n{done.stdout}")
+
+
+if __name__ == "__main__":
+    try:
+        prepare(robot=True)
+    except Missing as error:
+        sys.exit(f"vm-test: cannot run: {error}")
