@@ -58,11 +58,11 @@ def followed(entry: Description, nudged: Callable[[float], Description], poses: 
     size = sum(entry["lengths"]) / 2
     legs, lengths = legs_and_lengths(entry, size)
     (less, shorter), (more, longer) = (legs_and_lengths(nudged(sign * NUDGE * size), size) for sign in (-1, 1))
-    result, free = np.zeros_like(poses), list(legs.free)
-    for k, frame in enumerate(scaled(poses, 1 / size)):
-        missed = (more.misfit(frame, longer[k])[0] - less.misfit(frame, shorter[k])[0]) / (2 * NUDGE)
-        twist = np.zeros(6)
-        twist[free] = np.linalg.solve(legs.misfit(frame, lengths[k])[1], -missed)
-        result[k, :3, :3] = np.cross(twist[3:], frame[:3, :3], axisb=0).T / size
-        result[k, :3, 3] = twist[:3]
+    frames = scaled(poses, 1 / size)
+    missed = (more.misfit(frames, longer)[0] - less.misfit(frames, shorter)[0]) / (2 * NUDGE)
+    twists, result = np.zeros((len(poses), 6)), np.zeros_like(poses)
+    twists[:, legs.free] = np.linalg.solve(legs.misfit(frames, lengths)[1], -missed[..., None])[..., 0]
+    axes = np.swapaxes(frames[:, :3, :3], 1, 2)
+    result[:, :3, :3] = np.swapaxes(np.cross(twists[:, None, 3:], axes), 1, 2) / size
+    result[:, :3, 3] = twists[:, :3]
     return result

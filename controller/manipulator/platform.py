@@ -43,24 +43,25 @@ class Legs:
     normals: Array
     free: tuple[int, ...]
 
-    def joints(self, frame: Frame) -> Array:
-        """Returns the upper joints t_i (L, 3) in the frame below."""
-        return np.asarray(self.top @ frame[:3, :3].T + frame[:3, 3])
+    def joints(self, frames: Frame) -> Array:
+        """Returns the upper joints t_i (..., L, 3) in the frame below, of frames (..., 4, 4)."""
+        return np.asarray(self.top @ np.swapaxes(frames[..., :3, :3], -1, -2) + frames[..., None, :3, 3])
 
     def body(self, frame: Frame) -> Array:
         """Returns legs, base and plate as line segments (3 L, 2, 3)."""
         ends = self.joints(frame)
         return np.array([*zip(self.base, ends, strict=True), *around(self.base), *around(ends)])
 
-    def misfit(self, frame: Frame, lengths: Array) -> tuple[Array, Array]:
-        """Returns what each constraint misses (n,), and how the plate's free motions change it (n, n)."""
-        ends = self.joints(frame)
+    def misfit(self, frames: Frame, lengths: Array) -> tuple[Array, Array]:
+        """Returns what each constraint misses (..., n), and how the plate's free motions change it (..., n, n)."""
+        ends = self.joints(frames)
         legs = ends - self.base
-        found = np.linalg.norm(legs, axis=1)
-        directions = np.concatenate([legs / found[:, None], self.normals])
-        arms = np.tile(ends - frame[:3, 3], (len(directions) // len(legs), 1))
-        missed = np.concatenate([found - lengths, np.einsum("ij,ij->i", self.normals, ends[: len(self.normals)])])
-        return missed, np.hstack([directions, np.cross(arms, directions)])[:, self.free]
+        found = np.linalg.norm(legs, axis=-1)
+        swinging = ends[..., : len(self.normals), :]
+        directions = np.concatenate([legs / found[..., None], np.broadcast_to(self.normals, swinging.shape)], axis=-2)
+        arms = np.concatenate([ends, swinging], axis=-2) - frames[..., None, :3, 3]
+        missed = np.concatenate([found - lengths, (self.normals * swinging).sum(axis=-1)], axis=-1)
+        return missed, np.concatenate([directions, np.cross(arms, directions)], axis=-1)[..., self.free]
 
     def settled(self, frame: Frame, lengths: Array, steps: int, reach: float = np.inf) -> Frame | None:
         """Returns the pose that so many of Newton's steps find, the first no longer than `reach`, or None."""
@@ -83,30 +84,19 @@ class Legs:
         """Returns the poses (n, 4, 4) near one, where legs have lengths (n, L); not numbers where it is loose."""
         side, frames = self.stiffness(frame)[1], np.tile(frame, (len(lengths), 1, 1))
         for _ in range(FEW):
-            missed, change = self._misfits(frames, lengths)
+            missed, change = self.misfit(frames, lengths)
             if abs(missed).max(initial=0.0) < RESIDUAL:
                 break
             twists = np.zeros((len(frames), 6))
             twists[:, self.free] = np.linalg.solve(change, -missed[..., None])[..., 0]
             frames[:, :3, :3] = rotations(twists[:, 3:]) @ frames[:, :3, :3]
             frames[:, :3, 3] += twists[:, :3]
-        missed, change = self._misfits(frames, lengths)
+        missed, change = self.misfit(frames, lengths)
         change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
         loose = np.linalg.svd(change, compute_uv=False)[:, -1] < STIFFNESS
         settled = abs(missed).max(axis=1) <= RESIDUAL
         frames[loose | ~settled | (np.sign(np.linalg.det(change)) != side)] = np.nan
         return frames
-
-    def _misfits(self, frames: Frame, lengths: Array) -> tuple[Array, Array]:
-        """Returns `misfit` of many frames (n, 4, 4) at once."""
-        arms = self.top @ np.swapaxes(frames[:, :3, :3], 1, 2)
-        ends = arms + frames[:, None, :3, 3]
-        found = np.linalg.norm(ends - self.base, axis=2)
-        normals = np.broadcast_to(self.normals, (len(frames), *self.normals.shape))
-        directions = np.concatenate([(ends - self.base) / found[..., None], normals], axis=1)
-        missed = np.concatenate([found - lengths, (ends[:, : len(self.normals)] * normals).sum(axis=2)], axis=1)
-        turns = np.cross(np.concatenate([arms, arms[:, : len(self.normals)]], axis=1), directions)
-        return missed, np.concatenate([directions, turns], axis=2)[..., self.free]
 
     def stiffness(self, frame: Frame) -> tuple[float, float]:
         """Returns how much the least felt motion of the plate changes the legs, and on which side of loose it is."""
