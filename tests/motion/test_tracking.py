@@ -301,12 +301,12 @@ def test_finite_setpoints_never_give_nan(dimension, data):
 def test_a_setpoint_costs_far_less_than_a_millisecond():
     tracker, batches = GoalTracker(3), []
     for batch in range(20):
-        began = time.perf_counter()
+        began = time.thread_time()
         for k in range(50):
             now = NOW + 0.005 * (50 * batch + k)
             tracker.measure((1.0, 2.0, 3.0), now, now)
             tracker.wants(now, DELAY, (0, 0, 0), 0.01)
-        batches.append((time.perf_counter() - began) / 50)
+        batches.append((time.thread_time() - began) / 50)
     assert min(batches) < 3e-4
 
 
