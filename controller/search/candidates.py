@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE
-from controller.search.guard import no_part, part
+from controller.search.guard import no_part, pairs_of, part
 from controller.search.halves import middle
 from controller.search.meeting import seen
 from controller.search.segment import Storage, build_segment, coordinates, motions, write_rows
@@ -52,7 +52,7 @@ class Candidates:
         if target.guard is not None:
             rows = np.arange(max(len(lower.costs), len(upper.costs)))
             known = np.zeros(len(lower.costs), dtype=np.int8)
-            pairs = target.guard, centre, known, no_part(), part(lower, rows), part(upper, rows)
+            pairs = pairs_of(target.guard, centre, (no_part(), part(lower, rows), part(upper, rows)), known)
         found = self._cells.collect(asking, lower.costs, target.limit, self._pairs, self._costs, pairs)
         configurations = np.tile(centre, (found, 1))
         for segment, rows in zip((lower, upper), self._pairs[:found].T, strict=True):

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.guard import KINDS, Guard, hits, stand
+from controller.search.guard import KINDS, STATES, Guard, hits, stand
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -101,7 +101,7 @@ def descend(
             else:
                 better = m > best_measure
             if guard is not None and better:
-                guard[11][i] = j
+                guard[STATES][i] = j
                 better = not hits(guard, i)
             if better:
                 best, best_measure, best_penalty, best_passes = j, m, penalties[i, j], passes
@@ -181,7 +181,7 @@ def spread(
                     stand(guard, k, configurations[n, k])
             for j in range(states[i]):
                 if guard is not None:
-                    guard[11][i] = j
+                    guard[STATES][i] = j
                     if hits(guard, i):
                         continue
                 r, b = rotations[i, j], translations[i, j]

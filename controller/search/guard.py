@@ -26,10 +26,12 @@ GUARD = (
     "Tuple((f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1], f8[:,:,::1], f8[:,::1],"
     " f8[:,::1], f8, f8, i8[::1], f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,::1], i8[::1]))"
 )
+ROTATIONS, TRANSLATIONS, APART, STATES, TURNS, PLACES, LEFT = 0, 1, 10, 11, 12, 13, 16  # where in the guard they are
 # A segment's first and last module, the rows that are asked for, and parents, modules and choices of all.
 PART = "Tuple((i8, i8, i8[::1], i4[::1], i4[::1], i4[::1]))"
-# The centre, what is known of the asking rows (nothing is noted where there is no room), and the segments that meet.
-PAIRS = f"Tuple(({GUARD}, i8[::1], i1[::1], {PART}, {PART}, {PART}))"
+# The centre, what is known of the asking rows (nothing is noted where there is no room), the target and asking row that
+# the room holds and whether they are clear, and the segments that meet.
+PAIRS = f"Tuple(({GUARD}, i8[::1], i1[::1], i8[::1], {PART}, {PART}, {PART}))"
 KINDS, PAIR_KINDS = ("none", GUARD), ("none", PAIRS)
 
 CLEAR, BLOCKED = 1, 2
@@ -67,6 +69,18 @@ def guard_of(manipulator: Manipulator, clearance: Clearance | None) -> Guard:
 def part(segment: Segment, rows: Index) -> tuple[Any, ...]:
     """Returns a segment as kernels take it; `rows` are the numbers of those that are asked for or asked."""
     return segment.first, segment.last, rows, segment.parents, segment.modules, segment.choices
+
+
+def pairs_of(guard: Guard, centre: Configuration, parts: tuple[Any, Any, Any], known: NDArray[np.int8]) -> Pairs:
+    """Returns what kernels need to see whether target, asking and asked row of three segments touch together.
+
+    Args:
+        guard: not None.
+        centre: of the segments, shape (B,).
+        parts: the segments, see part.
+        known: of the asking rows, if they begin at the base, kept from one meeting to the next; or nothing.
+    """
+    return guard, centre, known, np.full(3, -1), *parts
 
 
 def no_part() -> tuple[Any, ...]:
@@ -116,8 +130,8 @@ def hits(guard: Any, i: int) -> bool:
 @njit(f"void({GUARD}, i8)", cache=True, nogil=True)
 def carry(guard: Any, i: int) -> None:
     """Writes the frame that module i, in its state, comes to."""
-    s, t = guard[0][i, guard[11][i]], guard[1][i, guard[11][i]]
-    turns, places = guard[12], guard[13]
+    s, t = guard[ROTATIONS][i, guard[STATES][i]], guard[TRANSLATIONS][i, guard[STATES][i]]
+    turns, places = guard[TURNS], guard[PLACES]
     for p in range(3):
         x, y, z = turns[i, p, 0], turns[i, p, 1], turns[i, p, 2]
         places[i + 1, p] = places[i, p] + x * t[0] + y * t[1] + z * t[2]
@@ -138,8 +152,8 @@ def blocked(guard: Any, first: int, last: int) -> bool:
 @njit(f"void({GUARD}, i8, i8)", cache=True, nogil=True)
 def stand(guard: Any, i: int, state: int) -> None:
     """Takes a state of module i that is known to be clear, and goes on to the frame that it comes to."""
-    guard[11][i] = state
-    if guard[10] >= 0:
+    guard[STATES][i] = state
+    if guard[APART] >= 0:
         hits(guard, i)  # to have its body in the world
     carry(guard, i)
 
@@ -155,38 +169,33 @@ def put(states: Index, centre: Configuration, part: Any, n: int) -> None:
         row = parents[row]
 
 
-@njit(f"b1({PAIRS}, i8)", cache=True, nogil=True, inline="always")
-def known_blocked(pairs: Any, q: int) -> bool:
-    """Returns whether asking row q is known to touch."""
-    return len(pairs[2]) > 0 and pairs[2][q] == BLOCKED
-
-
 @njit(f"b1({PAIRS}, i8, i8, i8)", cache=True, nogil=True)
 def meets(pairs: Any, t: int, q: int, k: int) -> bool:
     """Returns whether the arm touches where target t, asking row q and asked row k are put together."""
-    guard, centre, known, targets, asking, asked = pairs
-    states, last = guard[11], len(centre)
-    put(states, centre, asking, q)
-    start = 0
-    if len(known) > 0:  # the asking rows begin at the base
-        start = asking[1]
-        if known[q] != CLEAR or guard[10] >= 0:
-            known[q] = BLOCKED if known[q] == BLOCKED or blocked(guard, 0, start) else CLEAR
-        else:
-            for i in range(start):
-                carry(guard, i)
-        if known[q] == BLOCKED:
-            return True
-    put(states, centre, targets, t)
+    guard, centre, known, standing, targets, asking, asked = pairs
+    states, below, last = guard[STATES], asking[1], len(centre)
+    if asked[0] < below:  # the asked row begins at the base: nothing stays from one to the next
+        put(states, centre, targets, t)
+        put(states, centre, asking, q)
+        put(states, centre, asked, k)
+        return blocked(guard, 0, last)
+    if standing[0] != t or standing[1] != q:
+        put(states, centre, targets, t)
+        put(states, centre, asking, q)
+        standing[0], standing[1], standing[2] = t, q, BLOCKED if blocked(guard, 0, below) else CLEAR
+        if len(known) > 0:
+            known[q] = standing[2]
+    if standing[2] == BLOCKED:
+        return True
     put(states, centre, asked, k)
-    return blocked(guard, start, last)
+    return blocked(guard, below, last)
 
 
 @njit(f"i8({GUARD}, i8[::1], {PART})", cache=True, nogil=True)
 def first_clear(guard: Any, centre: Configuration, part: Any) -> int:
     """Returns which of the rows asked for, of a segment that is the whole arm, is the first that is clear; else -1."""
     for n in range(len(part[2])):
-        put(guard[11], centre, part, n)
+        put(guard[STATES], centre, part, n)
         if not blocked(guard, 0, len(centre)):
             return n
     return -1

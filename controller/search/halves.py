@@ -1,6 +1,7 @@
 """Both halves of the arm, each with its configurations near a centre, to be met for one goal after another."""
 
 import time
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE, Found
-from controller.search.guard import Guard, Pairs, no_part, part
+from controller.search.guard import Guard, Pairs, no_part, pairs_of, part
 from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
 from controller.search.target import Target
 
@@ -120,12 +121,17 @@ class Halves:
         """Returns what kernels need to see whether pairs touch."""
         if guard is None:
             return None
-        lower, upper, rows = self.lower, self.upper, np.arange(max(len(self.lower.costs), len(self.upper.costs)))
         if self._guard is not guard:
             self._guard = guard
-            self._known[: len(lower.costs)] = 0
-        own = part(lower, rows[: len(lower.costs)][asking]), part(upper, rows)
-        return guard, self._key[0], self._known[: len(lower.costs)][asking], no_part(), *own
+            self._known.fill(0)
+        count = len(self.lower.costs)
+        parts = no_part(), part(self.lower, self._rows[:count][asking]), part(self.upper, self._rows)
+        return pairs_of(guard, self._key[0].astype(np.int64), parts, self._known[:count][asking])
+
+    @cached_property
+    def _rows(self) -> NDArray[np.int64]:
+        """The numbers of rows."""
+        return np.arange(max(storage.rows for storage in self._storages))
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.guard import PAIR_KINDS, Pairs, known_blocked, meets
+from controller.search.guard import BLOCKED, PAIR_KINDS, Pairs, meets
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -115,13 +115,15 @@ def match(
     farthest, flat, oriented = tolerance * tolerance, frames.shape[1] == 4, weight > 0.0
     per, nx, ny, nz = grid[6], int(grid[7]), int(grid[8]), int(grid[9])
     dz = 0.0
+    if pairs is not None:
+        known = pairs[2]
     for t in range(len(targets)):
         x, y, z = targets[t, 0], targets[t, 1], 0.0 if flat else targets[t, 2]
         for q in range(len(frames)):
             price = target_costs[t] + frame_costs[q]
             if price + least > best:
                 continue
-            if pairs is not None and known_blocked(pairs, q):
+            if pairs is not None and len(known) > 0 and known[q] == BLOCKED:
                 continue
             f = frames[q]
             pz = 0.0

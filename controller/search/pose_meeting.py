@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.guard import PAIR_KINDS, Pairs, known_blocked, meets
+from controller.search.guard import BLOCKED, PAIR_KINDS, Pairs, meets
 from controller.search.meeting import chord
 from controller.search.segment import compose
 
@@ -119,12 +119,14 @@ def match_poses(
         shape[a] = int(grid[7 + a])
     wanted, point, low = np.empty((1, width)), np.empty((1, size)), np.empty(size, dtype=np.int64)
     turns = tolerance / np.sqrt(limit)
+    if pairs is not None:
+        known = pairs[2]
     for t in range(len(targets)):
         for q in range(len(frames)):
             price = target_costs[t] + frame_costs[q]
             if price + least > best:
                 continue
-            if pairs is not None and known_blocked(pairs, q):
+            if pairs is not None and len(known) > 0 and known[q] == BLOCKED:
                 continue
             if away:
                 see(targets, t, frames, q, wanted)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE, Found
-from controller.search.guard import NOTHING_KNOWN, part
+from controller.search.guard import NOTHING_KNOWN, pairs_of, part
 from controller.search.halves import Halves, middle, rows
 from controller.search.meeting import seen
 from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
@@ -133,7 +133,7 @@ class Quarters:
         """
         asking, asked = quarters
         gap = min(asking.beyond, asked.beyond)
-        rows = np.arange(max(len(asking.costs), len(asked.costs)))
+        rows = np.arange(0 if target.guard is None else max(len(asking.costs), len(asked.costs)))
         for start in range(0, len(chosen), AT_ONCE):
             some = slice(start, start + AT_ONCE)
             cost = float(half.costs[chosen[start]])
@@ -145,7 +145,7 @@ class Quarters:
             pairs = None
             if target.guard is not None:
                 parts = part(half, chosen[some]), part(asking, rows), part(asked, rows)
-                pairs = target.guard, self._key[0], NOTHING_KNOWN, *parts
+                pairs = pairs_of(target.guard, self._key[0].astype(np.int64), parts, NOTHING_KNOWN)
             t, i, j, found, square = cells.match(
                 frames[some],
                 half.costs[chosen[some]],

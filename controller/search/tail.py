@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Manipulator
-from controller.search.guard import KINDS, Guard, blocked, stand
+from controller.search.guard import KINDS, LEFT, STATES, Guard, blocked, stand
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -169,12 +169,12 @@ def nearest(
                                 rest //= states[i]
                         if penalty < best_penalty or (penalty == best_penalty and square < best_square):
                             if guard is not None:
-                                if guard[16][0] == 0:
+                                if guard[LEFT][0] == 0:
                                     continue
-                                guard[16][0] -= 1
+                                guard[LEFT][0] -= 1
                                 rest = n
                                 for i in range(len(states) - 1, depth - 1, -1):
-                                    guard[11][i] = rest % states[i]
+                                    guard[STATES][i] = rest % states[i]
                                     rest //= states[i]
                                 if blocked(guard, depth, len(states)):
                                     continue
@@ -276,11 +276,11 @@ def finish(
         if guard is not None:
             rest = branch
             for i in range(root, depth):
-                guard[11][i] = rest % states[i]
+                guard[STATES][i] = rest % states[i]
                 rest //= states[i]
             if blocked(guard, root, depth):
                 continue
-            guard[16][0] = MOST_CHECKS
+            guard[LEFT][0] = MOST_CHECKS
         qx, qy, qz, base, rest, turned = x, y, z, 0.0, branch, wanted
         for i in range(root, depth):
             j = rest % states[i]

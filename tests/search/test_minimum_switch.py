@@ -45,7 +45,7 @@ def test_brute_force_agrees(arm, seed, tolerance, weighted):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
     previous = rng.integers(0, arm.states)
     goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    found = solver_of(arm, weights).solve(goal, previous, tolerance)
+    found = solver_of(arm, weights).solve(goal, previous, tolerance, deadline=10.0)
     narrow, wide = brute_force(arm, goal, previous, tolerance, weights)
     if found.within_tolerance:
         assert wide - 1e-9 <= found.cost <= narrow + 1e-9
