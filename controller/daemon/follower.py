@@ -37,8 +37,10 @@ SENTENCE_EVERY = 1.0  # [s]; what is said of a goal out of reach changes no more
 RETRY = 0.1  # [s] after a search that found nothing within reach, which takes longest
 FAR = 10.0  # tolerances; among 2000 positions that the arm reaches, IPOP misses none by more than 2
 MOST_WAITING = 16  # events of a loop that is behind: it needs no more of them
+ASIDE, OTHERS = 0.05, 16  # [s] for other configurations where the way to the cheapest is barred, and how many
 SMOOTHING = 0.1  # share of the latest in running means
 
+Vector = NDArray[np.float64]
 # A configuration (B,), and the actuator states that each stage on the way there ends in, (k, A), where that matters.
 Way = tuple[Configuration, NDArray[np.uint8] | None]
 
@@ -204,7 +206,7 @@ class Follower:
             self._say("", now)
             return None
         try:
-            way = self._way(solver, kept, previous, start, found.configuration)
+            way = self._way(solver, kept, goal - aside, start, found.configuration, tolerance / 2)
         except Blocked as blocked:
             self._say(f", the way to which is barred: {blocked}", now)
             self._retry = now + RETRY
@@ -213,20 +215,28 @@ class Follower:
         return way
 
     def _way(
-        self, solver: Solver, kept: Kept, previous: Configuration, start: Configuration, end: Configuration
+        self, solver: Solver, kept: Kept, goal: Vector, start: Configuration, end: Configuration, tolerance: float
     ) -> Way:
-        """Returns how the arm gets from a configuration, `start` of the solver's arm, to another of that, `end`.
+        """Returns how the solver's arm gets from a configuration (B,) to another, or to others within the tolerance.
 
         Raises:
             Blocked: no way was found on which nothing is touched.
         """
-        configuration = carried(end, solver.manipulator, self._arm.manipulator)
+        whole, left = self._arm.manipulator, solver.manipulator
         if kept.free:
-            return configuration, None
-        stages = self._pace.staged(solver.manipulator, start, end, reckon=False, sweep=sweep_for(solver)).stages
-        if (touched := kept.touched(self._arm.manipulator.actuator_states(previous), stages)) is not None:
-            raise Blocked(touched)
-        return configuration, stages
+            return carried(end, left, whole), None
+        until, barred = time.perf_counter() + ASIDE, None
+        for configuration in (end, *solver.candidates(goal, start, tolerance, OTHERS)[0]):
+            try:
+                stages = self._pace.staged(left, start, configuration, reckon=False, sweep=sweep_for(solver)).stages
+                if (touched := kept.touched(left.actuator_states(start), stages)) is None:
+                    return carried(configuration, left, whole), stages
+                barred = barred or Blocked(touched)
+            except Blocked as blocked:
+                barred = barred or blocked
+            if time.perf_counter() > until:
+                break
+        raise barred or Blocked("no way was found")
 
     def _search(self, solver: Solver, goal: NDArray[np.float64], previous: Configuration, tolerance: float) -> Solution:
         """Returns what the arm's method finds, or IPOP where that misses by far: a longer search would, too."""

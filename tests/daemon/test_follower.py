@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from controller.config import Arm
+from controller.daemon.avoidance import Avoidance, keeping
 from controller.daemon.events import Follow
 from controller.daemon.follower import Follower
 from controller.daemon.inbox import Inbox
 from controller.search.solver import Solver
+from tests.obstacles.dense import Disc, nearest
 
 START = (0.55, 2.8)
 
@@ -31,7 +33,10 @@ class Field:
     def __init__(self, arm: Arm, solver: Solver) -> None:
         self.now, self.wall, self._arrival = 1000.0, 1.8e9, 0
         self.loop = FakeLoop(solver.solve(START, [0] * 16, 0.0005).configuration)
-        self.follower = Follower(arm, solver, self.loop, lambda: self.now, lambda: self.wall)  # type: ignore[arg-type]
+        self.avoidance = Avoidance(keeping(arm))
+        self.follower = Follower(  # type: ignore[arg-type]
+            arm, solver, self.loop, lambda: self.now, lambda: self.wall, avoidance=self.avoidance
+        )
         self.wishes: list[Follow] = []
         self.switches: list[float] = []
         self._arm = arm
@@ -240,3 +245,27 @@ def test_a_defect_ends_the_stream_and_not_the_thread(field: Field, caplog: pytes
     field.stream(5)
     assert field.wishes
     assert math.isfinite(field.wishes[-1].until)
+
+
+def test_a_goal_that_moves_into_a_region_is_followed_as_far_as_nothing_is_touched(field: Field) -> None:
+    arm, post = field._arm.manipulator, Disc((START[0] - 0.6, START[1]), 0.05)
+    field.avoidance.kept = keeping(field._arm, post.region())
+    field.stream(31, speed=1.0)
+    for _ in range(60):  # until what is said of it may change
+        field.send(*post.centre)
+        field.go(0.02)
+    moved = [wish for wish in field.wishes if wish.configuration is not None]
+    assert moved
+    for wish in moved:
+        assert wish.stages is not None
+        assert wish.previous is not None
+        assert wish.stages[-1].tolist() == arm.actuator_states(wish.configuration).tolist()
+        assert field.avoidance.kept.touched(arm.actuator_states(wish.previous), wish.stages) is None
+        assert all(nearest(arm.body(arm.configuration(stage)), [post]) > 0 for stage in wish.stages)
+    assert "out of reach at (" in field.wishes[-1].reason or "barred: " in field.wishes[-1].reason
+
+
+def test_without_regions_wishes_have_no_stages(field: Field) -> None:
+    field.stream(25)
+    assert field.switches
+    assert all(wish.stages is None for wish in field.wishes)

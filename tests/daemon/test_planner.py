@@ -6,14 +6,18 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from controller.config import Arm
 from controller.daemon import planner as module
+from controller.daemon.avoidance import Avoidance, keeping
 from controller.daemon.events import Cancel, Event, Improved, Planned
 from controller.daemon.inbox import Inbox
-from controller.daemon.planner import MOST_WAITING, Planner, Question
+from controller.daemon.planner import MOST_WAITING, Planner, Question, stages_of
+from controller.motion import codes
 from controller.motion.goal import MOST_BYTES
+from controller.obstacles.regions import sphere
 from controller.search.solver import Solver
 from tests.daemon.waiting import PATIENCE, eventually
 
@@ -26,7 +30,7 @@ class FakeLoop:
     def __init__(self) -> None:
         self.inbox = Inbox()
         self.mode, self.reason, self.accept_after = "ready", "holding", 0
-        self.commanded: Any = [0] * 16
+        self.commanded: Any = np.zeros(16, dtype=np.int64)
         self.ended: set[int] = set()
 
     def may_run(self, arrival: int) -> bool:
@@ -43,16 +47,18 @@ class Desk:
         self.free.set()
         self._arrival = 0
 
-        def solve(*args: Any) -> Any:
-            self.planning.set()
-            assert self.free.wait(PATIENCE)
-            return solver.solve(*args)
+        class Slow(Solver):
+            def solve(slow, *args: Any, **fields: Any) -> Any:
+                self.planning.set()
+                assert self.free.wait(PATIENCE)
+                return super().solve(*args, **fields)
 
         held = copy.copy(solver)
-        held.solve = solve
+        held.__class__ = Slow
         self.expected: list[Any] = []
         held.expect = lambda previous, tolerance: self.expected.append(list(previous)) or iter(())
-        self.planner = Planner(arm, held, self.loop)
+        self.avoidance = Avoidance(keeping(arm))
+        self.planner = Planner(arm, held, self.loop, avoidance=self.avoidance)
 
     def ask(self, payload: str | bytes = GOAL, *, run: bool = True) -> None:
         self._arrival += 1
@@ -222,3 +228,52 @@ def test_while_nobody_asks_the_search_is_prepared_for_where_the_arm_is(desk):
     assert eventually(lambda: [1] * 16 in desk.expected)
     desk.ask()
     assert isinstance(handed_over(desk), Planned)
+
+
+def test_a_plan_goes_by_what_is_kept_out_of_now_and_says_so(desk: Desk, arm: Arm) -> None:
+    desk.avoidance.kept = kept = keeping(arm, sphere("disc 'post'", [1.5, 1.5], 0.2))
+    desk.ask()
+    event = handed_over(desk)
+    assert isinstance(event, Planned)
+    assert event.kept is kept
+    configurations = np.array([solution.configuration for solution in event.plan.solutions])
+    assert not kept.clearance.blocked(configurations).any()
+    assert kept.touched(np.zeros(48, dtype=np.uint8), stages_of(event.plan)) is None
+
+
+def test_a_goal_in_a_region_is_refused(desk: Desk, arm: Arm) -> None:
+    desk.avoidance.kept = keeping(arm, sphere("disc 'crate'", [0.55, 2.9], 0.1))
+    desk.ask()
+    (answer,) = answered(desk)
+    assert (answer["accepted"], answer["code"]) == (False, codes.GOAL_TOLERANCE_VIOLATED)
+
+
+def test_an_arm_that_stands_in_a_region_is_not_planned_for(desk: Desk, arm: Arm) -> None:
+    tip = arm.manipulator.tip(np.zeros(16, dtype=np.int64))[:2, 3]
+    desk.avoidance.kept = keeping(arm, sphere("disc 'hand'", tip, 0.05))
+    desk.ask()
+    assert "disc 'hand'" in answered(desk)[0]["message"]
+
+
+def test_a_goal_is_planned_again_when_regions_change_meanwhile(desk: Desk, arm: Arm) -> None:
+    before = desk.avoidance.kept
+    desk.hold_up()
+    desk.avoidance.kept = keeping(arm, sphere("disc 'post'", [1.5, 1.5], 0.2))
+    desk.free.set()
+    event = handed_over(desk)
+    assert isinstance(event, Planned)
+    assert event.kept is desk.avoidance.kept is not before
+
+
+def test_a_goal_is_planned_again_when_the_arm_moves_on_meanwhile(desk: Desk, arm: Arm) -> None:
+    desk.avoidance.kept = keeping(arm, sphere("disc 'post'", [1.5, 1.5], 0.2))
+    desk.ask()
+    first = handed_over(desk)
+    assert isinstance(first, Planned)
+    desk.hold_up()
+    desk.loop.commanded = first.plan.solutions[0].configuration
+    desk.free.set()
+    event = handed_over(desk)
+    assert isinstance(event, Planned)
+    start = arm.manipulator.actuator_states(desk.loop.commanded)
+    assert event.plan.transitions[0].stages[-1].tolist() == start.tolist(), "it is there already"
