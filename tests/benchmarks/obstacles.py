@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from controller.config import load
+from controller.manipulator.frames import angle_between
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.regions import Regions, box, half_space, sphere, together
@@ -140,30 +141,31 @@ def scene(arm: Manipulator, rng: np.random.Generator) -> Regions:
     )
 
 
-def held_to_brute_force(scenes: int, each: int, console: Console) -> None:
+def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, console: Console) -> None:
     """Counts what is found of goals that can be reached, by trying all configurations of 18 actuators."""
-    arm, tolerance, rng = paper_arm(6), 0.005, np.random.default_rng(2)
+    arm, rng = paper_arm(6), np.random.default_rng(2)
     solver, every = Solver(arm, map_densities(arm, 0.02, 20_000)), every_configuration(arm)
-    tips = arm.tips(every)[:, :2, 3]
+    tips = arm.tips(every)
     counts = {method: np.zeros(3, dtype=int) for method in METHODS}
     solvable = asked = 0
     for _ in range(scenes):
         clearance = Clearance(arm, scene(arm, rng), RADIUS, self_collision=True)
         own, previous = solver.avoiding(clearance), rng.integers(0, arm.states)
-        for goal in arm.tips(rng.integers(0, arm.states, (each, len(arm.states))))[:, :2, 3]:
-            near = every[np.linalg.norm(tips - goal, axis=1) <= tolerance * (1 - 1e-9)]
+        for tip in arm.tips(rng.integers(0, arm.states, (each, len(arm.states)))):
+            goal = tip if turn < math.inf else tip[:2, 3]
+            there = np.linalg.norm(tips[:, :2, 3] - tip[:2, 3], axis=1) <= tolerance * (1 - 1e-9)
+            near = every[there][[turn == math.inf or angle_between(t, tip) <= turn * (1 - 1e-9) for t in tips[there]]]
             clear = near[~clearance.blocked(near)]
             asked, solvable = asked + 1, solvable + (len(clear) > 0)
             fewest = min((arm.switches(c, previous) for c in clear), default=-1)
             for method, count in counts.items():
-                found = own.solve(goal, previous, tolerance, method)
+                found = own.solve(goal, previous, tolerance, method, turn=turn)
                 if found.within_tolerance and clearance.where(found.configuration):
                     raise AssertionError(f"{method}: {clearance.where(found.configuration)}")
                 count += found.within_tolerance, found.optimal, found.optimal and found.switches != fewest
             previous = clear[0] if len(clear) else previous
-    title = (
-        f"18 actuators, {scenes} scenes of a disc and a box: {solvable} of {asked} goals can be reached clear of them"
-    )
+    title = f"18 actuators, {scenes} times a disc and a box, tolerance {tolerance:g}, {turn:.3g} rad:"
+    title += f" {solvable} of {asked} goals can be reached clear of them"
     table = Table("method", "found", "proven", "proven wrongly", title=title)
     for method, (within, optimal, wrong) in counts.items():
         proofs = (str(optimal), str(wrong)) if method == "minimum-switch" else ("", "")
@@ -181,7 +183,8 @@ def main() -> None:
     if given.busy:
         time.perf_counter = time.thread_time
     console = Console(width=130)
-    held_to_brute_force(given.scenes, 5, console)
+    held_to_brute_force(given.scenes, 5, 0.005, math.inf, console)
+    held_to_brute_force(given.scenes, 5, *POSE, console)
     arm = load(PLANAR16)
     m = arm.manipulator
     solver = Solver(m, map_densities(m, arm.pixel, arm.level_pixels), arm.weights())
