@@ -132,9 +132,9 @@ def load(path: Path) -> Arm:
 
 def walled_in(arm: Arm) -> str | None:
     """Returns what the first module touches in every state; None if it does not."""
-    first = Manipulator(arm.manipulator.modules[:1], arm.manipulator.base)
-    said = [arm.clearance(first).where(np.array([state])) for state in range(int(first.states[0]))]
-    return None if None in said else said[0]
+    clearance = arm.clearance(Manipulator(arm.manipulator.modules[:1], arm.manipulator.base))
+    states = np.arange(len(arm.manipulator.modules[0].frames))[:, None]
+    return clearance.where(states[0]) if clearance.blocked(states).all() else None
 
 
 def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[str]) -> tuple[ActuatorSettings, ...]:

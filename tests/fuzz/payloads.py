@@ -153,6 +153,7 @@ class ReadArm:
         assert len(arm.wiring) in (0, len(arm.manipulator.actuators))
         assert np.isfinite(arm.weights()).all()
         assert arm.level_pixels >= 1
+        assert arm.clearance().blocked(np.zeros((1, len(arm.manipulator.modules)), dtype=int)).shape == (1,)
         return 1
 
 
@@ -192,6 +193,9 @@ ARM: dict[str, Any] = {
     "base": {"position": [0.5, 0.25], "orientation": 0.1},
     "tolerance": {"position": 0.002},
     "inrush": 4,
+    "obstacles": [*OBSTACLES["regions"]],
+    "body_radius": 0.01,
+    "self_collision": True,
     "weights": {"base": 2, "wear": 1},
     "workspace": {"pixel": 0.01, "memory": 512},
     "buses": [{"name": "can0", "channel": "can0", "bitrate": 500000}],
@@ -209,6 +213,7 @@ SPATIAL = {
     "name": "s",
     "modules": [{"type": "transforms", "states": [{"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}] * 2}],
     "tolerance": {"position": 1},
+    "obstacles": [*OBSTACLES_IN_SPACE["regions"]],
 }
 NOTATIONS = ["071", "0,7,1", "11,0,1", " 0,1,1\n", "0.55,2.9", "1e-3,-2", "-1,0,0", "1_0,1,1", "٣,0,1", "9" * 5000]
 
