@@ -73,7 +73,10 @@ class Switching:
 
     def from_here(self, stages: States) -> States:
         """Returns the stages (k, A) by which a planned transition is carried out from the states as they are."""
-        return split(self._manipulator, self._boards.outputs(), stages, self._most)
+        outputs, kept = self._boards.outputs(), self._avoidance.kept
+        if not kept.free and kept.known_clear(outputs, stages):  # as planned: they may go to and fro around something
+            return stages
+        return split(self._manipulator, outputs, stages, self._most)
 
     def ready(self, states: States) -> float:
         """Returns from when on states (A,) may be switched to [s]: the last stage has ended, the actuators rested."""
@@ -111,9 +114,8 @@ class Switching:
     def fitting(self, stage: States) -> bool:
         """Returns whether a stage (A,) may be switched to at once, and is known to touch nothing on the way."""
         outputs = self._boards.outputs()
-        return bool(np.count_nonzero(outputs != stage) <= self._most) and self._avoidance.kept.known_clear(
-            outputs, stage
-        )
+        few = bool(np.count_nonzero(outputs != stage) <= self._most)
+        return few and self._avoidance.kept.known_clear(outputs, [stage])
 
     def _next(self, stages: States) -> States:
         outputs = self._boards.outputs()  # beside `states`, which may have been measured, and one of several buses busy
