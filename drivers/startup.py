@@ -55,13 +55,12 @@ class Startup:
         heard = self._find(boards)
         present = each(self._configure, [b for b in boards if b[0] in heard])
         faults += [self._missing(node) for node, _, _ in boards if node not in heard]
-        self._wait(lambda: all(node.state is not None for node, _, _ in present), self._timing.boot_timeout)
         if not self._wait(lambda: operational(present), 3 * self._timing.heartbeat):
             # Some may have missed the heartbeat of the daemon before just now: these are brought up from there.
             fell = [board for board in present if board[0].state is State.PRE_OPERATIONAL]
             up = each(self._configure, fell)
             present = [board for board in present if board in up or board not in fell]
-            self._wait(lambda: operational(up), self._timing.boot_timeout)
+            self._wait(lambda: operational(present), self._timing.boot_timeout)
         each(self._finish, present)
         return faults
 

@@ -50,13 +50,9 @@ class Kept:
             states = stage
         return None
 
-    def known_clear(self, states: States, stages: Iterable[States]) -> bool:
-        """Returns, at once, whether stages, each (A,), are known to touch nothing on the way from states (A,) on."""
-        for stage in () if self.free else stages:
-            if self._known.get(key(states, stage), "") is not None:
-                return False
-            states = stage
-        return True
+    def known_clear(self, states: States, stage: States) -> bool:
+        """Returns whether a stage (A,) is known to touch nothing on the way from actuator states (A,) on: at once."""
+        return self.free or self._known.get(key(states, stage), "") is None
 
     def where(self, measured: NDArray[np.int8]) -> str | None:
         """Returns what the arm touches where its actuators are measured (A,), None where that tells nothing."""

@@ -228,7 +228,8 @@ class Follower:
         until, barred = time.perf_counter() + ASIDE, None
         for configuration in (end, *solver.candidates(goal, start, tolerance, OTHERS)[0]):
             try:
-                stages = self._pace.staged(left, start, configuration, reckon=False, sweep=sweep_for(solver)).stages
+                sweep = sweep_for(solver)
+                stages = self._pace.staged(left, start, configuration, None, False, sweep, patience=0.0).stages
                 if (touched := kept.touched(left.actuator_states(start), stages)) is None:
                     return carried(configuration, left, whole), stages
                 barred = barred or Blocked(touched)

@@ -72,11 +72,15 @@ class Switching:
         self._ledger.resolve(self._boards.outputs())  # what was under way when the boards or the last daemon were lost
 
     def from_here(self, stages: States) -> States:
-        """Returns the stages (k, A) by which a planned transition is carried out from the states as they are."""
-        outputs, kept = self._boards.outputs(), self._avoidance.kept
-        if not kept.free and kept.known_clear(outputs, stages):  # as planned: they may go to and fro around something
+        """Returns the stages (k, A) by which a planned transition is carried out from the states as they are.
+
+        Those that keep clear of something stay as they were planned, in which actuators may switch to and fro.
+        """
+        rows = np.vstack([self._boards.outputs(), stages]).astype(int)
+        fit = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= self._most
+        if fit and not self._avoidance.kept.free and self.touched(stages) is None:
             return stages
-        return split(self._manipulator, outputs, stages, self._most)
+        return split(self._manipulator, self._boards.outputs(), stages, self._most)
 
     def ready(self, states: States) -> float:
         """Returns from when on states (A,) may be switched to [s]: the last stage has ended, the actuators rested."""
@@ -114,8 +118,9 @@ class Switching:
     def fitting(self, stage: States) -> bool:
         """Returns whether a stage (A,) may be switched to at once, and is known to touch nothing on the way."""
         outputs = self._boards.outputs()
-        few = bool(np.count_nonzero(outputs != stage) <= self._most)
-        return few and self._avoidance.kept.known_clear(outputs, [stage])
+        return bool(np.count_nonzero(outputs != stage) <= self._most) and self._avoidance.kept.known_clear(
+            outputs, stage
+        )
 
     def _next(self, stages: States) -> States:
         outputs = self._boards.outputs()  # beside `states`, which may have been measured, and one of several buses busy

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import Transition, build_transition
+from controller.motion.excursion import build_transition
 from controller.motion.stages import SKIPPED, order_stages, peaks
-from controller.motion.ways import Ways
+from controller.motion.ways import PATIENCE, Ways
 from controller.obstacles.sweep import Sweep
 
 MOST_STAGES = 8  # of a transition, unless the bound needs more: the tip then strays little less
@@ -82,6 +82,7 @@ class Pace:
         available: float | None = None,
         reckon: bool = True,
         sweep: Sweep | None = None,
+        patience: float = PATIENCE,
     ) -> Staged:
         """Returns how a transition is carried out.
 
@@ -92,13 +93,14 @@ class Pace:
             available: time from the waypoint before to the one after [s]; None: as much as wanted.
             reckon: whether to reckon the excursion where there is no bound on what switches at once.
             sweep: of what must touch nothing, in no order and mid-stroke of a stage's actuators; None: anything may.
+            patience: time for a roundabout way, on which actuators switch to and fro, where no plain one is found [s].
 
         Raises:
             Unfit: that is too little; the message says what is needed.
             Blocked: no stages are found that touch nothing; the message says what is in the way.
         """
         if sweep is not None:
-            return self._clear(manipulator, before, after, available, reckon, sweep)
+            return self._clear(manipulator, before, after, available, reckon, sweep, patience)
         n = manipulator.switches(before, after)
         if n == 0:
             return Staged(manipulator.actuator_states(after)[None], 0.0)
@@ -128,33 +130,34 @@ class Pace:
         available: float | None,
         reckon: bool,
         sweep: Sweep,
+        patience: float,
     ) -> Staged:
         """Returns a transition that touches nothing: as any other where that is clear, else in other stages."""
         start, transition = manipulator.actuator_states(before), build_transition(manipulator, before, after)
         n = len(transition.actuators)
-        most, room = self.inrush or max(n, 1), max(n, 1)
-        if available is not None and self.lead > 0:
-            room = min(room, int((available - self.rest) / self.lead + 1e-9))
-        ways = Ways(sweep, start, transition.actuators, most)
+        room = np.inf if available is None or self.lead == 0 else int((available - self.rest) / self.lead + 1e-9)
+        ways = Ways(sweep, start, self.inrush or len(start))
         usual = self.staged(manipulator, before, after, available, reckon)
-        stages = numbered(transition, start, usual.stages)
+        stages = numbered(start, usual.stages)
         if ways.clear(stages):
             return replace(usual, strict=True)
         if not ways.clear([np.arange(0)]):
             raise Blocked(f"the arm touches something where it stands: {ways.blame}")
-        upwards, own = np.arange(n), np.concatenate(stages)
-        cuts = [cut for order in (own, upwards, upwards[::-1].copy()) if (cut := ways.cut(order))]
-        if not any(len(cut) <= room for cut in cuts) and (order := ways.order(own)) is not None:
-            cuts.append(ways.cut(order))
+        upwards, own = transition.actuators, np.concatenate(stages)
+        cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := ways.cut(order))]
+        if not any(len(cut) <= room for cut in cuts) and patience > 0:
+            order = ways.order(manipulator.actuator_states(after), self.rest == 0, patience)
+            cuts += [cut for cut in ([] if order is None else [ways.cut(order)]) if cut]
         if not cuts:
             raise Blocked(ways.blame)
         best = min(cuts, key=len)
         if len(best) > room:
             raise Blocked(f"{len(best)} stages keep clear of all, there is time for {room}: {ways.blame}")
-        known = replace(transition, unknown=SKIPPED)
-        excursion = max(peaks(known, known.masks([]), best)) if reckon else None
-        masks = tuple(tuple(transition.actuators[stage].tolist()) for stage in best)
-        return Staged(rows(start, masks), excursion, strict=True)
+        excursion = None
+        if reckon and sum(map(len, best)) == n:
+            known = replace(transition, unknown=SKIPPED)
+            excursion = max(peaks(known, known.masks([]), [np.searchsorted(upwards, stage) for stage in best]))
+        return Staged(rows(start, tuple(tuple(stage.tolist()) for stage in best)), excursion, strict=True)
 
     def _fewest(self, switches: int) -> int:
         """Returns the fewest stages."""
@@ -179,7 +182,6 @@ def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDAr
     return result
 
 
-def numbered(transition: Transition, states: NDArray[np.uint8], stages: NDArray[np.uint8]) -> list[NDArray[np.int64]]:
-    """Returns stages that follow on states (A,), as rows (k, A), as actuators counted among those that switch."""
-    changes = np.diff(np.vstack([states, stages]).astype(int), axis=0)[:, transition.actuators]
-    return [np.flatnonzero(change) for change in changes]
+def numbered(states: NDArray[np.uint8], stages: NDArray[np.uint8]) -> list[NDArray[np.int64]]:
+    """Returns which actuators switch in each of the stages, as rows (k, A), that follow on states (A,)."""
+    return [np.flatnonzero(change) for change in np.diff(np.vstack([states, stages]).astype(int), axis=0)]

@@ -11,6 +11,7 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.pacing import Blocked, Pace, Staged, Unfit
 from controller.motion.trajectory import Trajectory, upwards
+from controller.motion.ways import PATIENCE
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solution, Solver
@@ -19,7 +20,7 @@ from controller.search.solver import DEADLINE, Solution, Solver
 # is over; how far the tip strays there is left to looking ahead.
 PLANNING_TIME, FIRST_ANSWER = 0.03, 0.0002
 
-ASIDE, OTHERS = 0.2, 32  # [s] for other configurations where there is no way to the cheapest, and how many
+ASIDE, OTHERS = 0.25, 32  # [s] for other configurations where there is no way to the cheapest, and how many
 
 
 AT_ONCE = Pace(0.0)
@@ -74,7 +75,9 @@ class Plan:
             if not solutions[k].within_tolerance:
                 raise Unfit(f"{solutions[k].error:.4f} from point {k}")
             available = float(times[k] - times[k - 1])
-            transitions[k] = pace.staged(solver.manipulator, before, configuration, available, sweep=sweep_for(solver))
+            transitions[k] = pace.staged(
+                solver.manipulator, before, configuration, available, sweep=sweep_for(solver), patience=0.0
+            )
         return Plan(self.trajectory, tuple(solutions), tuple(transitions))
 
 
@@ -147,7 +150,7 @@ def aside(
     pace: Pace,
     blocked: Blocked,
 ) -> tuple[Solution, Staged]:
-    """Returns another configuration for point k, to which there is a way where there is none to the cheapest.
+    """Returns another configuration for point k, or a roundabout way, where there is no plain one to the cheapest.
 
     Raises:
         Refusal: none is found in the time for that; the message has what is in the way to the cheapest.
@@ -155,20 +158,23 @@ def aside(
     goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
     until = time.perf_counter() + ASIDE
     others, costs = solver.candidates(goal, previous, tolerance, OTHERS, turn)
-    tried = {cheapest.configuration.tobytes()}
+    methods: tuple[Method, ...] = ("ipop-previous", "pop")
     ranked = [others[n] for n in np.argsort(costs, kind="stable")]
-    methods: tuple[Method, ...] = ("ipop-previous", "pop", "ipop-contracted")
-    for found in (*ranked, *(solver.solve(goal, previous, tolerance, m, turn=turn).configuration for m in methods)):
-        if time.perf_counter() > until:
-            break
-        solution = solver.described(found, goal, previous, tolerance, turn)
-        if found.tobytes() in tried or not solution.within_tolerance:
-            continue
-        tried.add(found.tobytes())
-        try:
-            return solution, staged(solver, trajectory, previous, solution, k, pace)
-        except (Blocked, Refusal):
-            continue
+    ranked += [solver.solve(goal, previous, tolerance, method, turn=turn).configuration for method in methods]
+    distinct = {c.tobytes(): c for c in (cheapest.configuration, *ranked)}
+    found = [solver.described(c, goal, previous, tolerance, turn) for c in distinct.values()]
+    served = [solution for solution in found if solution.within_tolerance]
+    for patience, solutions in ((0.0, served[1:]), (PATIENCE, served)):  # plain ways first
+        for solution in solutions:
+            if time.perf_counter() > until:
+                break
+            try:
+                transition = staged(solver, trajectory, previous, solution, k, pace, patience=patience)
+            except (Blocked, Refusal):
+                continue
+            rows = np.vstack([solver.manipulator.actuator_states(previous), transition.stages])
+            switches = int(np.count_nonzero(np.diff(rows.astype(int), axis=0)))
+            return replace(solution, switches=switches), transition
     what = f"no way to it without touching anything: {blocked}"
     raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
 
@@ -214,6 +220,7 @@ def staged(
     k: int,
     pace: Pace,
     reckon: bool = True,
+    patience: float = 0.0,
 ) -> Staged:
     """Returns the transition to point k; the first is late where there is too little time for it.
 
@@ -230,7 +237,7 @@ def staged(
         available = None
     try:
         configuration, sweep = solution.configuration, sweep_for(solver)
-        return pace.staged(solver.manipulator, previous, configuration, available, reckon, sweep)
+        return pace.staged(solver.manipulator, previous, configuration, available, reckon, sweep, patience)
     except Blocked:
         raise
     except Unfit as error:

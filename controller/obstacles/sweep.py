@@ -59,6 +59,19 @@ class Sweep:
             return None
         return self._sampled(states, actuators) or self._swept(states, actuators)
 
+    def standing(self, states: States) -> NDArray[np.bool_]:
+        """Returns which of actuator states (n, A) touch anything, or are no configuration's, shape (n,)."""
+        configurations = self._spelled(states)
+        result = np.ones(len(states), dtype=bool)
+        known = np.flatnonzero((configurations >= 0).all(axis=1))
+        result[known] = self._clearance.blocked(configurations[known])
+        return result
+
+    def _spelled(self, states: States) -> Index:
+        """Returns the configurations (n, B) of actuator states (n, A), -1 where a module has none."""
+        parts = zip(self._states, self._starts[:-1], self._starts[1:], strict=True)
+        return np.column_stack([known[states[:, a:b] @ self._flags[a:b]] for known, a, b in parts])
+
     def words(self, touch: Touch) -> str:
         """Returns what touches, as Clearance.where has it."""
         if touch.region >= 0:
@@ -75,14 +88,11 @@ class Sweep:
         else:
             chosen = np.random.default_rng(k).integers(0, 2, (SAMPLES, k))
             chosen[0], chosen[1] = 0, 1
-        configurations = np.empty((len(chosen), len(self._arm.modules)), dtype=np.int64)
-        own, flags = self._owners[actuators], self._flags[actuators]
-        for i, known in enumerate(self._states):
-            here = slice(self._starts[i], self._starts[i + 1])
-            code = int((states[here] * self._flags[here]).sum())
-            configurations[:, i] = known[code ^ (chosen[:, own == i] @ flags[own == i])]
-            if configurations[:, i].min() < 0:
-                return Touch(i)
+        subsets = np.tile(states, (len(chosen), 1))
+        subsets[:, actuators] ^= chosen.astype(np.uint8)
+        configurations = self._spelled(subsets)
+        if configurations.min() < 0:
+            return Touch(int(np.argmin(configurations.min(axis=0))))
         found = self._clearance.touching(configurations)
         first = np.flatnonzero(found[:, 0] >= 0)
         return Touch(*found[first[0]].tolist()) if len(first) else None
@@ -117,12 +127,7 @@ class Sweep:
         """Returns rotations (B + 1, 3, 3), translations (B + 1, 3), bodies and balls (B, ...) at states (A,)."""
         arm, c = self._arm, self._clearance
         modules = np.arange(len(arm.modules))
-        configuration = np.array(
-            [
-                known[int((states[a:b] * self._flags[a:b]).sum())]
-                for known, a, b in zip(self._states, self._starts[:-1], self._starts[1:], strict=True)
-            ]
-        )
+        configuration = self._spelled(states[None])[0]
         frames = np.concatenate([arm.base[None], arm.frames[modules, configuration]])
         return frames[:, :3, :3], frames[:, :3, 3], c.bodies[modules, configuration], c.balls[modules, configuration]
 

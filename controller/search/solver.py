@@ -38,7 +38,7 @@ class Solution:
         configuration: module states, base first, shape (B,).
         tip: the frame it brings the tip to, in the world, shape (4, 4).
         error: distance of the tip from the goal.
-        switches: actuators that differ from the previous configuration.
+        switches: actuators that differ from the previous configuration; those switched, where the way is roundabout.
         within_tolerance: whether error and angle are within the tolerances asked for, and the arm touches nothing that
             it is to keep clear of.
         seconds: time the search took.

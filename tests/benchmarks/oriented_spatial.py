@@ -20,7 +20,7 @@ from tests.benchmarks.measuring import exponent
 from tests.workspace.comparing import drawn_points, mapped_positions, placed, second_moment, spatial_points
 from tests.workspace.comparing import total_variation as variation
 
-MODULES, PIXEL = (16, 32, 64, 128, 256, 512, 1024), 0.01
+MODULES, PIXEL = (16, 64, 256), 0.01
 MAPPED_PIXELS, WEIGHT = 20_000, 1.0
 CONVOLVED_PIXELS, ALONG = 3_000_000, 2
 CELLS = 6  # along the arm, in which positions are compared

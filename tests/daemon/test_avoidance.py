@@ -223,16 +223,6 @@ def test_stages_are_taken_one_after_the_other_however_late_it_is(late: float) ->
     assert guard.rig.results == [("c", "succeeded")]
 
 
-def test_stages_that_go_to_and_fro_are_taken_as_planned() -> None:
-    guard = Guard(POST)
-    stages = np.array([[1, 0, 0, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]], dtype=np.uint8)
-    guard.run("a", staged(*stages))
-    guard.rig.go(0.5)
-    assert guard.rig.boards.commits == stages.tolist()
-    assert guard.rig.results == [("a", "succeeded")]
-    assert guard.rig.last_result["switches"] == 3
-
-
 def test_points_are_passed_over_where_that_touches_nothing() -> None:
     guard = Guard(POST)
     plan = planned(A, C, A, C)

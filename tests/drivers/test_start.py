@@ -160,24 +160,6 @@ def test_start_keeps_boards_that_are_fine_operational(make_rig, two_boards, wait
     assert rig.simulation.switches().tolist() == [1, 2]  # the power cut switched the second back
 
 
-def test_a_board_that_falls_while_it_is_asked_and_is_heard_late_is_brought_up(make_rig, patient):
-    rig = make_rig(timing=patient(boot_timeout=1.0)).up()
-    with rig.simulation.board("can0/5") as (board, _):
-        say, unheard = board._bus, [0]
-
-        def late(cob_id: int, data: bytes) -> None:
-            if cob_id == 0x585 and data[1:3] == b"\x16\x10" and not unheard[0]:  # 1016h is as it should be
-                board.state, unheard[0] = State.PRE_OPERATIONAL, 10  # heartbeats: more than are usually waited for
-            if cob_id != 0x705 or unheard[0] <= 1:
-                say(cob_id, data)
-            unheard[0] -= cob_id == 0x705 and unheard[0] > 1
-
-        board._bus = late
-    assert rig.boards.start() == []
-    with rig.simulation.board("can0/5") as (board, _):
-        assert board.state is State.OPERATIONAL
-
-
 @pytest.mark.parametrize("interface", ["nonsense", "socketcan"])
 def test_a_bus_that_cannot_be_opened_is_named(interface):
     wiring = Wiring((BusSettings("can7", interface, "nowhere0"),), (Channel("a", "can7", 1, 0, 0),))

@@ -77,12 +77,13 @@ def test_goals_are_planned_around_regions_that_are_sent_until_they_are_gone(
     assert boards.switches().tolist() == before
     assert keep_out(client, *AROUND) == "keeping out of 2 regions, 2 of them sent"
     with watched(boards) as strokes:
-        for number, goal in enumerate((FAR, LEFT, MIDDLE, FAR)):
-            eventually(lambda goal=goal, number=number: client.goal(goal, id=f"b{number}")["accepted"])  # in its time
-            assert client.result(f"b{number}")["status"] == "succeeded"
-            assert np.linalg.norm(tip(boards, arm) - goal) <= arm.tolerance
+        for number, goal in enumerate((FAR, LEFT, RIGHT, MIDDLE)):
+            if client.goal(goal, id=f"b{number}")["accepted"]:
+                assert client.result(f"b{number}")["status"] == "succeeded"
+                assert np.linalg.norm(tip(boards, arm) - goal) <= arm.tolerance
+    assert len(client.accepted) >= 4
     seen = np.unique(np.array(strokes).round(2), axis=0)
-    assert len(seen) >= 5  # with what the arm stands in
+    assert len(seen) > 10
     assert all(nearest(bodies(arm, stroke), SHAPES) > 0 for stroke in seen)
     assert keep_out(client) == "keeping out of 0 regions, 0 of them sent"
     client.move(RIGHT, goal="c")

@@ -103,6 +103,8 @@ def hexapod(base: Sequence[Sequence[float]], top: Sequence[Sequence[float]], low
         wanted = low + strokes * (high - low)
         for _ in range(12):  # Newton's steps, by differences
             missed = np.linalg.norm(ends(at) - below, axis=2) - wanted
+            if abs(missed).max() < 1e-12:
+                break
             change = np.empty((len(at), 6, 6))
             for k in range(6):
                 aside = at + 1e-7 * np.eye(6)[k]
@@ -137,7 +139,8 @@ def placed(parts: Sequence[Part], base: np.ndarray, strokes: np.ndarray) -> list
     for part in parts:
         own = strokes[:, first : first + len(part.module.actuators)]
         first += own.shape[1]
-        frames, body = part.moves(own)
+        distinct, which = np.unique(own, axis=0, return_inverse=True)
+        frames, body = (values[which] for values in part.moves(distinct))
         lines.append(np.einsum("nab,nlsb->nlsa", chain[:, :3, :3], body) + chain[:, None, None, :3, 3])
         chain = chain @ frames
     return lines

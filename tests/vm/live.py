@@ -1,10 +1,6 @@
 """A plugin of pytest that tells of failures and of times at once, not at the end, which a time-out may prevent."""
 
-import subprocess
-
 import pytest
-
-JOURNAL = ["journalctl", "--unit", "hyperbit", "--no-pager", "--output", "cat", "--lines", "60"]
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
@@ -12,5 +8,3 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         print(f"\n{report.duration:.0f} s for {report.when} of {report.nodeid}", flush=True)
     if report.failed:
         print(f"\n{report.nodeid}, {report.when}:\n{report.longreprtext}\n{report.caplog}", flush=True)
-        if "tests/vm" in report.nodeid:
-            print(subprocess.run(JOURNAL, capture_output=True, text=True).stdout, flush=True)
