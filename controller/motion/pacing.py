@@ -141,8 +141,8 @@ class Pace:
         stages = numbered(start, usual.stages)
         if ways.clear(stages):
             return replace(usual, strict=True)
-        if not ways.clear([np.arange(0)]):
-            raise Blocked(f"the arm touches something where it stands: {ways.blame}")
+        if (touch := sweep.touch(start, np.arange(0))) is not None:  # however little time is left to look for ways
+            raise Blocked(f"the arm touches something where it stands: {sweep.words(touch)}")
         upwards, own = transition.actuators, np.concatenate(stages)
         cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := ways.cut(order))]
         if not any(len(cut) <= room for cut in cuts) and patience > 0:
