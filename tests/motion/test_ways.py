@@ -154,7 +154,9 @@ def test_plans_take_the_next_configuration_where_there_is_no_way_to_the_cheapest
         free = EVERY[~clearance.blocked(EVERY)]
         before, goal = free[rng.integers(len(free))], MANIPULATOR.tip(free[rng.integers(len(free))])[:2, 3]
         try:
-            found = plan(own, through(np.zeros(1), goal[None], 0.03), before, "minimum-switch", pace=Pace(LEAD))
+            found = plan(
+                own, through(np.zeros(1), goal[None], 0.03), before, "minimum-switch", pace=Pace(LEAD, rest=LEAD)
+            )
         except Refusal as refusal:
             refused.append(str(refusal))
             continue
