@@ -92,12 +92,12 @@ def test_a_look_around_finds_what_tells_and_acts_on_nothing(client: Observer, be
     replies = list(bench.session().get("hyperbit/**", timeout=PATIENCE))
     answers = {str(r.ok.key_expr).rpartition("/")[2]: json.loads(r.ok.payload.to_bytes()) for r in replies if r.ok}
     assert answers["arm"]["name"] == "planar16"
-    for key in ("goal", "cancel", "stop", "reset", "degrade"):
+    for key in ("goal", "cancel", "stop", "reset", "degrade", "obstacles"):
         assert answers[key]["accepted"] is False
         assert "must be named" in answers[key]["message"]
     assert client.wait_now("executing")["goal"] == "a"
     bench.session().put("hyperbit/**", b"")
-    eventually(lambda: len(client.results(None)) == 5)
+    eventually(lambda: len(client.results(None)) == 6)
     assert client.wait_now("executing")["goal"] == "a"
 
 
