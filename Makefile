@@ -35,6 +35,8 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.lines
 	$(BIN)/python -m tests.benchmarks.arms
 	$(BIN)/python -m tests.benchmarks.poses
+	$(BIN)/python -m tests.benchmarks.obstacles
+	$(BIN)/python -m tests.benchmarks.obstacle_transitions
 	$(BIN)/python -m tests.benchmarks.daemon
 	$(BIN)/python -m tests.benchmarks.real_time
 

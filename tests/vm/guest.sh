@@ -19,11 +19,11 @@ try() {
 verdict=0
 for which in "not alone" alone; do
   case $which in alone) processes=0 ;; *) processes=2 ;; esac
-  try --durations 15 --numprocesses $processes --dist worksteal -m "$which" "$@"
+  try --durations 15 --numprocesses $processes --dist worksteal "$@" -m "$which"
   code=$?
   if [ $code = 1 ]; then
     echo "once more, what failed:"
-    try --last-failed --last-failed-no-failures none -m "$which" "$@"
+    try --last-failed --last-failed-no-failures none "$@" -m "$which"
     code=$?
   fi
   [ $code = 5 ] || [ $code = 0 ] || verdict=$code # 5: none of them was asked for
