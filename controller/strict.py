@@ -12,6 +12,7 @@ from msgspec import Struct
 S = TypeVar("S", bound=Struct)
 
 MOST_FAULTS = 100
+UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
 
 
 class InputFaults(ValueError):

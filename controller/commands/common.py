@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from controller.config import Arm, load
-from controller.strict import InputFaults, read_yaml
+from controller.strict import UNIT, InputFaults, read_yaml
 from controller.workspace.densities import Densities
 
 ArmFile = Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)]
@@ -19,7 +19,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
 ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, in place of the endpoint.")]
 
-UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
 ENDPOINT = "tcp/127.0.0.1:7447"
 
 console = Console(highlight=False, soft_wrap=True)

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
-from controller.strict import check
+from controller.strict import UNIT, check
 
 if TYPE_CHECKING:  # its kernels take a second to import: who only reads messages does not wait for it
     from controller.motion.pacing import Pace
 
 MOST_BYTES = 1_000_000
 LONGEST_SENTENCE = 1_000
-UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
 # Upper bounds also keep out infinity and NaN; beyond these, lengths are slips of the unit and overflow when squared.

@@ -8,6 +8,7 @@ from msgspec import Meta, Struct
 
 from controller.manipulator import frames
 from controller.obstacles.regions import Regions, box, half_space, sphere, together
+from controller.strict import UNIT
 
 # Lengths beyond these bounds are slips of the unit, and would overflow when squared.
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
@@ -19,7 +20,6 @@ Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 
 MOST = 256  # regions in one list
-UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
 PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
 
 
