@@ -24,6 +24,10 @@ REMEMBERED = 20_000  # stages
 IN_OBSTACLE = "in-obstacle"  # code
 
 
+class Unknown(Exception):
+    """Whether stages touch anything is not known yet: it is being looked at, and to be asked again."""
+
+
 @dataclass(frozen=True, eq=False)
 class Kept:
     """What is kept clear of from one change to the next; from any thread.
@@ -43,9 +47,27 @@ class Kept:
         return self.clearance.free
 
     def touched(self, states: States, stages: Iterable[States]) -> str | None:
-        """Returns what the first of stages, each (A,), touches on the way from actuator states (A,) on; or None."""
+        """Returns what the first of stages, each (A,), touches on the way from actuator states (A,) on; or None.
+
+        Where nobody looked before, that takes up to a third of a second each.
+        """
         for stage in () if self.free else stages:
             if (words := self._touched(states, stage)) is not None:
+                return words
+            states = stage
+        return None
+
+    def known(self, states: States, stages: Iterable[States]) -> str | None:
+        """Returns what `touched` does, at once.
+
+        Raises:
+            Unknown: nobody has looked so far.
+        """
+        for stage in () if self.free else stages:
+            words = self._known.get(key(states, stage), "")
+            if words == "":
+                raise Unknown
+            if words is not None:
                 return words
             states = stage
         return None
@@ -66,9 +88,13 @@ class Kept:
         way = key(states, stage)
         if (known := self._known.get(way, "")) != "":
             return known
-        sweep = sweep_of(self.clearance)
-        touch = sweep.touch(states.astype(np.uint8), np.flatnonzero(states != stage))
-        words = None if touch is None else sweep.words(touch)
+        try:
+            sweep = sweep_of(self.clearance)
+            touch = sweep.touch(states.astype(np.uint8), np.flatnonzero(states != stage))
+            words = None if touch is None else sweep.words(touch)
+        except Exception as error:
+            log.exception("a stage cannot be looked at")
+            words = f"nobody knows: {error!r}"
         if len(self._known) >= REMEMBERED:
             self._known.clear()
         self._known[way] = words
@@ -80,25 +106,45 @@ class Avoidance:
 
     Attributes:
         kept: see Kept; replaced as a whole.
+        waits: how often the loop was told to ask again, once in each period that it waited.
     """
 
     def __init__(self, kept: Kept) -> None:
         self.kept = kept
+        self.waits = 0
+        self._looking: threading.Thread | None = None
         self._told: str | None = None
 
-    def judge(self, states: States, stages: Iterable[States], ended: Callable[[Kept, str | None], None]) -> None:
-        """Has the stages left of a goal looked through, in a thread that tells what they touch, None for nothing."""
+    def touched(self, states: States, stages: States) -> str | None:
+        """Returns what stages (k, A) touch on the way from actuator states (A,) on, None for nothing; at once.
+
+        What nobody has looked at is looked at in a thread, one question at a time. The answer is for whoever asks the
+        same: it is kept under these stages, these states and what there is to keep clear of.
+
+        Raises:
+            Unknown: it is not known yet.
+        """
+        try:
+            return self.kept.known(states, stages)
+        except Unknown:
+            if self._looking is None or not self._looking.is_alive():
+                self._looking = self.judge(states, stages)
+            self.waits += 1
+            raise
+
+    def judge(
+        self,
+        states: States,
+        stages: Iterable[States],
+        ended: Callable[[Kept, str | None], None] = lambda kept, touched: None,
+    ) -> threading.Thread:
+        """Has stages looked through, in a thread that tells what they touch, None for nothing."""
         kept = self.kept
-
-        def work() -> None:
-            try:
-                touched = kept.touched(states, stages)
-            except Exception as error:
-                log.exception("what is left of the goal cannot be looked through")
-                touched = f"nobody knows: {error!r}"
-            ended(kept, touched)
-
-        threading.Thread(target=work, name="avoidance", daemon=True).start()
+        thread = threading.Thread(
+            target=lambda: ended(kept, kept.touched(states, stages)), name="avoidance", daemon=True
+        )
+        thread.start()
+        return thread
 
     def faults(self, measured: NDArray[np.int8]) -> tuple[Fault, ...]:
         """Returns what the arm touches where it stands (A,), as it is told in the state; it stops no arm."""

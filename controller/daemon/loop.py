@@ -28,6 +28,7 @@ from controller.daemon.events import (
 from controller.daemon.faultlist import FaultList
 from controller.daemon.inbox import Inbox
 from controller.daemon.ledger import Ledger
+from controller.daemon.line import Line
 from controller.daemon.messages import done, refused
 from controller.daemon.notify import Notifier
 from controller.daemon.runner import Runner
@@ -36,6 +37,7 @@ from controller.daemon.telling import Teller
 from controller.daemon.timekeeping import Timekeeper
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion import codes
+from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.regions import NONE
@@ -110,6 +112,7 @@ class ControlLoop:
         self._faults = FaultList(frozenset({"stuck"} if self._degradation.continues else ()))
         self._bring_up = BringUp(boards, self.inbox.put)
         self._teller = Teller(boards, self._runner, ledger, telemetry, reachable)
+        self._line = Line()
         self._ended = False
         self._next_beat = self._next_try = 0.0
         self._clock, self._time = clock, Timekeeper(PERIOD)
@@ -140,6 +143,7 @@ class ControlLoop:
         while not self._ended:
             self.step()
         self._notifier.send("STOPPING=1")
+        self._line.close()
         self._runner.end("aborted", codes.PATH_TOLERANCE_VIOLATED, "the daemon is shutting down; the arm holds")
         if self.mode == "executing":
             self._enter("ready", "holding; the daemon is shutting down")
@@ -192,6 +196,9 @@ class ControlLoop:
         """Goes on with the goal, or with what is followed."""
         while not self._reported.empty():  # before the goal goes on, which they may concern
             self._fail(self._reported.get())
+        self._line.take(self._take)
+        if self._line:  # nothing else moves, or whether it may begin would be told of where the arm was
+            return
         states = self._runner.switching.states
         try:
             end = self._runner.advance(now)
@@ -216,8 +223,7 @@ class ControlLoop:
     def _handle(self, event: Event) -> None:
         match event:
             case Planned():
-                self._take(event)
-                self._taken = event.arrival
+                self._line.add(event)
             case Follow():
                 self._follow(event)
             case Cancel():
@@ -239,6 +245,7 @@ class ControlLoop:
             case Prepared():
                 self._prepared(event)
             case Improved():
+                self._line.improve(event)
                 self._runner.improve(event.arrival, event.plan, event.kept)
             case KeepOut():
                 self._keep_out(event)
@@ -251,17 +258,25 @@ class ControlLoop:
                 self._ended = True
 
     def _take(self, goal: Planned) -> None:
-        refusal = self._runner.objection(goal)
-        if goal.arrival <= self.accept_after:
-            refusal = codes.INVALID_GOAL, "a cancel, stop, reset or fault came before it began"
-        elif self.mode not in ("ready", "executing"):
-            refusal = codes.INVALID_GOAL, f"the arm is {self.mode}: {self.reason}"
-        if refusal is not None:
-            goal.reply(refused(*refusal, goal.id))
+        """Begins a goal, or refuses it.
+
+        Raises:
+            Unknown: which of them is not known yet; nothing was done.
+        """
+        try:
+            if goal.arrival <= self.accept_after:
+                raise Refusal(codes.INVALID_GOAL, "a cancel, stop, reset or fault came before it began")
+            if self.mode not in ("ready", "executing"):
+                raise Refusal(codes.INVALID_GOAL, f"the arm is {self.mode}: {self.reason}")
+            stages = self._runner.first(goal)
+        except Refusal as refusal:
+            self._taken = goal.arrival
+            goal.reply(refused(refusal.code, str(refusal), goal.id))
             return
         self._runner.end("replaced", codes.INVALID_GOAL, f"replaced by goal {goal.id}")
         self.follow_after = max(goal.arrival, self.follow_after)
-        self._runner.begin(goal, self._clock())
+        self._runner.begin(goal, stages, self._clock())
+        self._taken = goal.arrival
         self._enter("executing", f"goal {goal.id}")
         message = f"accepted, {len(goal.plan.trajectory.waypoints)} waypoints, {goal.plan.switches} switches planned"
         goal.reply({**done(message), "id": goal.id})

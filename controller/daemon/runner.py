@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from controller.daemon.avoidance import Avoidance, Kept
+from controller.daemon.avoidance import Avoidance, Kept, Unknown
 from controller.daemon.events import Follow, Judged, Payload, Planned
 from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
@@ -16,6 +16,7 @@ from controller.daemon.switching import States, Switching, Touching
 from controller.manipulator.frames import angle_between
 from controller.manipulator.manipulator import Manipulator
 from controller.motion import codes
+from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace, Staged
 from controller.motion.plan import Plan
 from drivers.boards import Boards
@@ -57,29 +58,40 @@ class Runner:
         self._manipulator, self._boards, self._travel, self._lead = manipulator, boards, travel, pace.lead
         self._publish, self._ledger, self._avoidance = publish, ledger, avoidance
         self._accepted = 0
-        self._now = 0.0
+        self._now, self._waits = 0.0, False
 
-    def objection(self, goal: Planned) -> tuple[int, str] | None:
-        """Returns code and sentence of what forbids to begin a goal now, None if nothing does."""
-        trajectory = goal.plan.trajectory
+    @property
+    def waits(self) -> int:
+        """In how many periods something waited until it was known to touch nothing."""
+        return self._avoidance.waits
+
+    def first(self, goal: Planned) -> States:
+        """Returns the stages (k, A) with which a goal may begin now, from the states as they are.
+
+        Raises:
+            Refusal: it may not.
+            Unknown: it may if they touch nothing, which is not known yet.
+        """
+        trajectory, kept = goal.plan.trajectory, self._avoidance.kept
         late = 0.0 if trajectory.stamp is None else time.time() - trajectory.stamp - float(trajectory.times[-1])
         if late > 0:
-            return codes.OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it was planned"
+            raise Refusal(codes.OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it was planned")
         if self.execution is not None and self.execution.goal.id == goal.id:
-            return codes.INVALID_GOAL, f"id: goal {goal.id} is running already; one that replaces it needs its own"
-        if self._avoidance.kept.free:
-            return None
-        if goal.kept is not self._avoidance.kept:
-            return codes.INVALID_GOAL, "what is to be kept out of changed while the goal was planned; send it again"
+            raise Refusal(
+                codes.INVALID_GOAL, f"id: goal {goal.id} is running already; one that replaces it needs its own"
+            )
+        if not kept.free and goal.kept is not kept:
+            raise Refusal(
+                codes.INVALID_GOAL, "what is to be kept out of changed while the goal was planned; send it again"
+            )
         stages = self.switching.from_here(goal.plan.transitions[0].stages)
         if (touched := self.switching.touched(stages)) is not None:
-            return codes.INVALID_GOAL, f"on the way from where the arm is, {touched}"
-        return None
+            raise Refusal(codes.INVALID_GOAL, f"on the way from where the arm is, {touched}")
+        return stages
 
-    def begin(self, goal: Planned, now: float) -> None:
-        """Makes a goal the running one; it begins with the states as they are, whatever it was planned from."""
+    def begin(self, goal: Planned, stages: States, now: float) -> None:
+        """Makes a goal the running one, which begins with stages (k, A), see `first`."""
         first, *others = goal.plan.transitions
-        stages = self.switching.from_here(first.stages)
         lead = self._lead * len(stages) + max(self.switching.ready(stages[0]) - now, 0.0)
         self.execution = Execution(goal, start(goal.plan.trajectory, lead, now, time.time()), self._lead)
         if not np.array_equal(stages, first.stages):
@@ -112,18 +124,39 @@ class Runner:
         return self.abort(event.touched)
 
     def follow(self, wish: Follow) -> None:
-        """Ends the running goal for a moving one, or has the next of its wishes replace the last."""
+        """Ends the running goal for a moving one, or has the next of its wishes replace the last.
+
+        But not while the last waits: what is known then would always be of a wish before.
+        """
         if self.execution is not None:
             self.end("replaced", codes.INVALID_GOAL, "replaced by a setpoint")
+        last = self.following
+        if self._waits and last is not None and wish.configuration is not None and wish.previous is last.previous:
+            wish = replace(last, until=wish.until)
         self.following = wish
 
     def advance(self, now: float) -> str | None:
         """Does what is due at `now`; returns a sentence on the end of the goal or stream when that has come.
 
+        What may touch something waits, with the arm holding, until it is known not to.
+
         Raises:
             BusBusy: the bus has taken no frame for too long.
         """
-        self._now = now
+        self._now, self._waits = now, False
+        try:
+            return self._go_on(now)
+        except Unknown:
+            self._waits, self.switching.busy_since = True, None
+            return None
+
+    def _go_on(self, now: float) -> str | None:
+        """Does what is due.
+
+        Raises:
+            BusBusy: the bus has taken no frame for too long.
+            Unknown: what is due may touch something.
+        """
         if self.following is not None:
             return self._pursue(self.following, now)
         execution = self.execution

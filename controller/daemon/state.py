@@ -65,6 +65,7 @@ class Diagnostics:
     hardware: Status
     inbox: int
     switches: int
+    waits: int
     ledger: str | None
 
 
@@ -129,5 +130,6 @@ def diagnostics_payload(diagnostics: Diagnostics, outbox: int, planning: int, se
         "queues": {"inbox": diagnostics.inbox, "outbox": outbox, "planning": planning},
         "setpoint": setpoint,
         "switches": diagnostics.switches,
+        "waits": diagnostics.waits,
         "ledger": diagnostics.ledger or "ok",
     }

@@ -1,7 +1,6 @@
 """Switching the boards: never more actuators at once than may be, none before it has rested, each switch counted."""
 
 import contextlib
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +74,9 @@ class Switching:
         """Returns the stages (k, A) by which a planned transition is carried out from the states as they are.
 
         Those that keep clear of something stay as they were planned, in which actuators may switch to and fro.
+
+        Raises:
+            Unknown: whether they do is not known yet.
         """
         rows = np.vstack([self._boards.outputs(), stages]).astype(int)
         fit = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= self._most
@@ -100,27 +102,38 @@ class Switching:
         Raises:
             BusBusy: the bus has taken no frame for too long.
             Touching: something would be touched on the way.
+            Unknown: whether something would be is not known yet, to be tried again with the next tick.
         """
-        wanted = self._next(stages)
-        if now < self.ready(wanted) - 1e-9:
+        wanted, strict = self._next(stages), not self._avoidance.kept.free
+        if now < self.ready(wanted) - 1e-9 or (strict and self._boards.moving(now)):
             return None
-        if (touched := self.touched([wanted])) is not None:
+        if (touched := self._avoidance.touched(self._begun(wanted), wanted[None])) is not None:
             raise Touching(touched)
         if not self._commit(wanted, now):
             return None
         reached = np.flatnonzero((stages == wanted).all(axis=1))
         return int(reached[-1]) if len(reached) else None
 
-    def touched(self, stages: Iterable[States]) -> str | None:
-        """Returns what stages, each (A,), would touch on the way from the states as they are; None for nothing."""
-        return self._avoidance.kept.touched(self._boards.outputs(), stages)
+    def touched(self, stages: States) -> str | None:
+        """Returns what stages (k, A) would touch on the way from the states as they are; None for nothing.
+
+        Raises:
+            Unknown: it is not known yet.
+        """
+        return self._avoidance.touched(self._boards.outputs(), stages)
 
     def fitting(self, stage: States) -> bool:
         """Returns whether a stage (A,) may be switched to at once, and is known to touch nothing on the way."""
-        outputs = self._boards.outputs()
-        return bool(np.count_nonzero(outputs != stage) <= self._most) and self._avoidance.kept.known_clear(
-            outputs, stage
-        )
+        few = np.count_nonzero(self._boards.outputs() != stage) <= self._most
+        return bool(few) and self._avoidance.kept.known_clear(self._begun(stage), stage)
+
+    def _begun(self, stage: States) -> States:
+        """Returns the states (A,) which differ from a stage (A,) where actuators may be on their way in it.
+
+        Those are the ones that are switched, and those that are measured elsewhere, for they may come free.
+        """
+        measured = self._boards.measured()
+        return np.where((measured >= 0) & (measured != stage), measured, self._boards.outputs()).astype(np.uint8)
 
     def _next(self, stages: States) -> States:
         outputs = self._boards.outputs()  # beside `states`, which may have been measured, and one of several buses busy

@@ -66,5 +66,6 @@ class Teller:
     def diagnose(self, now: float, status: LoopStatus, waiting: int) -> None:
         """Tells how the loop keeps time, how many events wait for it, and what is known of buses and boards."""
         self._next_diagnostics = now + DIAGNOSTICS_EVERY
-        switches, hardware = self._runner.switching.switches, self._boards.status()
-        self._telemetry.diagnose(Diagnostics(time.time(), status, hardware, waiting, switches, self._ledger.fault))
+        runner, hardware, ledger = self._runner, self._boards.status(), self._ledger.fault
+        switches = runner.switching.switches
+        self._telemetry.diagnose(Diagnostics(time.time(), status, hardware, waiting, switches, runner.waits, ledger))

@@ -168,7 +168,7 @@ class Rig:
         degradation: Degradation | None = None,
         avoidance: Avoidance | None = None,
     ) -> None:
-        self.now = 1000.0
+        self.now, self.awaited = 1000.0, {"start-up", "avoidance"}
         self.boards, self.ledger, self.notifier = FakeBoards(), FakeLedger(), FakeNotifier()
         self.published: list[tuple[str, dict[str, Any]]] = []
         self.snapshots: list[Snapshot] = []
@@ -181,7 +181,7 @@ class Rig:
             degradation=degradation, avoidance=avoidance,
         )  # fmt: skip
         self.loop.begin()
-        self.settle_start()
+        self.settle()
 
     def show(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)
@@ -218,12 +218,12 @@ class Rig:
         for _ in range(max(round(seconds / PERIOD), 1)):
             self.now += PERIOD
             self.loop.step()
-            self.settle_start()
+            self.settle()
 
-    def settle_start(self) -> None:
-        """Waits for the end of a start-up that the last step began."""
+    def settle(self) -> None:
+        """Waits for the end of a start-up that the last step began, and of a look at what is touched."""
         for thread in threading.enumerate():
-            if thread.name == "start-up":
+            if thread.name in self.awaited:
                 thread.join(30)
 
     @property

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.daemon import avoidance as module
 from controller.daemon.avoidance import Avoidance, Kept
 from controller.daemon.events import Follow, Improved, KeepOut, Reset
 from controller.daemon.loop import PERIOD
+from controller.daemon.runner import Runner
 from controller.daemon.state import state_payload
 from controller.motion import codes
 from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.regions import NONE, Regions, sphere
+from controller.obstacles.sweep import Sweep
 from drivers.faults import Fault
 from tests.daemon.rig import ARM, TRAVEL, A, B, C, Rig, planned, states
 
@@ -116,7 +117,7 @@ def test_what_a_goal_has_left_behind_is_not_looked_through(guard: Guard) -> None
 def test_a_goal_that_is_due_before_it_is_looked_through_does_not_touch_either(
     guard: Guard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Avoidance, "judge", lambda *_: None)
+    monkeypatch.setattr(Runner, "judge", lambda *_: None)
     guard.run("a", planned(A, B))
     guard.rig.go(0.1)
     guard.keep_out(POST)
@@ -132,7 +133,7 @@ def test_a_goal_that_cannot_be_looked_through_is_aborted(guard: Guard, monkeypat
     def broken(*_: object) -> None:
         raise RuntimeError("no memory")
 
-    monkeypatch.setattr(module.Kept, "touched", broken)
+    monkeypatch.setattr(Sweep, "touch", broken)
     guard.keep_out(POST)
     assert guard.rig.results == [("a", "aborted")]
     assert "nobody knows: RuntimeError('no memory')" in guard.rig.last_result["message"]
@@ -268,3 +269,34 @@ def test_a_wish_is_followed_stage_by_stage() -> None:
     guard.rig.loop.inbox.put(replace(wish(guard, stream, *rows), until=guard.rig.now + 1))
     guard.rig.go(0.5)
     assert guard.rig.boards.commits == rows.tolist()
+
+
+def test_a_stage_waits_for_an_actuator_that_is_late() -> None:
+    guard = Guard(CORNER)
+    guard.run("c", staged(*ONE_BY_ONE))
+    guard.rig.go(2 * PERIOD)
+    guard.rig.boards.slow = True
+    guard.rig.go(1.0)
+    assert guard.rig.boards.commits == ONE_BY_ONE[:1].tolist()
+    guard.rig.boards.slow = False
+    guard.rig.go(1.0)
+    assert guard.rig.boards.commits == ONE_BY_ONE.tolist()
+    assert guard.rig.results == [("c", "succeeded")]
+
+
+def test_what_stuck_on_its_way_may_come_free_in_a_stage() -> None:
+    commanded, wanted = [0, 1, 1, 1, 0, 1], [0, 0, 1, 1, 1, 0]
+    guard = Guard(sphere("disc 'post'", [0.16, 0.36], 0.02))
+    guard.rig.boards.stuck = True
+    guard.run("a", staged(commanded))
+    guard.rig.go(0.2)
+    assert guard.rig.loop.mode == "fault"
+    guard.rig.boards.stuck = False
+    guard.rig.request(Reset)
+    guard.rig.go(0.1)
+    assert guard.avoidance.kept.touched(np.array(commanded), np.array([wanted])) is None, "had all of it arrived"
+    guard.run("b", staged(wanted))
+    guard.rig.go(0.3)
+    assert guard.rig.boards.commits == [commanded]
+    assert guard.rig.results[-1] == ("b", "aborted")
+    assert IN_POST in guard.rig.last_result["message"]
