@@ -15,7 +15,8 @@ from controller.motion.codes import Refusal
 from controller.search.method import Method
 
 if TYPE_CHECKING:  # its kernels take a second to import: only those who search wait for it
-    from controller.search.solver import Solution, Solver
+    from controller.search.solution import Solution
+    from controller.search.solver import Solver
 
 Orientation = float | list[float] | None
 Goals = list[tuple[list[float], Orientation, Configuration | None]]

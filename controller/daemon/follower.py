@@ -26,7 +26,8 @@ from controller.motion.pacing import Blocked, Pace
 from controller.motion.plan import sweep_for
 from controller.motion.setpoint import Setpoint, decode
 from controller.motion.tracking import GoalTracker, Tracking
-from controller.search.solver import Solution, Solver
+from controller.search.solution import Solution
+from controller.search.solver import Solver
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,8 @@ from controller.motion.trajectory import Trajectory, upwards
 from controller.motion.ways import PATIENCE
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
-from controller.search.solver import DEADLINE, Solution, Solver
+from controller.search.solution import Solution
+from controller.search.solver import DEADLINE, Solver
 
 # [s] for the whole of a trajectory: the arm is to begin soon. First answers are kept time for, and given when the rest
 # is over; how far the tip strays there is left to looking ahead.

@@ -4,13 +4,13 @@ import math
 import time
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.frames import Frame, inverse
+from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.search import criteria
@@ -21,6 +21,7 @@ from controller.search.method import Method
 from controller.search.minimum_switch import MinimumSwitch
 from controller.search.paths import Paths
 from controller.search.reach import build_reach
+from controller.search.solution import Solution
 from controller.search.target import Target
 from controller.workspace.densities import Densities
 
@@ -28,41 +29,6 @@ Vector = NDArray[np.float64]
 
 DEADLINE = 0.05  # [s]
 PATIENCE = 0.5  # [s] for an orientation that is not found sooner
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """What a search found for one goal.
-
-    Attributes:
-        configuration: module states, base first, shape (B,).
-        tip: the frame it brings the tip to, in the world, shape (4, 4).
-        error: distance of the tip from the goal.
-        switches: actuators that differ from the previous configuration; those switched, where the way is roundabout.
-        within_tolerance: whether error and angle are within the tolerances asked for, and the arm touches nothing that
-            it is to keep clear of.
-        seconds: time the search took.
-        cost: weighted number of switches.
-        lower_bound: no clear configuration within the tolerance costs less; infinite where there is proven to be none.
-        angle: between the tip's orientation and the goal's [rad]; 0 where any will do.
-        clear: whether it touches nothing that the arm is to keep clear of; if not, nothing clear was found at all.
-    """
-
-    configuration: Configuration
-    tip: Frame
-    error: float
-    switches: int
-    within_tolerance: bool
-    seconds: float
-    cost: float
-    lower_bound: float = 0.0
-    angle: float = 0.0
-    clear: bool = True
-
-    @property
-    def optimal(self) -> bool:
-        """Whether it is proven that no clear configuration within the tolerance costs less."""
-        return self.within_tolerance and self.lower_bound >= self.cost * (1 - 1e-9)  # sums of weights are rounded
 
 
 class Solver:
@@ -172,6 +138,18 @@ class Solver:
         """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
         return self._described(configuration, self._target(goal, tolerance, turn), previous)
 
+    def candidates(
+        self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int, turn: float = math.inf
+    ) -> tuple[NDArray[np.int64], Vector]:
+        """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
+
+        Only those that switch little are looked at; there may be none.
+        """
+        if self._candidates is None or self._candidates[0] != most:
+            self._candidates = (most, Candidates(self.manipulator, most))
+        costs = criteria.switching(self.manipulator, previous, self._weights)
+        return self._candidates[1].find(self._local(self._target(goal, tolerance, turn)), previous, costs)
+
     def _described(
         self,
         configuration: Configuration,
@@ -193,18 +171,6 @@ class Solver:
             angle=world.angle(tip),
             clear=clear,
         )
-
-    def candidates(
-        self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int, turn: float = math.inf
-    ) -> tuple[NDArray[np.int64], Vector]:
-        """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
-
-        Only those that switch little are looked at; there may be none.
-        """
-        if self._candidates is None or self._candidates[0] != most:
-            self._candidates = (most, Candidates(self.manipulator, most))
-        costs = criteria.switching(self.manipulator, previous, self._weights)
-        return self._candidates[1].find(self._local(self._target(goal, tolerance, turn)), previous, costs)
 
     def _served(self, world: Target, configuration: Configuration) -> bool:
         """Returns whether a configuration is within the tolerances, and clear."""

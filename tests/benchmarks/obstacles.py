@@ -23,7 +23,8 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.regions import Regions, box, half_space, sphere, together
 from controller.search.method import Method
-from controller.search.solver import Solution, Solver
+from controller.search.solution import Solution
+from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
 

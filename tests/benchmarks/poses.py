@@ -20,7 +20,8 @@ from rich.table import Table
 from controller.config import Arm, load
 from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration
-from controller.search.solver import Solution, Solver
+from controller.search.solution import Solution
+from controller.search.solver import Solver
 from controller.search.target import Target
 from controller.workspace.mapping import map_densities
 from tests.benchmarks.methods import oriented_ipop

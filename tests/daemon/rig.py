@@ -14,7 +14,7 @@ from controller.daemon.state import Diagnostics, Snapshot
 from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
 from controller.motion.trajectory import through
-from controller.search.solver import Solution
+from controller.search.solution import Solution
 from drivers.faults import BusBusy, Fault, Leaving
 from drivers.status import Status
 from tests.arms import paper_arm

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.method import Method
-from controller.search.solver import DEADLINE, Solution, Solver
+from controller.search.solution import Solution
+from controller.search.solver import DEADLINE, Solver
 from controller.workspace.densities import Densities
 from tests.benchmarks.methods.planar import Array
 
