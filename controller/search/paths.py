@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
 from controller.search.descent import descend, spread
+from controller.search.finish import finish
 from controller.search.found import Found
 from controller.search.guard import Guard
 from controller.search.method import PaperMethod
-from controller.search.tail import build_tail, finish
+from controller.search.tail import build_tail
 from controller.search.target import Target
 from controller.workspace.densities import Densities
 
@@ -195,7 +196,7 @@ class Paths:
         configuration: Configuration,
         most: float = np.inf,
     ) -> tuple[float, bool]:
-        """Fixes the modules that the densities leave, for a goal in frame F_root, see tail.finish."""
+        """Fixes the modules that the densities leave, for a goal in frame F_root, see finish."""
         m, t = self.manipulator, self._tail
         return finish(
             x,

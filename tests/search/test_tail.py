@@ -12,7 +12,8 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.search import tail as tail_module
-from controller.search.tail import build_tail, finish, lowest, nearest
+from controller.search.finish import finish, nearest
+from controller.search.tail import build_tail, lowest
 from tests.arms import (
     any_frames,
     coordinates,
