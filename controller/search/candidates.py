@@ -6,10 +6,11 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE
+from controller.search.frame_rows import coordinates, motions
 from controller.search.guard import no_part, pairs_of, part
 from controller.search.halves import middle
 from controller.search.meeting import seen
-from controller.search.segment import Storage, build_segment, coordinates, motions, write_rows
+from controller.search.segment import Storage, build_segment, write_rows
 from controller.search.target import Target
 
 Array = NDArray[np.float64]

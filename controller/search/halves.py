@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells
 from controller.search.found import CLOSE, Found
+from controller.search.frame_rows import coordinates, motions
 from controller.search.guard import Guard, Pairs, no_part, pairs_of, part
-from controller.search.segment import Segment, Storage, build_segment, coordinates, motions
+from controller.search.segment import Segment, Storage, build_segment
 from controller.search.target import Target
 
 Array = NDArray[np.float64]

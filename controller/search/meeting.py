@@ -2,7 +2,7 @@
 
 Rigid motions keep distances. So with the arm cut in two, the tip of a pair of rows is as far from the goal as the upper
 row's tip is from the goal seen from the top of the lower row, R^T (goal - b). One side's points are sorted into cells;
-the other side asks for what is near. Frames are rows of numbers, see segment. Rotations are compared only of what is
+the other side asks for what is near. Frames are rows of numbers, see frame_rows. Rotations are compared only of what is
 near, by the square of their chord, 2 (1 - cos angle): half the sum of the squares by which the matrices differ.
 """
 

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Manipulator
 from controller.search.found import Found
+from controller.search.frame_rows import motions
 from controller.search.guard import first_clear, part
 from controller.search.halves import Halves, rows
-from controller.search.segment import Storage, build_segment, motions
+from controller.search.segment import Storage, build_segment
 from controller.search.target import Target
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.search.frame_rows import compose
 from controller.search.guard import BLOCKED, PAIR_KINDS, Pairs, meets
 from controller.search.meeting import chord
-from controller.search.segment import compose
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]

@@ -49,7 +49,7 @@ class Target:
 
     @cached_property
     def row(self) -> Array:
-        """The frame as a row of numbers, see segment, shape (4,) or (12,)."""
+        """The frame as a row of numbers, see frame_rows, shape (4,) or (12,)."""
         size = 2 if self.planar else 3
         rotation = self.frame[:2, 0] if self.planar else self.frame[:3, :3].ravel()
         return np.concatenate((self.frame[:size, 3], rotation))

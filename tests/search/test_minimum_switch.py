@@ -11,8 +11,9 @@ from controller.manipulator.frames import planar
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.vgt import vgt
+from controller.search.frame_rows import motions
 from controller.search.halves import middle
-from controller.search.segment import Storage, build_segment, motions
+from controller.search.segment import Storage, build_segment
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
