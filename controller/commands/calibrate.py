@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json
-from controller.commands.report import results_table
+from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json, results_table
 from controller.config import load
 from controller.strict import InputFaults, read_yaml
 

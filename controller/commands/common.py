@@ -1,4 +1,4 @@
-"""What the commands share: arms and densities by their files, and words for what goes wrong."""
+"""What the commands share: reading arms, densities, goals and configurations, and ways to write what is found."""
 
 import json
 import math
@@ -6,10 +6,15 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from controller.config import Arm, load
+from controller.manipulator import frames
+from controller.manipulator.manipulator import Configuration
+from controller.manipulator.notation import parse_configuration
 from controller.strict import UNIT, InputFaults, read_yaml
 from controller.workspace.densities import Densities
 
@@ -110,3 +115,31 @@ def read_goal_file(path: Path) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputFaults(path, ["no goal: a mapping with `waypoints` is needed"])
     return value
+
+
+def configuration(arm: Arm, text: str, where: str) -> Configuration:
+    """Returns the configuration that `text` writes; what is wrong with it is told of `where`."""
+    try:
+        return parse_configuration(arm.manipulator, text)
+    except ValueError as error:
+        raise InputFaults(Path(where), [str(error)]) from None
+
+
+def pose(arm: Arm, tip: frames.Frame) -> dict[str, Any]:
+    """Returns position and orientation of a frame for JSON."""
+    planar = arm.manipulator.planar
+    orientation = frames.angle(tip) if planar else frames.quaternion(tip).tolist()
+    return {"position": tip[: arm.manipulator.dimension, 3].tolist(), "orientation": orientation}
+
+
+def shown(values: Any) -> str:
+    """Returns numbers for a table."""
+    return ", ".join(f"{v:.4f}" for v in np.atleast_1d(values))
+
+
+def results_table(*columns: str) -> Table:
+    """Returns an empty table that leaves configurations whole on a narrow terminal."""
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold underline")
+    for column in columns:
+        table.add_column(column, no_wrap=True)
+    return table

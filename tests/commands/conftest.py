@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import math
+
 import pytest
+import yaml
 
 from controller import cli
 
@@ -17,3 +20,22 @@ def hyperbit(monkeypatch, capsys):
         return int(ended.value.code or 0), out, err
 
     return run
+
+
+@pytest.fixture
+def own_folders(monkeypatch, tmp_path):
+    """Cache and ledger of this test alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def spatial(tmp_path):
+    """An arm of six spatial modules without boards."""
+    turned = [0.0, math.sin(0.25), 0.0, math.cos(0.25)]
+    states = [{"position": [0, 0, 0.1]}, {"position": [0.02, 0.0, 0.12], "orientation": turned}]
+    states += [{"position": [0.0, 0.03, 0.11]}]
+    file = tmp_path / "spatial.yaml"
+    modules = [{"type": "transforms", "count": 6, "states": states}]
+    file.write_text(yaml.safe_dump({"name": "s", "modules": modules, "tolerance": {"position": 0.01}}))
+    return str(file)

@@ -1,0 +1,178 @@
+"""The command that searches configurations for goals: plan."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from controller.commands.common import (
+    ArmFile,
+    AsJson,
+    Failed,
+    configuration,
+    console,
+    densities_of,
+    parse_goal,
+    pose,
+    print_json,
+    results_table,
+    shown,
+)
+from controller.commands.searching import Goals, Orientation, follow_lines, search
+from controller.config import Arm, load
+from controller.manipulator.held import carried
+from controller.manipulator.manipulator import Configuration
+from controller.manipulator.notation import format_configuration
+from controller.search.method import Method
+from controller.strict import InputFaults
+
+if TYPE_CHECKING:
+    from controller.search.solution import Solution
+
+ONE_GOAL = "One goal, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
+MANY_GOALS = "Columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and maybe previous."
+
+
+def plan(
+    file: ArmFile,
+    goal: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
+    goals: Annotated[Path | None, typer.Option(metavar="FILE.csv", help=MANY_GOALS)] = None,
+    previous: Annotated[str | None, typer.Option(help="Configuration to start from; contracted if absent.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Of the position; the arm's if absent.")] = None,
+    turn: Annotated[float | None, typer.Option(help="Tolerance of the orientation [rad]; the arm's if absent.")] = None,
+    path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between --goals.")] = None,
+    method: Annotated[Method | None, typer.Option(help="The arm's if absent.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search configurations for goals, without any hardware."""
+    from controller.search.solver import Solver
+
+    arm = load(file)
+    if (goal is None) == (goals is None):
+        raise InputFaults(Path("plan"), ["give either --goal or --goals"])
+    for name, length in (("--tolerance", tolerance), ("--turn", turn), ("--path-tolerance", path_tolerance)):
+        if length is not None and not 1e-9 <= length <= 1e6:
+            kind = "angle" if name == "--turn" else "length"
+            raise InputFaults(Path(name), [f"{length:g} is no {kind} from 1e-9 to 1e6"])
+    if path_tolerance is not None and goals is None:
+        raise InputFaults(Path("--path-tolerance"), ["lines run between --goals, one goal has none"])
+    home = np.zeros(len(arm.left.modules), dtype=np.int64)
+    start = home if previous is None else unstuck(arm, previous, "--previous")
+    if goal is not None:
+        wanted: Goals = [(*parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
+    else:
+        wanted = read_goals(arm, goals or Path())
+    corners = [] if path_tolerance is None else on_lines(wanted, goals or Path())
+    solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.left))
+    solver.prepare()
+    own, chosen = tolerance or arm.tolerance, method or arm.settings.method
+    if path_tolerance is None:
+        answers = search(solver, wanted, start, own, turn or arm.turn, chosen)
+    else:
+        answers = follow_lines(arm, solver, corners, start, own, path_tolerance, chosen)
+    table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
+    for position, orientation, found, between in answers:
+        line = answer(arm, position, orientation, found)
+        if path_tolerance is not None:
+            line["between"] = between
+        if as_json:
+            print_json(line)
+        table.add_row(
+            ("  " if between else "") + ", ".join(f"{x:g}" for x in [*position, *turned(orientation)]),
+            line["configuration"],
+            shown(line["position"]),
+            shown(line["orientation"]),
+            f"[{'green' if found.within_tolerance else 'red'}]{found.error:.5f}"
+            + ("" if orientation is None else f", {found.angle:.3f}"),
+            str(found.switches),
+            f"{found.seconds * 1e3:.2f}",
+        )
+    if not as_json:
+        console.print(table)
+    if goal is not None and not found.within_tolerance:
+        away = f"{found.error:.4f} away" + ("" if orientation is None else f" and turned {found.angle:.4f} rad")
+        raise Failed(f"goal {goal} is out of reach: nearest point found {shown(line['position'])}, {away}")
+
+
+def answer(arm: Arm, position: list[float], orientation: Orientation, found: Solution) -> dict[str, Any]:
+    """Returns what was found for a goal, for JSON."""
+    whole = carried(found.configuration, arm.left, arm.manipulator)
+    return {
+        "goal": position,
+        "configuration": format_configuration(arm.manipulator, whole),
+        **pose(arm, found.tip),
+        "error": found.error,
+        "orientation_error": None if orientation is None else found.angle,
+        "switches": found.switches,
+        "within_tolerance": found.within_tolerance,
+        "seconds": found.seconds,
+        "cost": found.cost,
+        "optimal": found.optimal,
+        "lower_bound": found.lower_bound if np.isfinite(found.lower_bound) else None,
+    }
+
+
+def on_lines(wanted: Goals, path: Path) -> list[list[float]]:
+    """Returns the positions of goals that lines run between.
+
+    Raises:
+        InputFaults: the goals of the file ask for what lines have not.
+    """
+    if any(given is not None for _, _, given in wanted):
+        raise InputFaults(path, ["column previous: a line begins where the one before ended"])
+    if any(orientation is not None for _, orientation, _ in wanted):
+        raise InputFaults(path, ["orientations: lines are followed by position only"])
+    return [position for position, _, _ in wanted]
+
+
+def turned(orientation: Orientation) -> list[float]:
+    """Returns an orientation's numbers: none, the angle, or the quaternion."""
+    return [] if orientation is None else orientation if isinstance(orientation, list) else [orientation]
+
+
+def read_goals(arm: Arm, path: Path) -> Goals:
+    """Returns position, orientation and previous configuration, where given, of each row of a CSV file.
+
+    Raises:
+        InputFaults: the file is missing, or what is wrong in which lines.
+    """
+    columns = ["x", "y", "z"][: arm.manipulator.dimension]
+    turns = ["th"] if arm.manipulator.planar else ["qx", "qy", "qz", "qw"]
+    rows: Goals = []
+    faults: list[str] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            names = reader.fieldnames or []
+            if set(turns) <= set(names):
+                columns += turns
+            if not set(columns) <= set(names) <= {*columns, "previous"}:
+                needed = f"columns {','.join(columns)} and maybe {','.join(turns)} and previous are needed"
+                raise InputFaults(path, [f"{needed}, got {names}"])
+            for row in reader:
+                where = f"line {reader.line_num}"
+                try:
+                    text = ",".join(row[name] or "" for name in columns)
+                    wanted = parse_goal(text.rstrip(","), arm.manipulator.dimension, where)
+                    given = unstuck(arm, row["previous"], where) if row.get("previous") else None
+                    rows.append((*wanted, given))
+                except InputFaults as error:
+                    faults += [f"{where}: {fault}" for fault in error.faults]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+    if faults or not rows:
+        raise InputFaults(path, faults or ["no goals"])
+    return rows
+
+
+def unstuck(arm: Arm, text: str, where: str) -> Configuration:
+    """Returns the configuration that `text` writes as one of `arm.left`; what is wrong with it is told of `where`."""
+    whole = configuration(arm, text, where)
+    try:
+        return carried(whole, arm.manipulator, arm.left)
+    except ValueError as error:
+        raise InputFaults(Path(where), [f"{text}: as actuators are stuck, {error}"]) from None
