@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.table import Table
 
 from controller.config import Arm, load
-from controller.manipulator import frames
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import parse_configuration
 from controller.strict import UNIT, InputFaults, read_yaml
@@ -123,13 +122,6 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
         return parse_configuration(arm.manipulator, text)
     except ValueError as error:
         raise InputFaults(Path(where), [str(error)]) from None
-
-
-def pose(arm: Arm, tip: frames.Frame) -> dict[str, Any]:
-    """Returns position and orientation of a frame for JSON."""
-    planar = arm.manipulator.planar
-    orientation = frames.angle(tip) if planar else frames.quaternion(tip).tolist()
-    return {"position": tip[: arm.manipulator.dimension, 3].tolist(), "orientation": orientation}
 
 
 def shown(values: Any) -> str:

@@ -17,7 +17,6 @@ from controller.commands.common import (
     console,
     densities_of,
     parse_goal,
-    pose,
     print_json,
     results_table,
     shown,
@@ -26,7 +25,7 @@ from controller.commands.searching import Goals, Orientation, follow_lines, sear
 from controller.config import Arm, load
 from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
-from controller.manipulator.notation import format_configuration
+from controller.manipulator.notation import format_configuration, pose
 from controller.search.method import Method
 from controller.strict import InputFaults
 
@@ -104,7 +103,7 @@ def answer(arm: Arm, position: list[float], orientation: Orientation, found: Sol
     return {
         "goal": position,
         "configuration": format_configuration(arm.manipulator, whole),
-        **pose(arm, found.tip),
+        **pose(arm.manipulator, found.tip),
         "error": found.error,
         "orientation_error": None if orientation is None else found.angle,
         "switches": found.switches,

@@ -12,13 +12,13 @@ from controller.commands.common import (
     configuration,
     console,
     densities_of,
-    pose,
     print_json,
     results_table,
     shipped,
     shown,
 )
 from controller.config import load
+from controller.manipulator.notation import pose
 
 
 def fk(
@@ -28,7 +28,7 @@ def fk(
 ) -> None:
     """Say where a configuration brings the tip."""
     arm = load(file)
-    found = pose(arm, arm.manipulator.tip(configuration(arm, states, "CONFIGURATION")))
+    found = pose(arm.manipulator, arm.manipulator.tip(configuration(arm, states, "CONFIGURATION")))
     if as_json:
         print_json(found)
     else:

@@ -16,11 +16,10 @@ from controller.daemon.events import Improved, Payload, Planned, Request
 from controller.daemon.foresight import Foresight
 from controller.daemon.loop import PERIOD, ControlLoop
 from controller.daemon.messages import done, refused
-from controller.daemon.state import pose
 from controller.daemon.tip import Bias
 from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
-from controller.manipulator.notation import format_configuration
+from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.goal import GoalMessage, check_size, parse, schedule

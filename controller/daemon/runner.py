@@ -11,10 +11,11 @@ from controller.daemon.avoidance import Avoidance, Kept, Unknown
 from controller.daemon.events import Follow, Judged, Payload, Planned
 from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
-from controller.daemon.state import measured_tip, pose, written
+from controller.daemon.state import measured_tip, written
 from controller.daemon.switching import States, Switching, Touching
 from controller.manipulator.frames import angle_between
 from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.notation import pose
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace, Staged

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.daemon.events import Payload
-from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.manipulator.held import Held
 from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import format_configuration
+from controller.manipulator.notation import format_configuration, pose
 from drivers.faults import Fault
 from drivers.status import Status
 
@@ -77,12 +76,6 @@ class Telemetry(Protocol):
 
     def diagnose(self, diagnostics: Diagnostics) -> None:
         """Takes the latest diagnostics."""
-
-
-def pose(manipulator: Manipulator, tip: Frame) -> Payload:
-    """Returns position and orientation of a frame (4, 4) as messages have them."""
-    orientation = frames.angle(tip) if manipulator.planar else frames.quaternion(tip).tolist()
-    return {"position": tip[: manipulator.dimension, 3].tolist(), "orientation": orientation}
 
 
 def measured_tip(manipulator: Manipulator, measured: NDArray[np.int8]) -> Frame | None:

@@ -1,8 +1,15 @@
-"""How a configuration is written: digits base first, or numbers with commas where a module has more than ten states."""
+"""How configurations and poses are written.
+
+A configuration is digits, base first, or numbers with commas where a module has more than ten states.
+"""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controller.manipulator import frames
+from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration, Manipulator
 
 
@@ -30,3 +37,9 @@ def format_configuration(manipulator: Manipulator, configuration: ArrayLike) -> 
     """Returns the text that parse_configuration reads back."""
     separator = "" if manipulator.states.max() <= 10 else ","
     return separator.join(str(state) for state in np.asarray(configuration).tolist())
+
+
+def pose(manipulator: Manipulator, tip: Frame) -> dict[str, Any]:
+    """Returns position and orientation of a frame (4, 4) for JSON, the orientation as an angle or a quaternion."""
+    orientation = frames.angle(tip) if manipulator.planar else frames.quaternion(tip).tolist()
+    return {"position": tip[: manipulator.dimension, 3].tolist(), "orientation": orientation}
