@@ -11,11 +11,9 @@ from controller.daemon.avoidance import Avoidance, Kept, Unknown
 from controller.daemon.events import Follow, Judged, Payload, Planned
 from controller.daemon.execution import Execution, start
 from controller.daemon.ledger import Ledger
-from controller.daemon.state import measured_tip, written
 from controller.daemon.switching import States, Switching, Touching
-from controller.manipulator.frames import angle_between
+from controller.daemon.verdict import UNKNOWN, at_the_end, bias, feedback, on_the_way, whereabouts
 from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import pose
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace, Staged
@@ -215,9 +213,7 @@ class Runner:
             return False
         execution.switches += late
         result = {"id": execution.goal.id, "status": status, "code": code, "message": message}
-        self._publish(
-            "result", {**result, "switches": execution.switches, **self._where(execution), **self._bias(execution)}
-        )
+        self._publish("result", {**result, "switches": execution.switches, **self._where(execution), **bias(execution)})
         self._ledger.ended(self._accepted, status, code, message, execution.switches)
         return True
 
@@ -260,76 +256,17 @@ class Runner:
         execution.checked = execution.point
         where = self._where(execution)
         if not execution.plan.trajectory.between(execution.point):
-            self._report(execution, where)
-        return self._finish(execution, where) if execution.last else self._keep(execution, where)
-
-    def _report(self, execution: Execution, where: Payload) -> None:
-        """Tells that the waypoint last switched to is settled."""
-        payload = {
-            "id": execution.goal.id,
-            "waypoint": execution.waypoint,
-            "waypoints": len(execution.plan.trajectory.waypoints),
-            "switches": execution.switches,
-            "stages": execution.stages,
-            "excursion": execution.excursion,
-            **where,
-            **self._bias(execution),
-        }
-        self._publish("feedback", payload)
-
-    def _bias(self, execution: Execution) -> Payload:
-        """Returns what the goal is corrected by, where it may be."""
-        bias = execution.plan.trajectory.bias
-        return {} if bias is None else {"bias": bias}
-
-    def _finish(self, execution: Execution, where: Payload) -> str:
-        """Ends a goal whose last waypoint is settled, by what the boards measured there."""
-        error, tolerance = where["error"], float(execution.plan.trajectory.tolerances[-1])
-        angle, turn = where["orientation_error"], float(execution.plan.trajectory.turns[-1])
-        if error is not None and error <= tolerance and (angle is None or angle <= turn):
-            self.end("succeeded", codes.SUCCESSFUL, "reached")
-            return f"holding; goal {execution.goal.id} was reached"
-        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
-        message = f"the measured tip is {away}, tolerance {tolerance:g}"
-        if angle is not None:
-            message = f"the measured tip is {away} and turned {angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
-        self.end("aborted", codes.GOAL_TOLERANCE_VIOLATED, message)
-        return f"holding; goal {execution.goal.id} was missed: {message}"
-
-    def _keep(self, execution: Execution, where: Payload) -> str | None:
-        """Ends a goal that follows lines if what the boards measured has left them."""
-        trajectory, error = execution.plan.trajectory, where["error"]
-        if trajectory.path_tolerance is None:
+            self._publish("feedback", feedback(execution, where))
+        verdict = at_the_end(execution, where) if execution.last else on_the_way(execution, where)
+        if verdict is None:
             return None
-        between = trajectory.between(execution.point)
-        tolerance = trajectory.tolerances[execution.point] if between else trajectory.path_tolerance
-        if error is not None and error <= tolerance:
-            return None
-        away = "unknown" if error is None else f"{error:.4f} from the line's point"
-        at = f"after waypoints[{execution.waypoint}] the measured tip is {away}"
-        message = f"{at}, path_tolerance {trajectory.path_tolerance:g}"
-        self.end("aborted", codes.PATH_TOLERANCE_VIOLATED, message)
-        return f"holding; goal {execution.goal.id} left its path: {message}"
+        self.end(verdict.status, verdict.code, verdict.message)
+        return verdict.sentence
 
     def _where(self, execution: Execution) -> Payload:
-        """Returns the measured configuration and pose, and its error from the point last switched to."""
+        """Returns where the arm is measured, see whereabouts."""
         try:
-            measured = self._boards.measured()
-            tip = measured_tip(self._manipulator, measured)
+            return whereabouts(self._manipulator, self._boards.measured(), execution)
         except Exception:  # a defect there must not keep a goal from its result
             log.exception("the boards' states cannot be had")
-            tip = None
-        if tip is None:
-            unknown = {"configuration": None, "position": None, "orientation": None}
-            return {**unknown, "error": None, "orientation_error": None}
-        trajectory, point = execution.plan.trajectory, max(execution.point, 0)
-        wanted = trajectory.positions[point]
-        error = float(np.linalg.norm(tip[: len(wanted), 3] - wanted))
-        angle = angle_between(tip, trajectory.goal(point)) if trajectory.turns[point] < np.inf else None
-        configuration = written(self._manipulator, measured)
-        return {
-            "configuration": configuration,
-            **pose(self._manipulator, tip),
-            "error": error,
-            "orientation_error": angle,
-        }
+            return UNKNOWN
