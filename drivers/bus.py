@@ -11,8 +11,9 @@ from collections.abc import Callable
 
 import can
 
-from drivers import cia301
+from drivers.error_frames import read_error
 from drivers.faults import BusBusy, BusError, Fault
+from drivers.meter import Meter
 from drivers.outstanding import Outstanding
 from drivers.status import BusStatus, Traffic
 from drivers.wiring import BusSettings
@@ -22,10 +23,6 @@ _logger = logging.getLogger(__name__)
 _POLL = 0.05  # [s] how long the reader waits for a frame before it looks whether it shall end
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
-
-# Classes of error frames and details in data[1], from linux/can/error.h.
-_CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100
-_WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
 
 
 class CanBus:
@@ -66,11 +63,9 @@ class CanBus:
         self._closing = threading.Event()
         self._sending = threading.Lock()
         self._reader: threading.Thread | None = None
-        self._tx_frames = self._rx_frames = self._tx_bits = self._rx_bits = 0
+        self._meter = Meter()
         self._tx_errors = self._rx_errors = self._dropped = self._ignored = 0
         self._defect_told = False
-        self._rates = 0.0, 0.0  # frames and bits a second
-        self._counted: tuple[float, int, int] | None = None
 
     @property
     def name(self) -> str:
@@ -146,21 +141,14 @@ class CanBus:
                 self._lose("down", f"sending failed ({error}); it is opened again until it works")
             raise BusBusy(f"{self.name}: frame {message.arbitration_id:03X}h not sent: {error}") from error
         self._failing_since = None
-        self._tx_frames += 1
-        self._tx_bits += cia301.frame_bits(message)
+        self._meter.sent(message)
 
     def tick(self, now: float) -> None:
         """Looks whether the bus is stuck, and renews the load figures once a second; `now` in [s]."""
         if self.armed and self._stuck_for() > self._stuck_after:
             why = "is it full, and does anybody acknowledge?"
             self._lose(self.state, f"no frame left for {self._stuck_after:g} s: {why}")
-        frames, bits = self._tx_frames + self._rx_frames, self._tx_bits + self._rx_bits
-        if self._counted is None:
-            self._counted = now, frames, bits
-        elif now - self._counted[0] >= 1.0:
-            since, frames_before, bits_before = self._counted
-            self._rates = (frames - frames_before) / (now - since), (bits - bits_before) / (now - since)
-            self._counted = now, frames, bits
+        self._meter.tick(now)
 
     def passive(self) -> Fault | None:
         """A warning while the controller is error-passive, which stops nothing."""
@@ -172,19 +160,19 @@ class CanBus:
 
     def status(self, worst_case: Traffic) -> BusStatus:
         """State and counters, beside the computed worst case."""
-        frames, bits = self._rates
+        meter = self._meter
         return BusStatus(
             name=self.name,
             state=self.state,
-            tx_frames=self._tx_frames,
-            rx_frames=self._rx_frames,
+            tx_frames=meter.tx_frames,
+            rx_frames=meter.rx_frames,
             tx_errors=self._tx_errors,
             rx_errors=self._rx_errors,
             dropped=self._dropped,
             ignored=self._ignored,
-            frames_per_second=frames,
-            bits_per_second=bits,
-            load=min(1.0, bits / self.settings.bitrate),
+            frames_per_second=meter.frames_per_second,
+            bits_per_second=meter.bits_per_second,
+            load=min(1.0, meter.bits_per_second / self.settings.bitrate),
             worst_case=worst_case,
         )
 
@@ -250,8 +238,7 @@ class CanBus:
             if self.left:
                 self._on_left()
             return
-        self._rx_frames += 1
-        self._rx_bits += cia301.frame_bits(message)
+        self._meter.received(message)
         try:
             standard = not (message.is_remote_frame or message.is_extended_id or message.is_fd)
             understood = standard and self._on_frame(message)
@@ -262,20 +249,13 @@ class CanBus:
         self._ignored += not understood
 
     def _receive_error(self, message: can.Message) -> None:
-        kind = message.arbitration_id
-        data = bytes(message.data).ljust(8, b"\0")
-        if kind & _CONTROLLER:
-            self._tx_errors, self._rx_errors = data[6], data[7]
-            if data[1] & _PASSIVE:
-                self.state = "passive"
-            elif data[1] & _WARNING:
-                self.state = "warning"
-            elif data[1] & _ACTIVE:
-                self.state = "active"
-        if kind & _RESTARTED:
-            self.state = "active"
-        if kind & _BUS_OFF:
+        said = read_error(message)
+        if said.errors is not None:
+            self._tx_errors, self._rx_errors = said.errors
+        if said.state == "bus-off":
             self._lose("bus-off", "the controller is bus-off after too many errors; check cable, termination, bit rate")
+        elif said.state is not None:
+            self.state = said.state
 
     def _lose(self, state: str, why: str) -> None:
         self.armed = False
