@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 from collections.abc import Callable
 
-import can
 import canopen
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import cia301
 from drivers.bus import CanBus
-from drivers.cia301 import State
 from drivers.commits import Commits
 from drivers.faults import BusBusy, BusError, Fault, FaultLog
+from drivers.heartbeat import Heartbeat
 from drivers.layout import lay_out
 from drivers.load import worst_case
 from drivers.node import Node
 from drivers.outputs import Outputs
+from drivers.reception import Reception
 from drivers.sdo import Sdo
 from drivers.startup import Startup
 from drivers.status import Status
 from drivers.watch import Watch
-from drivers.wiring import MASTER, Timing, Wiring
+from drivers.wiring import Timing, Wiring
 
 
 class Boards:
@@ -53,13 +52,13 @@ class Boards:
         self._buses: dict[str, CanBus] = {}
         self._networks = {bus.name: canopen.Network() for bus in wiring.buses}
         for settings in wiring.buses:
-            receive = self._receiver(settings.name)
+            name = settings.name
+            reception = Reception(name, layout, self._nodes, self._networks[name], self._news, self._faults)
             stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards miss the master
-            self._buses[settings.name] = CanBus(settings, receive, self._lose_bus, self._wake, stuck_after)
+            self._buses[name] = CanBus(settings, reception.take, self._lose_bus, self._wake, stuck_after)
         self._sdos = [Sdo(n.board, self._buses[n.board.bus], self._networks[n.board.bus]) for n in self._nodes]
         self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
-        self._last_tick: float | None = None
-        self._last_heartbeat: dict[str, float] = {}
+        self._heartbeat = Heartbeat(self._buses, timing)
         self._commits = Commits(self._buses, self._outputs, self._watch, self._news, timing.heartbeat_timeout / 2)
 
     def connect(self) -> None:
@@ -147,15 +146,11 @@ class Boards:
 
     def halted(self, now: float) -> Fault | None:
         """Tells when `tick` was not called for so long that the boards have been without their master."""
-        timing, last = self._timing, self._last_tick
-        if last is None or now - last < timing.heartbeat_timeout - timing.heartbeat:
-            return None
-        armed = [bus.name for bus in self._buses.values() if bus.armed]
-        if not any(now - self._last_heartbeat.get(name, now) >= timing.heartbeat_timeout for name in armed):
+        if (pause := self._heartbeat.halted(now)) is None:
             return None
         for node in self._nodes:
             node.ready = False  # who knows what they did meanwhile
-        text = f"the daemon was halted for {now - last:.2f} s, and the boards were without it: the arm holds"
+        text = f"the daemon was halted for {pause:.2f} s, and the boards were without it: the arm holds"
         return Fault("halted", "daemon", text)
 
     def degrade(self, held: NDArray[np.int8]) -> None:
@@ -196,12 +191,10 @@ class Boards:
         Args:
             now: [s].
         """
-        elapsed = 0.0 if self._last_tick is None else now - self._last_tick
-        self._last_tick = now
         self._commits.settle(now)
         for bus in self._buses.values():
             bus.tick(now)
-            self._beat(bus, now)
+        elapsed = self._heartbeat.tick(now)
         for node in self._nodes:
             if (fault := node.tick(elapsed, self._timing.heartbeat_timeout)) is not None:
                 self._faults.report(fault)
@@ -256,48 +249,8 @@ class Boards:
             if not node.ready:
                 raise BusBusy(f"board {node.board.name} is not up: nothing is sent until start brings it up")
 
-    def _beat(self, bus: CanBus, now: float) -> None:
-        due = now >= self._last_heartbeat.get(bus.name, -math.inf) + self._timing.heartbeat
-        if not bus.usable or not (due or bus.failing):  # one more tells whether it still fails
-            return
-        try:
-            bus.send(cia301.heartbeat(MASTER, State.OPERATIONAL))
-        except BusBusy:
-            return  # counted by the bus, and tried again with the next tick
-        self._last_heartbeat[bus.name] = now
-
     def _lose_bus(self, fault: Fault) -> None:
         for node in self._nodes:
             if node.board.bus == fault.source:
                 node.ready = False  # the bus is at fault, not each of its boards
         self._faults.report(fault)
-
-    def _receiver(self, bus: str) -> Callable[[can.Message], bool]:
-        """What the reader of a bus does with a frame."""
-        nodes = {node.board.node: node for node in self._nodes if node.board.bus == bus}
-        network = self._networks[bus]
-        masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
-        masters |= {frame.cob_id: "an RPDO" for frame in self._layout.frames if frame.bus == bus}
-
-        def receive(message: can.Message) -> bool:
-            cob_id, data = message.arbitration_id, bytes(message.data)
-            if cob_id in masters:
-                frame = f"{masters[cob_id]}, frame {cob_id:03X}h"
-                text = f"another master sends on {bus} ({frame}): stop it, only one may switch the boards"
-                self._faults.report(Fault("foreign-master", bus, text))
-                return True
-            function, number = cia301.split(cob_id)
-            if (node := nodes.get(number)) is None:
-                return False
-            if function == cia301.SDO_ANSWER:
-                if len(data) != 8:  # what the SDO client expects
-                    return False
-                network.notify(cob_id, message.data, message.timestamp)
-            with self._news:
-                understood, fault = node.receive(function, data)
-                self._news.notify_all()
-            if fault is not None:
-                self._faults.report(fault)
-            return understood
-
-        return receive
