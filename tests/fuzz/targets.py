@@ -40,47 +40,25 @@ class Target:
         return [path.read_bytes() for path in sorted(CORPUS.glob(f"{name}-*"))]
 
 
+def request(read: Attack, *right: object) -> Target:
+    """Payloads in JSON, as peers send them."""
+    seeds = [payloads.written(value) for value in right]
+    return Target(lambda: read, seeds, payloads.wrong(*right), payloads.spoiler(*right))
+
+
+ARMS = (payloads.ARM, payloads.SPATIAL)
+
 TARGETS = {
-    "goal": Target(
-        lambda: payloads.read_goal,
-        [payloads.written(payloads.GOAL), payloads.written(payloads.LINE)],
-        payloads.wrong(payloads.GOAL, payloads.LINE),
-        payloads.spoiler(payloads.GOAL, payloads.LINE),
-    ),
-    "setpoint": Target(
-        lambda: payloads.read_setpoint,
-        [payloads.written(payloads.SETPOINT)],
-        payloads.wrong(payloads.SETPOINT),
-        payloads.spoiler(payloads.SETPOINT),
-    ),
-    "measured_tip": Target(
-        lambda: payloads.read_measured_tip,
-        [payloads.written(payloads.MEASURED_TIP)],
-        payloads.wrong(payloads.MEASURED_TIP),
-        payloads.spoiler(payloads.MEASURED_TIP),
-    ),
-    "degrade": Target(
-        lambda: payloads.read_degrade,
-        [payloads.written(payloads.DEGRADE)],
-        payloads.wrong(payloads.DEGRADE),
-        payloads.spoiler(payloads.DEGRADE),
-    ),
-    "obstacles": Target(
-        lambda: payloads.read_obstacles,
-        [payloads.written(payloads.OBSTACLES), payloads.written(payloads.OBSTACLES_IN_SPACE)],
-        payloads.wrong(payloads.OBSTACLES, payloads.OBSTACLES_IN_SPACE),
-        payloads.spoiler(payloads.OBSTACLES, payloads.OBSTACLES_IN_SPACE),
-    ),
+    "goal": request(payloads.read_goal, payloads.GOAL, payloads.LINE),
+    "setpoint": request(payloads.read_setpoint, payloads.SETPOINT),
+    "measured_tip": request(payloads.read_measured_tip, payloads.MEASURED_TIP),
+    "degrade": request(payloads.read_degrade, payloads.DEGRADE),
+    "obstacles": request(payloads.read_obstacles, payloads.OBSTACLES, payloads.OBSTACLES_IN_SPACE),
     "arm": Target(
         payloads.ReadArm,
-        [
-            payloads.written(payloads.ARM),
-            payloads.plain(payloads.ARM),
-            payloads.written(payloads.SPATIAL),
-            payloads.plain(payloads.SPATIAL),
-        ],
-        payloads.wrong(payloads.ARM, payloads.SPATIAL),
-        payloads.spoiler(payloads.ARM, payloads.SPATIAL),
+        [text(arm) for arm in ARMS for text in (payloads.written, payloads.plain)],
+        payloads.wrong(*ARMS),
+        payloads.spoiler(*ARMS),
         size=3000,
     ),
     "notation": Target(

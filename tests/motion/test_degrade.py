@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
 from controller.motion.degrade import decode
-from controller.motion.setpoint import MOST_BYTES
+from tests.motion.requests import scalars, unreadable
 
-scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
 anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)
 
 
@@ -25,10 +24,7 @@ anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalar
         (b'{"actuator": "1.left", "state": 0, "now": 1}', "now: unknown field; known are actuator, state"),
         (b'{"actuator": "a", "actuator": "b", "state": 0}', "degrade is not JSON: 'actuator' stands twice"),
         (b"[]", "degrade: an object with `actuator` and `state` is needed"),
-        (b"", "degrade is not JSON"),
-        (b"\xff", "degrade is not UTF-8: byte 0 is 0xff"),
-        (b"[" * 5000, "degrade is not JSON"),
-        (bytes(MOST_BYTES + 1), f"degrade of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
+        *unreadable("degrade"),
     ],
 )
 def test_what_is_wrong_with_a_request_is_named_by_field(payload: bytes, named: str) -> None:

@@ -15,6 +15,7 @@ from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.goal import LONGEST_SENTENCE, parse, schedule
 from controller.motion.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory
+from tests.motion.requests import json_values
 
 NOW = 1_800_000_000.0
 
@@ -161,14 +162,6 @@ def test_with_a_path_tolerance_there_are_points_between() -> None:
 
 def test_the_most_waypoints_are_taken() -> None:
     assert len(decode(timed(*[0.1 * k for k in range(MOST_POINTS)])).times) == MOST_POINTS
-
-
-texts = st.text(st.characters(exclude_categories=[]), max_size=8)  # with half surrogate pairs, which JSON can write
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | texts,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
-    max_leaves=12,
-)
 
 
 def turned(orientation: Any, **fields: Any) -> bytes:

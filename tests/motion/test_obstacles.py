@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
 from controller.motion.obstacles import decode
-from controller.motion.setpoint import MOST_BYTES
+from tests.motion.requests import scalars, unreadable
 
-scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
 fields = ["disc", "sphere", "box", "half_plane", "name", "centre", "radius", "size", "angle", "point", "normal"]
 anything = st.recursive(
     scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(fields), inner, max_size=4)
@@ -27,10 +26,7 @@ def sent(*regions: object) -> bytes:
     [
         (b"{}", "regions: required, but missing"),
         (b"[]", "obstacles: an object with `regions` is needed"),
-        (b"", "obstacles is not JSON"),
-        (b"\xff", "obstacles is not UTF-8: byte 0 is 0xff"),
-        (b"[" * 5000, "obstacles is not JSON"),
-        (bytes(MOST_BYTES + 1), f"obstacles of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
+        *unreadable("obstacles"),
         (b'{"regions": [], "now": 1}', "now: unknown field; known are regions"),
         (sent({"sphere": {"centre": [1, 2], "radius": 1}}), "regions[0]: one of disc, box, half_plane is needed for"),
         (sent({"disc": {"centre": [1, 2, 3], "radius": 1}}), "regions[0].disc.centre: 3 coordinates, a planar arm's"),

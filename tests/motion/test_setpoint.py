@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import LONGEST_SENTENCE
 from controller.motion.setpoint import MOST_BYTES, Setpoint, decode
+from tests.motion.requests import json_values
 
 
 def planar(payload: bytes) -> Setpoint:
@@ -97,12 +98,6 @@ def test_stamp_and_tolerance_are_taken_over() -> None:
     assert planar(setpoint(tolerance={})).tolerance == 0.002
 
 
-texts = st.text(st.characters(exclude_categories=[]), max_size=8)  # with half surrogate pairs, which JSON can write
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | texts,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
-    max_leaves=12,
-)
 numbers = st.floats() | st.integers() | json_values
 setpoints = st.fixed_dictionaries(
     {"position": st.lists(numbers, max_size=4) | json_values},

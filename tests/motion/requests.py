@@ -1,0 +1,23 @@
+"""What requests in JSON are tried with, whatever they ask for."""
+
+from hypothesis import strategies as st
+
+from controller.motion.setpoint import MOST_BYTES
+
+texts = st.text(st.characters(exclude_categories=[]), max_size=8)  # with half surrogate pairs, which JSON can write
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | texts,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
+    max_leaves=12,
+)
+scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
+
+
+def unreadable(request: str) -> list[tuple[bytes, str]]:
+    """Payloads that are no JSON, and how each is refused."""
+    return [
+        (b"", f"{request} is not JSON"),
+        (b"\xff", f"{request} is not UTF-8: byte 0 is 0xff"),
+        (b"[" * 5000, f"{request} is not JSON"),
+        (bytes(MOST_BYTES + 1), f"{request} of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
+    ]
