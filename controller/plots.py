@@ -102,7 +102,6 @@ def draw(
 ) -> Any:
     """Draws a planar arm in the world over the density of W_0; returns the density's image, for a colour bar."""
     from matplotlib.collections import LineCollection
-    from matplotlib.patheffects import withStroke
 
     shades, reachable = draw_density(axes, manipulator, densities)
     everything = [reachable]
@@ -113,14 +112,8 @@ def draw(
             axes.add_collection(lines)
         axes.plot([], [], color=colour, linewidth=2, label=name)
         everything.append(body.reshape(-1, 2))
-    halo = [withStroke(linewidth=3.2, foreground="white")]
-    curve, targets = points(panel.curve, 2), points(panel.targets, 2)
-    if len(curve):
-        axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints", path_effects=halo, zorder=4)
-    if len(targets):
-        bold = [withStroke(linewidth=4.5, foreground="white")]
-        axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
-    low, high = bounds([*everything, curve, targets])
+    goals = draw_goals(axes, panel, 2)
+    low, high = bounds([*everything, *goals])
     draw_regions(axes, regions, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=panel.title)
     axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
@@ -158,7 +151,6 @@ def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> 
 
 def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m", regions: Regions = NONE) -> None:
     """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
-    from matplotlib.patheffects import withStroke
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 
@@ -170,14 +162,8 @@ def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = 
         lines = Line3DCollection(body, colors=colour, linewidths=width, label=name, capstyle="round", zorder=3)
         axes.add_collection3d(lines)
         everything.append(body.reshape(-1, 3))
-    halo = [withStroke(linewidth=3.2, foreground="white")]
-    curve, targets = points(panel.curve, 3), points(panel.targets, 3)
-    if len(curve):
-        axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints", path_effects=halo, zorder=4)
-    if len(targets):
-        bold = [withStroke(linewidth=4.5, foreground="white")]
-        axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
-    low, high = bounds([*everything, curve, targets])
+    goals = draw_goals(axes, panel, 3)
+    low, high = bounds([*everything, *goals])
     draw_spatial_regions(axes, regions, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=panel.title)
     ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
@@ -187,6 +173,20 @@ def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = 
         axis.labelpad = 10
     axes.set_box_aspect(high - low, zoom=0.9)  # smaller, so that the labels stay in the picture
     add_legend(axes)
+
+
+def draw_goals(axes: Any, panel: Panel, dimension: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Draws waypoints, dotted, and targets, crossed; returns the points of both, shape (n, dimension) each."""
+    from matplotlib.patheffects import withStroke
+
+    curve, targets = points(panel.curve, dimension), points(panel.targets, dimension)
+    if len(curve):
+        halo = [withStroke(linewidth=3.2, foreground="white")]
+        axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints", path_effects=halo, zorder=4)
+    if len(targets):
+        bold = [withStroke(linewidth=4.5, foreground="white")]
+        axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
+    return curve, targets
 
 
 def add_legend(axes: Any) -> None:
