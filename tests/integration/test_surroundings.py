@@ -17,7 +17,7 @@ from controller.daemon import session
 from controller.daemon.client import Client
 from controller.daemon.ledger import read
 from drivers.simulation import Simulation
-from tests.daemon.waiting import eventually
+from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.motions import Motions
@@ -81,21 +81,22 @@ def bench_on_disk(disk: Path, bench: Bench) -> Bench:
 def test_a_full_disk_is_told_and_the_arm_goes_on(
     bench_on_disk: Bench, disk: Path, client: Observer, motions: Motions
 ) -> None:
+    def unwritten() -> bool:
+        return any(fault["code"] == "ledger-unwritten" for fault in client.heard["state"][-1]["faults"])
+
     client.move(MIDDLE, goal="before")
     eventually(lambda: written(bench_on_disk)[0])
     with (disk / "filler").open("wb", buffering=0) as filler, suppress(OSError):
         while True:
             filler.write(bytes(1024))
-    numbers = itertools.count()
-
-    def full() -> bool:
-        """Goals of long names until the file has no room for them."""
-        number = next(numbers)
-        client.move((LEFT, RIGHT)[number % 2], goal=f"{number} {'x' * 120}")
-        return any(fault["code"] == "ledger-unwritten" for fault in client.heard["state"][-1]["faults"])
-
-    eventually(full)
-    state = client.wait_now("ready")
+    for number in itertools.count():  # goals of long names until the file has no room for them
+        goal = f"{number} {'x' * 120}"
+        client.move((LEFT, RIGHT)[number % 2], goal=goal)
+        eventually(lambda goal=goal: unwritten() or goal in [it["id"] for it in written(bench_on_disk)[1]])
+        if unwritten():
+            break
+    state = client.wait_fault("ledger-unwritten", client.times["result"][-1], within=1.0)
+    assert state["mode"] == "ready"
     assert "full" in next(fault["message"] for fault in state["faults"])
     (disk / "filler").unlink()
     eventually(lambda: not client.heard["state"][-1]["faults"])
@@ -129,13 +130,15 @@ def test_a_router_that_goes_and_comes_back_is_found_again_and_the_goal_goes_on(
     client.wait_for("ready")
     assert client.goal(MIDDLE, RIGHT, times=[0.0, 1.0], id="a")["accepted"]
     router.close()
+    gone = time.time()
     eventually(lambda: any(g["status"] == "succeeded" for g in written(bench)[1]))
     assert boards.switches().sum() > 0
     again = zenoh.open(session.configuration("peer", listen=endpoint))
     bench.stack.callback(again.close)
     later = bench.observer()
     later.wait_for("ready")
-    assert "network-lost" in caplog.text
+    told = next(record for record in caplog.records if "network-lost" in record.getMessage())
+    assert told.created - gone < 1.0 * SLOWNESS, "in the journal, as nobody else hears it"
     assert [fault["code"] for fault in later.heard["state"][0]["faults"]] == ["network-lost"], "for who comes back"
     later.move(LEFT, goal="b")
     assert [goal["status"] for goal in written(bench)[1]].count("succeeded") >= 1
