@@ -14,7 +14,7 @@ from rich.table import Table
 from controller.config import Arm, load
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import parse_configuration
-from controller.strict import UNIT, InputFaults, read_yaml
+from controller.strict import UNIT, InputFaults
 from controller.workspace.densities import Densities
 
 ArmFile = Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)]
@@ -102,18 +102,6 @@ def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], floa
             Path(where), [f"{text!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"]
         )
     return position, None if not turned else turned[0] if dimension == 2 else turned
-
-
-def read_goal_file(path: Path) -> dict[str, Any]:
-    """Returns the goal in a YAML or JSON file.
-
-    Raises:
-        InputFaults: it holds no mapping.
-    """
-    value = read_yaml(path)  # JSON is YAML, too
-    if not isinstance(value, dict):
-        raise InputFaults(path, ["no goal: a mapping with `waypoints` is needed"])
-    return value
 
 
 def configuration(arm: Arm, text: str, where: str) -> Configuration:

@@ -19,10 +19,10 @@ from controller.commands.common import (
     console,
     parse_goal,
     print_json,
-    read_goal_file,
 )
 from controller.daemon.client import Client, Unanswered
-from controller.strict import InputFaults
+from controller.daemon.messages import encode
+from controller.strict import InputFaults, read_yaml
 
 ONE_GOAL = "Where to go now, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
 
@@ -52,6 +52,22 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
         yield Client(live, arm_name(arm))
 
 
+def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
+    """Returns the payload in a YAML or JSON file; `what` it is, with which `field`, is told where it is none.
+
+    Raises:
+        InputFaults: it holds no mapping, or one that cannot be sent.
+    """
+    value = read_yaml(path)  # JSON is YAML, too
+    if not isinstance(value, dict):
+        raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
+    try:
+        encode(value)
+    except (TypeError, UnicodeEncodeError) as error:
+        raise InputFaults(path, [f"no {what}: {error}"]) from None
+    return value
+
+
 def send(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
@@ -64,7 +80,7 @@ def send(
     """Send a goal and follow it to its result."""
     if (file is None) == (to is None):
         raise InputFaults(Path("send"), ["give either a goal's file or --to"])
-    goal = {} if file is None else read_goal_file(file)
+    goal = {} if file is None else read_payload(file, "goal", "waypoints")
     if path_tolerance is not None:
         goal["path_tolerance"] = path_tolerance
     numbers = 0 if to is None else to.count(",") + 1

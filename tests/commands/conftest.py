@@ -1,11 +1,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 import yaml
 
 from controller import cli
+from controller.commands import demo
+from controller.commands.talk import connected
+
+ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 
 
 @pytest.fixture
@@ -39,3 +44,13 @@ def spatial(tmp_path):
     modules = [{"type": "transforms", "count": 6, "states": states}]
     file.write_text(yaml.safe_dump({"name": "s", "modules": modules, "tolerance": {"position": 0.01}}))
     return str(file)
+
+
+@pytest.fixture(scope="module")
+def endpoint(tmp_path_factory):
+    """Where a daemon in a process of its own, with simulated boards, is ready."""
+    folder = tmp_path_factory.mktemp("daemon")
+    with demo.started(ARM, folder) as endpoint:
+        with connected("planar16", endpoint, None) as client:
+            demo.wait_until_ready(client)
+        yield endpoint

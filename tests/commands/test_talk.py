@@ -11,19 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.commands import demo
-from controller.commands.talk import connected
-
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
-
-
-@pytest.fixture(scope="module")
-def endpoint(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("daemon")
-    with demo.started(ARM, folder) as endpoint:
-        with connected("planar16", endpoint, None) as client:
-            demo.wait_until_ready(client)
-        yield endpoint
 
 
 def test_send_follows_a_goal_to_its_result(hyperbit, endpoint):
@@ -72,6 +60,15 @@ def test_a_refused_goal_fails_with_code_and_sentence(hyperbit, endpoint):
     assert (code, out) == (1, "")
     assert "code -5" in err
     assert "out of reach" in err
+
+
+def test_a_goal_that_cannot_be_written_in_json_is_unusable_input(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    file.write_text('{id: "\\ud800", waypoints: [{position: [0.5, 2.8]}]}')
+    code, out, err = hyperbit("send", "planar16", str(file), "--connect", endpoint)
+    assert (code, out) == (2, "")
+    assert "no goal: " in err
+    assert "surrogates not allowed" in err
 
 
 def test_watch_streams_states_until_interrupted(endpoint):
