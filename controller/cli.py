@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from controller.commands import calibrate, demo, health, plan, report, service, talk
+from controller.commands import calibrate, demo, health, plan, report, service, talk, tell
 from controller.commands.common import Failed, errors
 from controller.strict import InputFaults
 
@@ -20,6 +20,7 @@ app.command()(service.simulate)
 app.command()(demo.demo)
 app.command()(talk.send)
 app.command()(talk.watch)
+app.command()(tell.degrade)
 app.command()(plan.plan)
 app.command()(report.fk)
 app.command("map")(report.map_)

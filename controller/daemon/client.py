@@ -1,4 +1,4 @@
-"""The other side of the interface: what `send`, `watch`, `plan` and the demo say to a daemon."""
+"""The other side of the interface: what `send`, `watch`, `degrade` and the demo say to a daemon."""
 
 import json
 import queue
@@ -32,7 +32,7 @@ class Client:
         self._prefix = f"hyperbit/{arm}"
 
     def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 10.0) -> Message:
-        """Returns the daemon's answer on `key`: goal, cancel, stop, reset, plan or arm.
+        """Returns the daemon's answer on `key`: goal, cancel, stop, reset, degrade, obstacles, plan or arm.
 
         Raises:
             Unanswered: none came within `timeout` seconds, or the daemon lets this client not ask.

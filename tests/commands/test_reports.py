@@ -175,6 +175,7 @@ def test_help_lists_all_commands(hyperbit):
         "demo",
         "send",
         "watch",
+        "degrade",
         "plan",
         "fk",
         "map",

@@ -1,0 +1,72 @@
+"""The command that tells a running daemon which actuators it is to do without: degrade."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from controller.commands.common import (
+    ENDPOINT,
+    ArmName,
+    AsJson,
+    Connect,
+    Failed,
+    ZenohFile,
+    console,
+    print_json,
+)
+from controller.commands.talk import connected
+from controller.daemon.client import Client, Unanswered
+from controller.manipulator.held import STATES
+from controller.strict import InputFaults
+
+PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
+CHANGES = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
+
+
+def degrade(
+    arm: ArmName,
+    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=CHANGES, show_default=False)],
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Go on without actuators that are stuck, or use them again; nothing moves by that."""
+    wishes = [wish(change) for change in changes]
+    with connected(arm, connect, zenoh_file) as client:
+        for payload in wishes:
+            ask(client, "degrade", payload, as_json)
+            time.sleep(PAUSE)
+
+
+def wish(change: str) -> dict[str, Any]:
+    """Returns the payload that "ACTUATOR=STATE" stands for.
+
+    Raises:
+        InputFaults: it is not written so.
+    """
+    actuator, _, state = change.partition("=")
+    states = {**{word: k for k, word in enumerate(STATES)}, "free": None}
+    if not actuator.isprintable() or state not in states:
+        form = f"an actuator, =, and one of {', '.join(states)} are needed, as in 5.left=contracted"
+        raise InputFaults(Path("degrade"), [f"{change!r}: {form}"])
+    return {"actuator": actuator, "state": states[state]}
+
+
+def ask(client: Client, key: str, payload: dict[str, Any], as_json: bool) -> None:
+    """Prints what the daemon answers.
+
+    Raises:
+        Failed: it refused, or did not answer.
+    """
+    try:
+        answer = client.request(key, payload)
+    except Unanswered as error:
+        raise Failed(str(error)) from None
+    if as_json:
+        print_json(answer)
+    if not answer["accepted"]:
+        raise Failed(f"refused (code {answer['code']}): {answer['message']}")
+    if not as_json:
+        console.print(answer["message"])
