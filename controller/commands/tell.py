@@ -1,4 +1,4 @@
-"""The command that tells a running daemon which actuators it is to do without: degrade."""
+"""Commands that tell a running daemon what it is to do without: actuators, by degrade, and room, by obstacles."""
 
 import time
 from pathlib import Path
@@ -16,13 +16,14 @@ from controller.commands.common import (
     console,
     print_json,
 )
-from controller.commands.talk import connected
+from controller.commands.talk import connected, read_payload
 from controller.daemon.client import Client, Unanswered
 from controller.manipulator.held import STATES
 from controller.strict import InputFaults
 
 PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
 CHANGES = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
+REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacles` in the arm's file."
 
 
 def degrade(
@@ -38,6 +39,22 @@ def degrade(
         for payload in wishes:
             ask(client, "degrade", payload, as_json)
             time.sleep(PAUSE)
+
+
+def obstacles(
+    arm: ArmName,
+    file: Annotated[Path | None, typer.Argument(metavar="REGIONS.yaml", help=REGIONS, show_default=False)] = None,
+    none: Annotated[bool, typer.Option("--none", help="Keep out of those of the arm's file only.")] = False,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Keep out of regions beside those of the arm's file, in place of what was sent before; nothing moves by that."""
+    if (file is None) != none:
+        raise InputFaults(Path("obstacles"), ["give either a file of regions or --none"])
+    payload: dict[str, Any] = {"regions": []} if file is None else read_payload(file, "regions", "regions")
+    with connected(arm, connect, zenoh_file) as client:
+        ask(client, "obstacles", payload, as_json)
 
 
 def wish(change: str) -> dict[str, Any]:

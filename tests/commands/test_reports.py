@@ -176,6 +176,7 @@ def test_help_lists_all_commands(hyperbit):
         "send",
         "watch",
         "degrade",
+        "obstacles",
         "plan",
         "fk",
         "map",

@@ -1,10 +1,13 @@
-"""What a running daemon is told to do without: actuators that are stuck."""
+"""What a running daemon is told to do without: actuators that are stuck, and regions."""
 
 from __future__ import annotations
 
 import json
 
 import pytest
+
+from controller.commands import demo
+from controller.commands.talk import connected
 
 
 def test_degrade_holds_actuators_and_uses_them_again(hyperbit, endpoint):
@@ -44,7 +47,47 @@ def test_degrade_wants_a_change(hyperbit):
     assert hyperbit("degrade", "planar16")[0] == 2
 
 
-def test_a_daemon_that_is_not_there_fails_in_words(hyperbit):
-    code, _, err = hyperbit("degrade", "planar16", "5.left=free", "--connect", "tcp/127.0.0.1:1")
+def test_obstacles_are_kept_out_of_until_there_are_none(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "regions.yaml"
+    file.write_text("regions:\n- {disc: {centre: [0.55, 2.9], radius: 0.2}, name: crate}\n")
+    words = ("--connect", endpoint)
+    code, out, err = hyperbit("obstacles", "planar16", str(file), *words)
+    assert (code, out, err) == (0, "keeping out of 1 region, 1 of them sent\n", "")
+    with connected("planar16", endpoint, None) as client:
+        demo.wait_until_ready(client)
+    code, _, err = hyperbit("send", "planar16", "--to", "0.55,2.9", *words)
+    assert code == 1
+    assert "(0.55, 2.9) is out of reach" in err
+    code, out, _ = hyperbit("obstacles", "planar16", "--none", *words, "--json")
+    assert (code, json.loads(out)["message"]) == (0, "keeping out of 0 regions, 0 of them sent")
+    assert hyperbit("send", "planar16", "--to", "0.55,2.9", *words)[0] == 0
+
+
+def test_a_fault_in_the_regions_is_refused_by_field(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "regions.yaml"
+    file.write_text("regions:\n- {disc: {centre: [0.55, 2.9], radius: -1}}\n")
+    code, out, err = hyperbit("obstacles", "planar16", str(file), "--connect", endpoint)
+    assert (code, out) == (1, "")
+    assert err.startswith("refused (code -1): regions[0].disc.radius: ")
+
+
+@pytest.mark.parametrize("words", [(), ("no-such-file.yaml",), ("regions.yaml", "--none")])
+def test_unusable_words_of_obstacles_end_with_2(hyperbit, words):
+    code, out, err = hyperbit("obstacles", "planar16", *words)
+    assert (code, out) == (2, "")
+    assert err
+
+
+def test_a_file_without_regions_is_unusable_input(hyperbit, tmp_path):
+    file = tmp_path / "regions.yaml"
+    file.write_text("- {disc: {centre: [1, 2], radius: 1}}\n")
+    code, _, err = hyperbit("obstacles", "planar16", str(file))
+    assert code == 2
+    assert "no regions: a mapping with `regions` is needed" in err
+
+
+@pytest.mark.parametrize("words", [("degrade", "planar16", "5.left=free"), ("obstacles", "planar16", "--none")])
+def test_a_daemon_that_is_not_there_fails_in_words(hyperbit, words):
+    code, _, err = hyperbit(*words, "--connect", "tcp/127.0.0.1:1")
     assert code == 1
     assert "no daemon at tcp/127.0.0.1:1" in err
