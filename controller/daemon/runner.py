@@ -227,6 +227,7 @@ class Runner:
         if now > wish.until:
             self.following = switching.busy_since = None
             return "holding; the stream of setpoints has stopped"
+        switching.note(now)  # a SYNC may have left late
         if wish.configuration is None or wish.previous is not switching.commanded:  # switched meanwhile
             switching.busy_since = None
         elif now >= switching.free_at and not self._boards.moving(now):

@@ -104,10 +104,13 @@ class Switching:
             Touching: something would be touched on the way.
             Unknown: whether something would be is not known yet, to be tried again with the next tick.
         """
+        if self.note(now):  # a SYNC has left late: the arm is on its way
+            return None
         wanted, strict = self._next(stages), not self._avoidance.kept.free
         if now < self.ready(wanted) - 1e-9 or (strict and self._boards.moving(now)):
             return None
-        if (touched := self._avoidance.touched(self._begun(wanted), wanted[None])) is not None:
+        begun = self._begun(wanted)
+        if (begun != wanted).any() and (touched := self._avoidance.touched(begun, wanted[None])) is not None:
             raise Touching(touched)
         if not self._commit(wanted, now):
             return None

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from controller.motion.plan import Plan
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.regions import Regions, sphere
 from controller.obstacles.sweep import Sweep, Touch
-from tests.daemon.rig import ARM, LOST, A, B, C, Rig, planned, states
+from tests.daemon.rig import ARM, LOST, A, B, C, Rig, leaving_late, planned, states
 from tests.daemon.test_avoidance import CORNER, HOME, IN_POST, ONE_BY_ONE, POST, staged
 
 FAR = sphere("disc 'far'", [5.0, 5.0], 0.1)
@@ -355,3 +356,35 @@ def test_a_wish_that_touches_is_dropped_and_the_next_is_followed(door: Door) -> 
     door.wait()
     site.rig.go()
     assert site.rig.boards.commits == [states(C)]
+
+
+def late(site: Site) -> None:
+    """Lets the first SYNC leave late; outputs tell of it when it has left."""
+    left_at, outputs, before = leaving_late(site.rig, 3 * PERIOD), site.rig.boards.outputs, site.rig.boards.outputs()
+    site.rig.boards.outputs = lambda: before if site.rig.now < max(left_at, default=0.0) else outputs()  # type: ignore[method-assign]
+
+
+def test_after_a_sync_that_left_late_no_wish_of_before_is_looked_at(site: Site, door: Door) -> None:
+    for wanted in (A, C):
+        site.look_at(wanted)
+    door.let_pass()
+    late(site)
+    stream, old = site.rig.arrival(), site.wish(0, states(C))
+    site.rig.loop.inbox.put(site.wish(stream, states(A)))
+    for _ in range(20):
+        site.rig.go()
+        site.rig.loop.inbox.put(replace(old, arrival=stream))
+    assert site.rig.boards.commits == [states(A)]
+    assert site.rig.loop.commanded.tolist() == list(A)
+    assert site.avoidance.waits == 0
+
+
+def test_after_a_sync_that_left_late_no_stage_is_looked_at_that_is_there(site: Site, door: Door) -> None:
+    site.avoidance.judge(site.rig.boards.outputs(), ONE_BY_ONE)
+    door.let_pass()
+    late(site)
+    site.run("c", staged(*ONE_BY_ONE))
+    site.rig.go(1.0)
+    assert [stage for stage, _ in groupby(site.rig.boards.commits)] == ONE_BY_ONE.tolist()
+    assert site.rig.results == [("c", "succeeded")]
+    assert site.avoidance.waits == 0

@@ -23,6 +23,7 @@ class Motions:
         switched: (A,) how often each was switched by RPDO and SYNC.
         fell: (A,) how often each fell off with its board.
         moved_at: when a SYNC switched any, UNIX seconds.
+        rows: (A,) outputs after each of those.
     """
 
     def __init__(self, wiring: Wiring, listener: can.BusABC, outputs: NDArray[np.uint8] | None = None) -> None:
@@ -31,6 +32,7 @@ class Motions:
         self.outputs = np.zeros(count, dtype=np.uint8) if outputs is None else outputs.astype(np.uint8)
         self.switched, self.fell = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
         self.moved_at: list[float] = []
+        self.rows: list[NDArray[np.uint8]] = []
         self._latched: dict[int, bytes] = {}  # of boards by their index
         self._operational = [True] * len(self._layout.boards)
 
@@ -100,5 +102,6 @@ class Motions:
         self._latched.clear()
         if (after != self.outputs).any():
             self.moved_at.append(stamp)
+            self.rows.append(after)
         self.switched += after != self.outputs
         self.outputs = after

@@ -41,8 +41,8 @@ class Publisher:
         position: where the goal was last.
     """
 
-    def __init__(self, session: zenoh.Session, arm: Arm) -> None:
-        self._session, self._key = session, f"hyperbit/{arm.settings.name}/setpoint"
+    def __init__(self, session: zenoh.Session, arm: Arm, way: Callable[[float], tuple[float, float]] = circle) -> None:
+        self._session, self._key, self._way = session, f"hyperbit/{arm.settings.name}/setpoint", way
         self.position = START
 
     def put(self, payload: dict[str, Any] | bytes) -> None:
@@ -59,7 +59,7 @@ class Publisher:
             if ended():
                 return
             t = time.monotonic() - began
-            self.position = circle(t)
+            self.position = self._way(t)
             self.put({"position": self.position, "stamp": time.time()})
             time.sleep(max(k / RATE + 0.5 / RATE - t, 0))
             if bad:
