@@ -34,7 +34,7 @@ MANY = 100.0  # configurations expected within the tolerance of each point of th
 MOST = 100.0  # natural logarithm of the largest number of configurations worth telling apart
 DRAWN = 1000  # configurations among which targets are chosen
 STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half, for each stage, where that is longer
-PATIENCE = 180.0  # [s] for the daemon to be ready; the first start compiles its kernels
+PATIENCE = 180.0  # [s] for the daemon to be ready, or to end; the first start compiles its kernels
 
 
 def demo(
@@ -153,7 +153,7 @@ def started(file: Path, folder: Path) -> Iterator[str]:
             yield endpoint
         finally:
             daemon.terminate()
-            daemon.wait(10)
+            daemon.wait(PATIENCE)
 
 
 def listening(endpoint: str) -> bool:
