@@ -5,6 +5,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.search.guard import KINDS, LEFT, STATES, Guard, blocked, stand
+from controller.search.tail import TABLE, Table
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -14,8 +15,7 @@ MOST_CHECKS = 1 << 12  # of a branch's configurations, whether they touch someth
 
 @njit(
     [
-        "Tuple((i8, f8, f8))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, f8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
-        f" i8[::1], i8[::1], f8[:,::1], i8[::1], i8, {guard})"
+        f"Tuple((i8, f8, f8))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, f8, {TABLE}, f8[:,::1], i8[::1], i8, {guard})"
         for guard in KINDS
     ],
     cache=True,
@@ -32,24 +32,19 @@ def nearest(
     weight: float,
     best_penalty: float,
     best_square: float,
-    points: Array,
-    turns: Array,
-    cell: float,
-    corner: Array,
-    shape: Index,
-    starts: Index,
-    order: Index,
+    table: Table,
     penalties: Array,
     states: Index,
     depth: int,
     guard: Guard,
 ) -> tuple[int, float, float]:
-    """Finds the row of `points` to take for the tip to come to (x, y, z), turned, if it is better than the best so far.
+    """Finds the row to take for the tip to come to (x, y, z), turned, if it is better than the best so far.
 
     Within `tolerance` and `limit` the less penalty is better, and the nearer between equals; outside, where the penalty
     counts as infinite, the nearer. What touches something is passed over; the guard stands at the table's frame.
-    Returns row (-1 if none is better), penalty and square of the distance of the best.
+    Returns the row in the table (-1 if none is better), penalty and square of the distance of the best.
     """
+    points, turns, cell, corner, shape, starts, order = table
     oriented = weight > 0.0
     cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
     cy = min(max(int(np.floor((y - corner[1]) / cell)), 0), shape[1] - 1)
@@ -116,8 +111,8 @@ def carried_back(rotation: Array, other: Array) -> Array:
 
 @njit(
     [
-        "Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, i8, i8, f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1],"
-        f" i8[::1], i8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8[::1], {guard})"
+        f"Tuple((f8, b1))(f8, f8, f8, f8[:,::1], f8, f8, f8, f8, i8, i8, {TABLE}, f8[:,::1], f8[:,:,:,::1],"
+        f" f8[:,:,::1], i8[::1], i8[::1], {guard})"
         for guard in KINDS
     ],
     cache=True,
@@ -135,13 +130,7 @@ def finish(
     most: float,
     root: int,
     depth: int,
-    points: Array,
-    turns: Array,
-    cell: float,
-    corner: Array,
-    shape: Index,
-    starts: Index,
-    order: Index,
+    table: Table,
     penalties: Array,
     rotations: Array,
     translations: Array,
@@ -164,15 +153,9 @@ def finish(
         limit: and the next: see Target.
         weight: see Target.
         most: squares from there on do not matter: nothing is found, nothing written, if all are.
-        root: and the next eight: see Tail.
+        root: see Tail.
         depth: see Tail.
-        points: see Tail.
-        turns: see Tail.
-        cell: see Tail.
-        corner: see Tail.
-        shape: see Tail.
-        starts: see Tail.
-        order: see Tail.
+        table: see Tail.
         penalties: the secondary criterion, shape (B, Kmax).
         rotations: configuration sets, shape (B, Kmax, 3, 3).
         translations: configuration sets, shape (B, Kmax, 3).
@@ -224,13 +207,7 @@ def finish(
             weight,
             best_penalty - base,
             best_square,
-            points,
-            turns,
-            cell,
-            corner,
-            shape,
-            starts,
-            order,
+            table,
             penalties,
             states,
             depth,

@@ -1,7 +1,7 @@
 """Exact table of the last few modules: every tip they can reach, so that no pixel decides what the tolerance asks."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,9 @@ from controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Table = tuple[Array, Array, float, Array, Index, Index, Index]
+
+TABLE = "Tuple((f8[:,::1], f8[:,:,::1], f8, f8[::1], i8[::1], i8[::1], i8[::1]))"  # as kernels take it
 
 MOST_POINTS = 1 << 16
 MOST_BRANCHES = 64
@@ -41,6 +44,11 @@ class Tail:
     shape: Index
     starts: Index
     order: Index
+
+    @cached_property
+    def table(self) -> Table:
+        """The attributes from points on, as kernels take them."""
+        return self.points, self.turns, self.cell, self.corner, self.shape, self.starts, self.order
 
 
 @lru_cache(maxsize=2)  # planning and following share it

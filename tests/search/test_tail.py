@@ -55,13 +55,7 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
         most,
         t.root,
         t.depth,
-        t.points,
-        t.turns,
-        t.cell,
-        t.corner,
-        t.shape,
-        t.starts,
-        t.order,
+        t.table,
         penalties,
         manipulator.rotations,
         manipulator.translations,
@@ -75,9 +69,8 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
 def run_nearest(manipulator, goal, penalties, best_penalty, best_square):
     """Returns row, penalty and squared distance that `nearest` gives without tolerance."""
     t = build_tail(manipulator)
-    cells = t.points, t.turns, t.cell, t.corner, t.shape, t.starts, t.order
     anyhow = NO_TURN, 0.0, math.inf, 0.0
-    return nearest(*goal, *anyhow, best_penalty, best_square, *cells, penalties, manipulator.states, t.depth, None)
+    return nearest(*goal, *anyhow, best_penalty, best_square, t.table, penalties, manipulator.states, t.depth, None)
 
 
 def cost(penalties, configurations):
