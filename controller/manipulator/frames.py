@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-Frame = NDArray[np.float64]
+Array = NDArray[np.float64]
+Frame = Array
 
 
 def planar(x: float, y: float, angle: float = 0.0) -> Frame:
@@ -66,6 +67,16 @@ def quaternion(frame: Frame) -> NDArray[np.float64]:
     )
     q = products[k] / np.linalg.norm(products[k])
     return np.asarray(q if q[3] >= 0 else -q)
+
+
+@njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
+def compose(r: Array, b: Array, s: Array, c: Array, turned: Array, moved: Array) -> None:
+    """Writes the product (R S, b + R c) of the frames (R, b) and (S, c); (R, b) may be overwritten with it."""
+    for i in range(3):
+        x, y, z = r[i, 0], r[i, 1], r[i, 2]
+        moved[i] = b[i] + x * c[0] + y * c[1] + z * c[2]
+        for j in range(3):
+            turned[i, j] = x * s[0, j] + y * s[1, j] + z * s[2, j]
 
 
 @njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.manipulator.frames import compose
 from controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
@@ -137,16 +138,6 @@ def carry(r: Array, b: Array, point: Array, out: Array) -> None:
         out[i] = b[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
 
 
-@njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
-def append(r: Array, b: Array, s: Array, c: Array) -> None:
-    """Replaces the frame (R, b) by (R S, b + R c)."""
-    for i in range(3):
-        x, y, z = r[i, 0], r[i, 1], r[i, 2]
-        b[i] += x * c[0] + y * c[1] + z * c[2]
-        for j in range(3):
-            r[i, j] = x * s[0, j] + y * s[1, j] + z * s[2, j]
-
-
 @njit(
     "f8[::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[::1], i8[::1], f8)",
     cache=True,
@@ -175,7 +166,8 @@ def subsets(
             moving[count], slots[i] = i, count
             count += 1
         else:
-            append(lead_r[count], lead_b[count], r[i, masks[i]], b[i, masks[i]])
+            at = masks[i]
+            compose(lead_r[count], lead_b[count], r[i, at], b[i, at], lead_r[count], lead_b[count])
     result, point, states = np.empty(1 << len(stage)), np.empty(3), np.empty(count, dtype=np.int64)
     for subset in range(len(result)):
         for k in range(count):
@@ -219,7 +211,7 @@ def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> flo
                     away = excursion(point, line)
                     if away > best:
                         best, masks[i] = away, mask
-            append(head_r, head_b, r[i, masks[i]], b[i, masks[i]])
+            compose(head_r, head_b, r[i, masks[i]], b[i, masks[i]], head_r, head_b)
         fill_tails(r, b, masks, tails)
     return float(best)
 
@@ -235,8 +227,8 @@ def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line:
     for k in range(len(masks)):
         fill_tails(r, b, masks[k], tails)
         for i in range(m):
-            heads_r[i + 1], heads_b[i + 1] = heads_r[i], heads_b[i]
-            append(heads_r[i + 1], heads_b[i + 1], r[i, masks[k, i]], b[i, masks[k, i]])
+            mask = masks[k, i]
+            compose(heads_r[i], heads_b[i], r[i, mask], b[i, mask], heads_r[i + 1], heads_b[i + 1])
         for j in range(len(owners)):
             i = owners[j]
             mask = masks[k, i] | flags[j]

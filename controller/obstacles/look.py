@@ -10,6 +10,7 @@ from a region than its bounds touches nothing in all of it.
 import numpy as np
 from numba import njit
 
+from controller.manipulator.frames import compose
 from controller.obstacles.gaps import Array, Index, placed, touches
 from controller.obstacles.touching import segment_gap
 
@@ -92,11 +93,7 @@ def look(
             swells[owners[a]] += halves[box, a] * rates[a, 2]
         r[0], b[0] = rotations[box, 0], translations[box, 0]
         for i in range(modules):
-            s = rotations[box, i + 1]
-            b[i + 1, 0], b[i + 1, 1], b[i + 1, 2] = placed(r[i], b[i], translations[box, i + 1])
-            for p in range(3):
-                for q in range(3):
-                    r[i + 1, p, q] = r[i, p, 0] * s[0, q] + r[i, p, 1] * s[1, q] + r[i, p, 2] * s[2, q]
+            compose(r[i], b[i], rotations[box, i + 1], translations[box, i + 1], r[i + 1], b[i + 1])
         greatest, worst, lowest = -1.0, -1, 0
         for j in range(modules):
             if not suspects[box, j]:

@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from controller.manipulator.frames import compose
 from controller.obstacles.gaps import Array, Index, placed, touches
 
 
@@ -104,7 +105,7 @@ def touching(
     """
     n, modules = configurations.shape
     result = np.full((n, 3), -1)
-    r, b, turned, moved = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    r, b = np.empty((3, 3)), np.empty(3)
     ends, middles = np.empty((modules, bodies.shape[2], 2, 3)), np.empty((modules, 4))
     for c in range(n):
         r[:], b[:] = base_r, base_b
@@ -126,10 +127,5 @@ def touching(
                 if other >= 0:
                     result[c, 0], result[c, 2] = i, other
                     break
-            s, t = rotations[i, state], translations[i, state]
-            moved[0], moved[1], moved[2] = placed(r, b, t)
-            for p in range(3):
-                for q in range(3):
-                    turned[p, q] = r[p, 0] * s[0, q] + r[p, 1] * s[1, q] + r[p, 2] * s[2, q]
-            r[:], b[:] = turned, moved
+            compose(r, b, rotations[i, state], translations[i, state], r, b)
     return result

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.manipulator.frames import compose
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import ROUNDING, Clearance
 from controller.obstacles.gaps import placed, touches
@@ -132,11 +133,7 @@ def carry(guard: Any, i: int) -> None:
     """Writes the frame that module i, in its state, comes to."""
     s, t = guard[ROTATIONS][i, guard[STATES][i]], guard[TRANSLATIONS][i, guard[STATES][i]]
     turns, places = guard[TURNS], guard[PLACES]
-    for p in range(3):
-        x, y, z = turns[i, p, 0], turns[i, p, 1], turns[i, p, 2]
-        places[i + 1, p] = places[i, p] + x * t[0] + y * t[1] + z * t[2]
-        for q in range(3):
-            turns[i + 1, p, q] = x * s[0, q] + y * s[1, q] + z * s[2, q]
+    compose(turns[i], places[i], s, t, turns[i + 1], places[i + 1])
 
 
 @njit(f"b1({GUARD}, i8, i8)", cache=True, nogil=True)

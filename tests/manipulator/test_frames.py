@@ -30,6 +30,14 @@ def test_inverse_of_a_product_is_the_product_of_inverses_reversed(f, g):
     assert_allclose(frames.inverse(f @ g), frames.inverse(g) @ frames.inverse(f), **TIGHT)
 
 
+@given(any_frames, any_frames, st.booleans())
+def test_the_kernel_of_the_product_writes_it_beside_its_factor_or_over_it(f, g, over):
+    (r, b), (s, c) = ((np.ascontiguousarray(x[:3, :3]), np.ascontiguousarray(x[:3, 3])) for x in (f, g))
+    turned, moved = (r, b) if over else (np.empty((3, 3)), np.empty(3))
+    frames.compose(r, b, s, c, turned, moved)
+    assert_allclose(np.c_[turned, moved], (f @ g)[:3], **TIGHT)
+
+
 @given(any_frames, any_frames)
 def test_a_product_is_again_a_frame(f, g):
     product = f @ g
