@@ -197,11 +197,9 @@ class ControlLoop:
         while not self._reported.empty():  # before the goal goes on, which they may concern
             self._fail(self._reported.get())
         self._line.take(self._take)
-        if self._line:  # nothing else moves, or whether it may begin would be told of where the arm was
-            return
         states = self._runner.switching.states
         try:
-            end = self._runner.advance(now)
+            end = self._runner.advance(now, held=len(self._line) > 0)
         except BusBusy as error:
             self._fail(Fault("bus-busy", "bus", str(error)))
             return

@@ -134,17 +134,21 @@ class Runner:
             wish = replace(last, until=wish.until)
         self.following = wish
 
-    def advance(self, now: float) -> str | None:
+    def advance(self, now: float, held: bool = False) -> str | None:
         """Does what is due at `now`; returns a sentence on the end of the goal or stream when that has come.
 
         What may touch something waits, with the arm holding, until it is known not to.
+
+        Args:
+            now: [s].
+            held: whether nothing is to move, for a goal waits to begin from where the arm is.
 
         Raises:
             BusBusy: the bus has taken no frame for too long.
         """
         self._now, self._waits = now, False
         try:
-            return self._go_on(now)
+            return None if held else self._go_on(now)
         except Unknown:
             self._waits, self.switching.busy_since = True, None
             return None

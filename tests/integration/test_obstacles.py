@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import can
 import numpy as np
 import pytest
 
@@ -14,8 +15,11 @@ from controller.daemon.avoidance import IN_OBSTACLE
 from controller.manipulator.frames import planar
 from controller.motion import codes
 from controller.obstacles.regions import half_space
+from controller.obstacles.sweep import Sweep, Touch
+from drivers import cia301
 from drivers.simulation import Simulation
-from tests.daemon.waiting import SLOWNESS, eventually
+from drivers.wiring import MASTER, BusSettings
+from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.motions import Motions
@@ -147,3 +151,32 @@ def test_a_new_daemon_knows_the_regions_of_the_file_only(
         assert keep_out(client, *AROUND) == "keeping out of 3 regions, 2 of them sent"
         daemon.quit()
         thread.join(10 * SLOWNESS)
+
+
+def test_the_loop_goes_on_while_a_stage_waits_that_nobody_looked_at(
+    client: Observer, boards: Simulation, bus: BusSettings, motions: Motions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened, touch = threading.Event(), Sweep.touch
+
+    def waiting(sweep: Sweep, states: np.ndarray, actuators: np.ndarray) -> Touch | None:
+        if threading.current_thread().name == "avoidance":
+            assert opened.wait(PATIENCE)
+        return touch(sweep, states, actuators)
+
+    monkeypatch.setattr(Sweep, "touch", waiting)
+    assert client.goal(MIDDLE, LEFT, times=[0, 3], id="a")["accepted"]
+    eventually(lambda: client.feedback("a"))
+    keep_out(client, {"disc": {"centre": [9, 9], "radius": 0.1}})
+    before = boards.switches().tolist()
+    eventually(lambda: any(told["waits"] > 0 for told in client.heard["diagnostics"]))
+    states = len(client.heard["state"])
+    with can.Bus(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, ignore_config=True) as listening:
+        beats = [frame.arbitration_id for _ in range(500) if (frame := listening.recv(PATIENCE))]
+    assert beats.count(cia301.HEARTBEAT + MASTER) > 10, "the master is heard"
+    assert cia301.SYNC not in beats
+    state = eventually(lambda: client.heard["state"][states + 20 :])[-1]
+    assert (state["mode"], state["goal"], state["faults"]) == ("executing", "a", [])
+    assert boards.switches().tolist() == before
+    opened.set()
+    assert client.result("a")["status"] == "succeeded"
+    assert boards.switches().tolist() != before
