@@ -1,4 +1,4 @@
-"""Commands that tell a running daemon what it is to do without: actuators, by degrade, and room, by obstacles."""
+"""Commands that tell a running daemon to hold, to go on, and what to do without: actuators, by degrade, and room."""
 
 import time
 from pathlib import Path
@@ -24,6 +24,24 @@ from controller.strict import InputFaults
 PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
 CHANGES = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
 REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacles` in the arm's file."
+
+
+def cancel(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
+    """End the running goal or stream of setpoints; the arm holds and takes the next."""
+    with connected(arm, connect, zenoh_file) as client:
+        ask(client, "cancel", {}, as_json)
+
+
+def stop(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
+    """Have the arm hold and take nothing until reset. No substitute for a switch that cuts the power."""
+    with connected(arm, connect, zenoh_file) as client:
+        ask(client, "stop", {}, as_json)
+
+
+def reset(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
+    """Leave a stop or a fault; nothing moves by that."""
+    with connected(arm, connect, zenoh_file) as client:
+        ask(client, "reset", {}, as_json)
 
 
 def degrade(

@@ -1,4 +1,4 @@
-"""The other side of the interface: what `send`, `watch`, `degrade`, `obstacles` and the demo say to a daemon."""
+"""The other side of the interface: what the commands and the demo say to a daemon."""
 
 import json
 import queue

@@ -1,4 +1,4 @@
-"""What a running daemon is told to do without: actuators that are stuck, and regions."""
+"""What a running daemon is told: to hold, to go on, and to do without actuators that are stuck, and regions."""
 
 from __future__ import annotations
 
@@ -8,6 +8,34 @@ import pytest
 
 from controller.commands import demo
 from controller.commands.talk import connected
+
+
+def test_a_stop_holds_until_reset(hyperbit, endpoint):
+    words = ("planar16", "--connect", endpoint)
+    assert hyperbit("stop", *words) == (0, "stopped; the arm holds until reset\n", "")
+    code, out, err = hyperbit("send", *words, "--to", "3.0,0.7")
+    assert (code, out) == (1, "")
+    assert "the arm is stopped" in err
+    code, out, err = hyperbit("reset", *words, "--json")
+    assert (code, json.loads(out)["accepted"], err) == (0, True, "")
+    with connected("planar16", endpoint, None) as client:
+        demo.wait_until_ready(client)
+    assert hyperbit("send", *words, "--to", "3.0,0.7")[0] == 0
+
+
+def test_cancel_says_whether_there_was_a_goal(hyperbit, endpoint):
+    assert hyperbit("cancel", "planar16", "--connect", endpoint) == (
+        0,
+        "there was no goal to cancel; the arm holds\n",
+        "",
+    )
+
+
+@pytest.mark.parametrize("command", ["cancel", "stop", "reset"])
+def test_where_no_daemon_is_the_command_fails_in_words(hyperbit, endpoint, command):
+    code, out, err = hyperbit(command, "other", "--connect", endpoint)
+    assert (code, out) == (1, "")
+    assert "'other'" in err
 
 
 def test_degrade_holds_actuators_and_uses_them_again(hyperbit, endpoint):
