@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from controller.search.guard import Pairs
 from controller.search.meeting import collect, match
 from controller.search.pose_meeting import match_poses, write_points
-from controller.search.sorting import CELLS, put_into_cells, sort_into_cells
+from controller.search.sorting import CELLS, Sorted, put_into_cells, sort_into_cells
 
 Array = NDArray[np.float64]
 
@@ -24,8 +24,8 @@ class Cells:
         self._order, self._prices = np.empty(most, dtype=np.int32), np.empty(most)
         self._size, self._whole = size, 3 if size == 2 else 6
         self._room, self._unsorted = np.empty(most * self._whole), np.empty(most * self._whole)
-        self._points, self._rows = self._room.reshape(-1, self._whole)[:0], np.empty((0, size))
         self._grid, self._tolerance, self._limit = np.empty(13), 0.0, np.inf
+        self._sorted: Sorted
 
     def claim(self) -> None:
         """Has the system hand out the memory now, not in the middle of a search."""
@@ -41,15 +41,16 @@ class Cells:
             tolerance: of the distances to be asked for.
             limit: of the rotations' squared chord, see Target; infinite where any will do.
         """
-        n, self._rows, self._tolerance, self._limit = len(rows), rows, tolerance, limit
+        n, self._tolerance, self._limit = len(rows), tolerance, limit
         size, points = self._size, rows
         if limit < np.inf:
             size = self._whole
             points = self._unsorted[: n * size].reshape(n, size)
             write_points(rows, tolerance / np.sqrt(limit), points)
-        self._points = self._room[: n * size].reshape(n, size)
+        own, prices = self._room[: n * size].reshape(n, size), self._prices[:n]
         sort_into_cells(points, size, tolerance, self._starts, self._cells, self._grid)
-        put_into_cells(points, costs, self._starts, self._cells, self._order, self._points, self._prices[:n])
+        put_into_cells(points, costs, self._starts, self._cells, self._order, own, prices)
+        self._sorted = own, prices, self._starts, self._order, self._grid, rows
 
     def match(
         self,
@@ -65,7 +66,6 @@ class Cells:
         carried: bool = False,
     ) -> tuple[int, int, int, float, float]:
         """Returns the best target, frame and row, see meeting.match; targets are seen from the frames, or carried."""
-        prices = self._prices[: len(self._rows)]
         if self._limit < np.inf:
             return match_poses(
                 targets,
@@ -73,12 +73,7 @@ class Cells:
                 frames,
                 frame_costs,
                 not carried,
-                self._points,
-                prices,
-                self._starts,
-                self._order,
-                self._grid,
-                self._rows,
+                self._sorted,
                 self._tolerance,
                 self._limit,
                 weight,
@@ -92,12 +87,7 @@ class Cells:
             frames,
             frame_costs,
             not carried,
-            self._points,
-            prices,
-            self._starts,
-            self._order,
-            self._grid,
-            self._rows,
+            self._sorted,
             self._tolerance,
             weight,
             best,
@@ -109,19 +99,4 @@ class Cells:
         self, asking: Array, costs: Array, limit: float, found: NDArray[np.int64], found_costs: Array, pairs: Pairs
     ) -> int:
         """Writes the cheapest pairs of asking frames and rows, see meeting.collect; returns their number."""
-        n = len(self._rows)
-        return collect(
-            asking,
-            costs,
-            self._points,
-            self._prices[:n],
-            self._starts,
-            self._order,
-            self._grid,
-            self._rows,
-            self._tolerance,
-            limit,
-            found,
-            found_costs,
-            pairs,
-        )
+        return collect(asking, costs, self._sorted, self._tolerance, limit, found, found_costs, pairs)

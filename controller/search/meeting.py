@@ -11,10 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.search.guard import BLOCKED, PAIR_KINDS, Pairs, meets
+from controller.search.sorting import SORTED, Sorted
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Index32 = NDArray[np.int32]
 
 
 @njit("void(f8[::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
@@ -56,8 +56,7 @@ def chord(turned: Array, i: int, by: Array, j: int, other: Array, k: int) -> flo
 
 @njit(
     [
-        "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
-        f" f8[::1], f8[:,::1], f8, f8, f8, f8, {pairs})"
+        f"Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, {SORTED}, f8, f8, f8, f8, {pairs})"
         for pairs in PAIR_KINDS
     ],
     cache=True,
@@ -71,12 +70,7 @@ def match(
     frames: Array,
     frame_costs: Array,
     away: bool,
-    points: Array,
-    prices: Array,
-    starts: Index32,
-    order: Index32,
-    grid: Array,
-    rows: Array,
+    asked: Sorted,
     tolerance: float,
     weight: float,
     best: float,
@@ -93,12 +87,7 @@ def match(
         frames: shape (n, 4) or (n, 12).
         frame_costs: shape (n,).
         away: whether targets are seen from the frames, R^T (target - b), or carried by them, b + R target.
-        points: and the next five: see Cells.
-        prices: see Cells.
-        starts: see Cells.
-        order: see Cells.
-        grid: see Cells.
-        rows: see Cells; not read where rotations do not count.
+        asked: points, see sorting; the rows are not read where rotations do not count.
         tolerance: of the distance.
         weight: length with which the chord between rotations counts in the squared distance; 0 where it does not.
         best: cost to be bettered, or equalled by what is nearer.
@@ -108,6 +97,7 @@ def match(
     Returns:
         Rows of target, frame and asked row, (-1, -1, -1) if none is better; the best's cost and squared distance.
     """
+    points, prices, starts, order, grid, rows = asked
     least = np.inf
     for k in range(len(prices)):
         least = min(least, prices[k])
@@ -181,11 +171,7 @@ def match(
 
 
 @njit(
-    [
-        "i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8[:,::1], f8, f8, i8[:,::1], f8[::1],"
-        f" {pairs})"
-        for pairs in PAIR_KINDS
-    ],
+    [f"i8(f8[:,::1], f8[::1], {SORTED}, f8, f8, i8[:,::1], f8[::1], {pairs})" for pairs in PAIR_KINDS],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -193,12 +179,7 @@ def match(
 def collect(
     asking: Array,
     asking_costs: Array,
-    points: Array,
-    prices: Array,
-    starts: Index32,
-    order: Index32,
-    grid: Array,
-    rows: Array,
+    asked: Sorted,
     tolerance: float,
     limit: float,
     found: Index,
@@ -207,8 +188,9 @@ def collect(
 ) -> int:
     """Writes the cheapest pairs of an asking frame (n, 4 or 12) and a row that fit, see match, as many as find room.
 
-    Returns their number; `found` is of shape (n, 2), their `costs` of shape (n,). The rest: see match and Cells.
+    Returns their number; `found` is of shape (n, 2), their `costs` of shape (n,). The rest: see match.
     """
+    points, prices, starts, order, grid, rows = asked
     count, room, worst, farthest = 0, len(costs), np.inf, tolerance * tolerance
     size = points.shape[1]
     flat, oriented = size == 2, limit < np.inf

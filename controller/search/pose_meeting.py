@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from controller.search.frame_rows import compose
 from controller.search.guard import BLOCKED, PAIR_KINDS, Pairs, meets
 from controller.search.meeting import chord
+from controller.search.sorting import SORTED, Sorted
 
 Array = NDArray[np.float64]
-Index32 = NDArray[np.int32]
 
 
 @njit("void(f8[:,::1], i8, f8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
@@ -54,8 +54,8 @@ def see(targets: Array, t: int, frames: Array, q: int, out: Array) -> None:
 
 @njit(
     [
-        "Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, f8[:,::1], f8[::1], i4[::1], i4[::1],"
-        f" f8[::1], f8[:,::1], f8, f8, f8, f8, f8, {pairs})"
+        f"Tuple((i8, i8, i8, f8, f8))(f8[:,::1], f8[::1], f8[:,::1], f8[::1], b1, {SORTED}, f8, f8, f8, f8, f8,"
+        f" {pairs})"
         for pairs in PAIR_KINDS
     ],
     cache=True,
@@ -69,12 +69,7 @@ def match_poses(
     frames: Array,
     frame_costs: Array,
     away: bool,
-    points: Array,
-    prices: Array,
-    starts: Index32,
-    order: Index32,
-    grid: Array,
-    rows: Array,
+    asked: Sorted,
     tolerance: float,
     limit: float,
     weight: float,
@@ -93,12 +88,7 @@ def match_poses(
         frames: shape (n, 4) or (n, 12).
         frame_costs: shape (n,).
         away: whether targets are seen from the frames or carried by them.
-        points: and the next five: see Cells.
-        prices: see Cells.
-        starts: see Cells.
-        order: see Cells.
-        grid: see Cells.
-        rows: see Cells.
+        asked: points, see sorting.
         tolerance: of the distance.
         limit: of the rotations' squared chord.
         weight: length with which chords count in the squared distance.
@@ -109,6 +99,7 @@ def match_poses(
     Returns:
         Rows of target, frame and asked row, (-1, -1, -1) if none is better; the best's cost and squared distance.
     """
+    points, prices, starts, order, grid, rows = asked
     least = np.inf
     for k in range(len(prices)):
         least = min(least, prices[k])

@@ -7,6 +7,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
 
+# What kernels ask: points in the order of their cells, their costs, where each cell's points begin, the rows they are
+# of, the cells' grid, and all rows, for their rotations.
+Sorted = tuple[Array, Array, Index32, Index32, Array, Array]
+SORTED = "Tuple((f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8[:,::1]))"
+
 CELLS = 1 << 17
 POINTS_A_CELL = 0.5  # at least, on the average
 
