@@ -77,17 +77,15 @@ def test_degrade_wants_a_change(hyperbit):
 def test_obstacles_are_kept_out_of_until_there_are_none(hyperbit, endpoint, tmp_path):
     file = tmp_path / "regions.yaml"
     file.write_text("regions:\n- {disc: {centre: [0.55, 2.9], radius: 0.2}, name: crate}\n")
-    words = ("--connect", endpoint)
-    code, out, err = hyperbit("obstacles", "planar16", str(file), *words)
-    assert (code, out, err) == (0, "keeping out of 1 region, 1 of them sent\n", "")
+    words = ("obstacles", "planar16", "--connect", endpoint)
+    goal = {"waypoints": [{"position": [0.55, 2.9]}]}
     with connected("planar16", endpoint, None) as client:
+        assert hyperbit(*words, str(file)) == (0, "keeping out of 1 region, 1 of them sent\n", "")
         demo.wait_until_ready(client)
-    code, _, err = hyperbit("send", "planar16", "--to", "0.55,2.9", *words)
-    assert code == 1
-    assert "(0.55, 2.9) is out of reach" in err
-    code, out, _ = hyperbit("obstacles", "planar16", "--none", *words, "--json")
-    assert (code, json.loads(out)["message"]) == (0, "keeping out of 0 regions, 0 of them sent")
-    assert hyperbit("send", "planar16", "--to", "0.55,2.9", *words)[0] == 0
+        assert "(0.55, 2.9) is out of reach" in client.request("plan", goal, timeout=60)["message"]
+        code, out, _ = hyperbit(*words, "--none", "--json")
+        assert (code, json.loads(out)["message"]) == (0, "keeping out of 0 regions, 0 of them sent")
+        assert client.request("plan", goal, timeout=60)["accepted"]
 
 
 def test_a_fault_in_the_regions_is_refused_by_field(hyperbit, endpoint, tmp_path):
