@@ -45,7 +45,13 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def can0(arm_file: Path) -> Iterator[vcan.Interface]:
-    """The robot's bus; its arm's file has the times of a slow machine, and asks for real time."""
+    """The robot's bus; its arm's file has the times of a slow machine, and asks for real time.
+
+    The robot is as it was installed, also where these tests ran before.
+    """
+    systemctl("stop", "hyperbit")
+    shutil.rmtree(STATE, ignore_errors=True)
+    shutil.copy(PROJECT / "deploy/zenoh.json5", "/etc/hyperbit/zenoh.json5")
     ARM.write_text(arm_file.read_text() + "real_time: {priority: 50}\n")
     interface = vcan.Interface("can0")
     interface.make()
@@ -145,7 +151,7 @@ def test_a_goal_is_reached_by_the_frames_on_the_bus(frames: can.BusABC, client: 
     state = client.wait_now("ready")
     assert state["measured"] == state["commanded"]
     assert sum(state["measured"]) == result["switches"], "all began contracted"
-    assert "reached (0.4" in hyperbit("send", str(ARM), "--to", "0.4,2.9")
+    assert "reached (" in hyperbit("send", str(ARM), "--to", "0.4,2.9")
 
 
 def test_it_runs_confined_and_writes_its_cache_and_ledger() -> None:
@@ -244,14 +250,15 @@ def test_it_lets_in_whom_its_authority_knows_as_far_as_they_may(frames: can.BusA
     systemctl("restart", "hyperbit")
     comes_up()
     drain(frames)
-    move = ["hyperbit", "send", str(ARM), "--to", "0.4,2.9"]
-    no_operators = [], ["--zenoh", str(keys / "viewer/zenoh.json5")]
-    commands = [subprocess.Popen([*move, *access], stdout=subprocess.PIPE, env=ENVIRONMENT) for access in no_operators]
-    for command in commands:
-        said, _ = command.communicate()
-        assert command.returncode != 0, said
+    goal = json.dumps({"waypoints": [{"position": RIGHT}]})
+    with pytest.raises(zenoh.ZError):
+        zenoh.open(session.configuration("client", connect="tcp/127.0.0.1:7447"))
+    with zenoh.open(session.from_file(keys / "viewer/zenoh.json5")) as viewer:
+        Observer(Client(viewer, "planar16")).wait_now("ready")
+        assert [reply.ok for reply in viewer.get("hyperbit/planar16/goal", payload=goal) if reply.ok] == []
     assert syncs(drain(frames)) == []
-    assert "reached (0.4" in hyperbit(*move[1:], "--zenoh", str(keys / "operator/zenoh.json5"))
+    operator = str(keys / "operator/zenoh.json5")
+    assert "reached (" in hyperbit("send", str(ARM), "--to", "3.0,0.7", "--zenoh", operator)
     assert syncs(drain(frames))
 
 
