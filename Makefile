@@ -9,11 +9,12 @@ MINUTES ?= 10
 demo: $(VENV)/installed
 	$(BIN)/hyperbit demo
 
-# What runs in real time comes last and has the processors for itself. Two processes leave BLAS no threads to gain by.
+# What runs in real time comes last: two of its files at a time leave the processors idle for half of the time. Two
+# processes leave BLAS no threads to gain by.
 REAL_TIME := tests/integration tests/soak
 test: check
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %)
-	$(BIN)/pytest $(REAL_TIME)
+	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME)
 
 # What the virtual machine needs, so that its tests begin at once.
 vm: $(VENV)/installed
