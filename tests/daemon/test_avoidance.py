@@ -300,3 +300,11 @@ def test_what_stuck_on_its_way_may_come_free_in_a_stage() -> None:
     assert guard.rig.boards.commits == [commanded]
     assert guard.rig.results[-1] == ("b", "aborted")
     assert IN_POST in guard.rig.last_result["message"]
+
+
+def test_a_stream_that_stops_between_two_stages_leaves_the_arm_there() -> None:
+    guard = Guard(CORNER)
+    guard.rig.loop.inbox.put(replace(wish(guard, guard.rig.arrival(), *ONE_BY_ONE), until=guard.rig.now + TRAVEL))
+    guard.rig.go(0.5)
+    assert guard.rig.boards.commits == ONE_BY_ONE[:1].tolist()
+    assert (guard.rig.loop.mode, guard.rig.loop.reason) == ("ready", "holding; the stream of setpoints has stopped")
