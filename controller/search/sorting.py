@@ -14,6 +14,7 @@ SORTED = "Tuple((f8[:,::1], f8[::1], i4[::1], i4[::1], f8[::1], f8[:,::1]))"
 
 CELLS = 1 << 17
 POINTS_A_CELL = 0.5  # at least, on the average
+LEAST_SIDE = 1e-300  # one over it is finite still
 
 
 @njit("i8(f8[:,::1], i8, f8, i4[::1], i4[::1], f8[::1])", cache=True, nogil=True, error_model="numpy")
@@ -34,7 +35,7 @@ def sort_into_cells(rows: Array, size: int, tolerance: float, starts: Index32, c
         for a in range(size):
             low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
     most = min(len(starts) - 1, len(rows) / POINTS_A_CELL + 64)
-    side = 2.0 * tolerance * (1 + 1e-9)  # with room for rounding
+    side = max(2.0 * tolerance * (1 + 1e-9), LEAST_SIDE)  # with room for rounding
     while True:
         for a in range(size):
             shape[a] = np.floor((high[a] - low[a]) / side) + 1.0

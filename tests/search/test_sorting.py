@@ -1,0 +1,17 @@
+"""Points in cells."""
+
+import numpy as np
+import pytest
+
+from controller.search.sorting import CELLS, sort_into_cells
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-290, 1e-313])
+@pytest.mark.parametrize("tolerance", [1.0, 1e-3, 1e-300, 8.7e-316, 0.0])
+def test_every_point_has_a_cell_however_small_points_and_tolerances_are(size: float, tolerance: float) -> None:
+    rows = np.array([[0.0, 0.0], [size, 0.0], [0.0, size], [size / 2, size / 3]])
+    starts, cells, grid = np.empty(CELLS + 1, dtype=np.int32), np.empty(len(rows), dtype=np.int32), np.empty(13)
+    count = sort_into_cells(rows, 2, tolerance, starts, cells, grid)
+    assert ((cells >= 0) & (cells < count)).all()
+    assert starts[count] == len(rows)
+    assert np.isfinite(grid[6])
