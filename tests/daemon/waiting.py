@@ -12,10 +12,10 @@ SLOWNESS = float(os.environ.get("HYPERBIT_SLOWNESS", "1"))
 PATIENCE = 30.0 * SLOWNESS  # [s]; a loaded machine is slow
 
 
-def eventually(what: Callable[[], T], patience: float = PATIENCE) -> T:
-    """Returns the first true value of `what`."""
+def eventually(what: Callable[[], T], patience: float = PATIENCE, told: Callable[[], str] = lambda: "") -> T:
+    """Returns the first true value of `what`; where none comes, the failure says what is `told` then."""
     until = time.monotonic() + patience
     while not (value := what()):
-        assert time.monotonic() < until, "what was waited for did not come"
+        assert time.monotonic() < until, f"what was waited for did not come {told()}"
         time.sleep(0.005 * SLOWNESS)
     return value

@@ -67,7 +67,7 @@ class Observer:
             states = self.heard["state"][after:]
             return next((s for s in states if s["mode"] == mode and reason in s["reason"]), None)
 
-        return eventually(found)
+        return eventually(found, told=lambda: f"among {len(self.heard['state'])} states: {self.heard['state'][-1:]}")
 
     def wait_now(self, mode: str, reason: str = "") -> Message:
         """Waits until a state that is told from now on is in a mode."""
