@@ -12,13 +12,12 @@ for folder in etc opt usr/local; do
   mkdir -p "$memory/files/$folder" "$memory/work/$folder"
   mount -t overlay -o "lowerdir=/$folder,upperdir=$memory/files/$folder,workdir=$memory/work/$folder" overlay "/$folder"
 done
+# The first start compiles for minutes where the processor is emulated: that is done here, for any processor.
+mkdir -p -m 700 "$memory/files/var/cache/private"
+export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba"
 rm -rf "$project/build/lib" # what was built before must not be installed again
 PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh"
-
-# The first start compiles for minutes where the processor is emulated: do that here, for any processor.
-mkdir -p -m 700 "$memory/files/var/cache/private"
-NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba" \
-  /opt/hyperbit/bin/python -P "$project/tests/vm/compile.py"
+/opt/hyperbit/bin/python -P "$project/tests/vm/compile.py"
 mkdir /etc/systemd/system/hyperbit.service.d
 cat > /etc/systemd/system/hyperbit.service.d/emulated.conf << 'UNIT'
 [Service]
