@@ -35,7 +35,7 @@ from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from drivers.boards import Boards
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import BusSettings, Channel, Timing, Wiring
 
 log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.boards import Boards
 from drivers.faults import BusBusy, Fault
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import BusSettings, Channel, Timing, Wiring
 from tests.daemon.waiting import SLOWNESS
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.actuator import Actuator
+from drivers.simulation.actuator import Actuator
 
 
 @pytest.fixture

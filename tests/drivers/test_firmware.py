@@ -8,9 +8,9 @@ import canopen
 import pytest
 
 from drivers import cia301
-from drivers.actuator import Actuator
-from drivers.firmware import SimulatedBoard, Wired
-from drivers.objects import EDS
+from drivers.simulation.actuator import Actuator
+from drivers.simulation.firmware import SimulatedBoard, Wired
+from drivers.simulation.objects import EDS
 
 
 class Bench:

@@ -9,9 +9,9 @@ import can
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.actuator import Actuator
 from drivers.cia301 import frame
-from drivers.firmware import SimulatedBoard, Wired
+from drivers.simulation.actuator import Actuator
+from drivers.simulation.firmware import SimulatedBoard, Wired
 
 NODE = 5
 OURS = [base + NODE for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)]

@@ -9,9 +9,9 @@ import can
 from hypothesis import strategies as st
 
 from controller.daemon.events import Cancel, Reset, Stop
-from drivers.actuator import Actuator
 from drivers.cia301 import frame
-from drivers.firmware import SimulatedBoard, Wired
+from drivers.simulation.actuator import Actuator
+from drivers.simulation.firmware import SimulatedBoard, Wired
 from tests.fuzz.world import COMMANDS, NODES, Flood, Journal, Moved, World
 
 SIZE = 12  # bytes of one act: kind, identifier, length, data

@@ -21,7 +21,7 @@ from controller.daemon.ledger import Ledger
 from controller.daemon.loop import PERIOD, ControlLoop
 from drivers import cia301
 from drivers.boards import Boards
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import MASTER, BusSettings, Channel, Timing, Wiring
 from tests.daemon.rig import ARM, FakeLedger, planned
 

@@ -20,8 +20,8 @@ from controller.daemon.client import Client
 from controller.daemon.service import Daemon, running, simulated, timing_of, wiring_of
 from controller.motion.tracking import Tracking
 from controller.workspace.densities import Densities
-from drivers import simulation
-from drivers.simulation import Simulation
+from drivers.simulation import simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import BusSettings, Timing, Wiring
 from tests import emulated, vcan
 from tests.daemon.waiting import SLOWNESS

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from drivers import cia301
 from drivers.cia301 import Command, State
 from drivers.layout import lay_out
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Wiring
 from tests.daemon.waiting import eventually
 from tests.integration.harness import Observer

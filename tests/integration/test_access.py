@@ -24,7 +24,7 @@ from controller.daemon.service import Daemon, timing_of
 from controller.daemon.tip import TipWatch
 from controller.settings import TrackerSettings
 from controller.workspace.densities import Densities
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Timing, Wiring
 from tests.daemon.waiting import PATIENCE, eventually
 from tests.integration.conftest import Bench, enduring

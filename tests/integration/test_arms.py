@@ -9,7 +9,7 @@ import yaml
 from controller.config import Arm, load
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from tests.integration.harness import Observer
 from tests.test_chain import PLATFORM
 

@@ -12,7 +12,7 @@ import pytest
 from controller.config import Arm
 from drivers import cia301
 from drivers.cia301 import Command, State
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import BusSettings, Timing
 from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench, bearing

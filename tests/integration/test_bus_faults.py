@@ -9,7 +9,7 @@ import pytest
 
 from controller.motion import codes
 from drivers import cia301
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import BusSettings
 from tests import emulated, vcan
 from tests.daemon.waiting import SLOWNESS, eventually

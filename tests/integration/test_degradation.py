@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from controller.config import Arm
 from controller.motion import codes
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer
 from tests.integration.test_faults import first_to_switch

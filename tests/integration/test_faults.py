@@ -14,7 +14,7 @@ from controller.daemon.service import Daemon, running, simulated
 from controller.manipulator.notation import parse_configuration
 from controller.motion import codes
 from drivers import cia301
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Timing, Wiring
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench

@@ -13,7 +13,7 @@ from controller.daemon.service import Daemon
 from controller.manipulator.frames import angle
 from controller.motion import codes
 from drivers import cia301
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from controller.config import Arm
 from controller.motion import codes
 from drivers import cia301
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.harness import Observer
 from tests.integration.test_goals import HOUR, LEFT, MIDDLE, RIGHT, drain, tip

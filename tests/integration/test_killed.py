@@ -19,7 +19,7 @@ from controller.daemon import session
 from controller.daemon.client import Client
 from controller.daemon.ledger import read
 from drivers import cia301
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import BusSettings, Wiring
 from tests import emulated
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually

@@ -17,7 +17,7 @@ from controller.motion import codes
 from controller.obstacles.regions import half_space
 from controller.obstacles.sweep import Sweep, Touch
 from drivers import cia301
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import MASTER, BusSettings
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench

@@ -11,7 +11,7 @@ from controller.config import Arm
 from controller.daemon.client import Message
 from controller.daemon.service import Daemon
 from controller.motion import codes
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Timing
 from tests.daemon.waiting import SLOWNESS
 from tests.integration.conftest import Bench, enduring

@@ -15,7 +15,7 @@ from controller.config import Arm
 from controller.daemon import session
 from controller.daemon.client import Client, Unanswered
 from controller.daemon.service import Daemon, embedded, running
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Wiring
 from tests.daemon.waiting import PATIENCE, SLOWNESS, eventually
 from tests.integration.conftest import Bench

@@ -16,7 +16,7 @@ import zenoh
 
 from controller.config import Arm
 from controller.daemon.service import Daemon
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Timing
 from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench, enduring

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controller.config import Arm
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Timing, Wiring
 from tests.daemon.waiting import SLOWNESS
 from tests.integration.conftest import Bench, enduring

@@ -16,7 +16,7 @@ import zenoh
 from controller.daemon import session
 from controller.daemon.client import Client
 from controller.daemon.ledger import read
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from tests.daemon.waiting import SLOWNESS, eventually
 from tests.integration.conftest import Bench
 from tests.integration.harness import Observer

@@ -12,7 +12,7 @@ import pytest
 from controller.config import Arm
 from controller.daemon.service import Daemon
 from controller.settings import TrackerSettings
-from drivers.simulation import Simulation
+from drivers.simulation.simulation import Simulation
 from drivers.wiring import Timing
 from tests.daemon.waiting import eventually
 from tests.integration.conftest import Bench, enduring

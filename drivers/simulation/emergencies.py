@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from drivers.objects import Objects
+from drivers.simulation.objects import Objects
 
 _COMMUNICATION = 0x11  # error register: generic and communication
 _HISTORY = 8  # entries of 1003h

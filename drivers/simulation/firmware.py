@@ -9,10 +9,10 @@ from typing import NamedTuple
 from canopen.sdo.server import SdoServer
 
 from drivers import cia301
-from drivers.actuator import Actuator
 from drivers.cia301 import Command, State
-from drivers.emergencies import Emergencies
-from drivers.objects import Objects
+from drivers.simulation.actuator import Actuator
+from drivers.simulation.emergencies import Emergencies
+from drivers.simulation.objects import Objects
 
 _BYTES = range(1, 9)  # sub-indices of 6000h and 6200h
 _TOO_SHORT, _TOO_LONG, _MASTER_LOST = 0x8210, 0x8220, 0x8130

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import cia301
-from drivers.actuator import Actuator
-from drivers.firmware import SimulatedBoard, Wired
+from drivers.simulation.actuator import Actuator
+from drivers.simulation.firmware import SimulatedBoard, Wired
 from drivers.wiring import BusSettings, Timing, Wiring
 
 _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault asked for acts soon
