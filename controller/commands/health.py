@@ -1,14 +1,18 @@
 """Commands that tell whether file, boards and actuators are well: check and wear."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from controller.commands.common import ArmFile, AsJson, Failed, console, print_json
+from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json
 from controller.config import Arm, load
 from controller.strict import InputFaults
+
+# StateDirectory of the service, and what it links to under DynamicUser, which root alone can read.
+SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
 
 
 def check(
@@ -57,7 +61,7 @@ def ask_boards(arm: Arm) -> list[dict[str, Any]]:
 
 def wear(
     file: ArmFile,
-    ledger: Annotated[Path | None, typer.Option(help="The ledger; the daemon's default if absent.")] = None,
+    ledger: Annotated[Path | None, typer.Option(help="The ledger; the daemon's if absent.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Say how often each actuator has switched, and how goals ended."""
@@ -66,15 +70,17 @@ def wear(
     from controller.daemon.ledger import default_path, read
 
     arm = load(file)
-    path = ledger or default_path(arm.settings.name)
+    name = arm.settings.name
+    path = ledger or last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in SERVICE_FOLDERS)])
     try:
         switches, goals = read(path)
     except sqlite3.Error as error:
         raise Failed(f"{path}: no ledger there: {error}") from None
     counts = {label: switches.get(label, 0) for label in arm.manipulator.actuators}
     if as_json:
-        print_json({"switches": counts, "goals": goals})
+        print_json({"ledger": str(path), "switches": counts, "goals": goals})
         return
+    console.print(f"ledger {path}", markup=False)
     most = max(max(counts.values()), 1)
     table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
     for label, count in sorted(counts.items(), key=lambda item: -item[1]):
@@ -82,3 +88,21 @@ def wear(
     console.print(table)
     ended = [str(goal["status"] or "unfinished") for goal in goals]
     console.print(", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet")
+
+
+def last_written(ledgers: list[Path]) -> Path:
+    """Returns the ledger that was written last, the first path if there is none.
+
+    A ledger that this user cannot read is named on stderr.
+    """
+    times: dict[Path, float] = {}
+    for path in ledgers:
+        try:
+            # SQLite writes to the -wal file first.
+            parts = [part for part in (path, path.with_name(f"{path.name}-wal")) if part.is_file()]
+            if path in parts:
+                times[path] = max(part.stat().st_mtime for part in parts)
+        except OSError as error:
+            if os.path.lexists(path.parent):  # else there is no service, only /var/lib/private
+                errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
+    return max(times, key=lambda path: times[path], default=ledgers[0])

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sqlite3
 from pathlib import Path
 
 import pytest
 import yaml
 
-from controller.daemon.ledger import Ledger
+from controller.commands import health
+from controller.daemon.ledger import SCHEMA, Ledger
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 
@@ -154,6 +157,51 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
     assert json.loads(out)["switches"]["1.left"] == 0
     assert json.loads(out)["goals"][0]["status"] == "succeeded"
     assert "1 succeeded" in hyperbit("wear", ARM, "--ledger", str(path))[1]
+
+
+@pytest.fixture
+def ledgers(monkeypatch, tmp_path):
+    """Paths of the user's and the service's ledger, in folders of this test."""
+    monkeypatch.setattr(health, "SERVICE_FOLDERS", (tmp_path / "service", tmp_path / "private"))
+    return tmp_path / "state" / "hyperbit" / "planar16.sqlite", tmp_path / "service" / "planar16.sqlite"
+
+
+def test_wear_reads_the_ledger_that_was_written_last(hyperbit, ledgers):
+    user, service = ledgers
+    code, _, err = hyperbit("wear", ARM)
+    assert (code, err.startswith(f"{user}: no ledger there")) == (1, True)
+    service.parent.mkdir()
+    with sqlite3.connect(service) as book:
+        book.executescript(SCHEMA)
+    assert hyperbit("wear", ARM)[1].startswith(f"ledger {service}\n")
+    user.parent.mkdir(parents=True)
+    shutil.copy(service, user)
+    for newest, other in ((user, service), (service, user)):
+        os.utime(newest, (2e9, 2e9))
+        os.utime(other, (1e9, 1e9))
+        code, out, err = hyperbit("wear", ARM, "--json")
+        assert (code, json.loads(out)["ledger"], err) == (0, str(newest), "")
+    user.with_name(f"{user.name}-wal").touch()
+    os.utime(user.with_name(f"{user.name}-wal"), (2.1e9, 2.1e9))
+    assert json.loads(hyperbit("wear", ARM, "--json")[1])["ledger"] == str(user)
+
+
+def test_wear_names_a_ledger_that_it_cannot_read(hyperbit, ledgers, monkeypatch):
+    user, service = ledgers
+    is_file = Path.is_file
+    service.parent.symlink_to("private/hyperbit")
+
+    def refused(path):
+        if path.parent in health.SERVICE_FOLDERS:
+            raise PermissionError(13, "Permission denied")
+        return is_file(path)
+
+    monkeypatch.setattr(Path, "is_file", refused)
+    code, _, err = hyperbit("wear", ARM)
+    assert code == 1
+    refusal, missing = err.splitlines()
+    assert refusal == f"{service}: Permission denied; root can read the service's ledger"
+    assert missing.startswith(f"{user}: no ledger there")
 
 
 def test_figure5_prints_nine_rows_and_draws(hyperbit, tmp_path):
