@@ -1,49 +1,144 @@
-"""The `hyperbit` command. Exit codes: 0 done, 1 the thing asked for failed, 2 unusable input."""
+"""The `hyperbit` command. Exit codes: 0 done, 1 the request failed, 2 unusable input, 130 interrupted.
 
+A command's module is imported when the command runs, so that `hyperbit stop` does not wait for the search's kernels.
+"""
+
+import importlib
 import sys
+from typing import Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from controller.commands import calibrate, demo, health, plan, report, service, talk, tell
-from controller.commands.common import Failed, errors
-from controller.strict import InputFaults
+
+class Entry(NamedTuple):
+    """Where a command is implemented.
+
+    Attributes:
+        module: name of the module in `controller.commands`.
+        function: name of the function in the module.
+        summary: first line of the function's docstring.
+    """
+
+    module: str
+    function: str
+    summary: str
+
+
+COMMANDS = {
+    "run": Entry("service", "run", "Run the daemon: goals over Zenoh to boards over CAN, until SIGTERM."),
+    "simulate": Entry(
+        "service", "simulate", "Run simulated boards on the arm's own bus, in place of the real ones, until SIGTERM."
+    ),
+    "demo": Entry(
+        "demo",
+        "demo",
+        "Run the whole chain on simulated boards: three targets, then a closed curve, a table and a picture.",
+    ),
+    "send": Entry("talk", "send", "Send a goal and follow it to its result; Ctrl-C cancels the goal."),
+    "watch": Entry("talk", "watch", "Show a running arm until interrupted; with --json, a line for each state."),
+    "cancel": Entry("tell", "cancel", "End the running goal or stream of setpoints; the arm holds and takes the next."),
+    "stop": Entry(
+        "tell",
+        "stop",
+        "Have the arm hold and take nothing until reset. No substitute for a switch that cuts the power.",
+    ),
+    "reset": Entry("tell", "reset", "Leave a stop or a fault; nothing moves by that."),
+    "degrade": Entry(
+        "tell", "degrade", "Go on without actuators that are stuck, or use them again; nothing moves by that."
+    ),
+    "obstacles": Entry(
+        "tell",
+        "obstacles",
+        "Keep out of regions beside those of the arm's file, in place of what was sent before; nothing moves by that.",
+    ),
+    "plan": Entry("plan", "plan", "Search configurations for goals, without any hardware."),
+    "fk": Entry("report", "fk", "Say where a configuration brings the tip."),
+    "map": Entry("report", "map_", "Map the point densities of all intermediate workspaces into the cache."),
+    "figure5": Entry(
+        "report", "figure5", "Repeat the paper's experiment of section 4: three targets, three algorithms."
+    ),
+    "check": Entry("health", "check", "Say all that is wrong in an arm's file, by field."),
+    "wear": Entry("health", "wear", "Say how often each actuator has switched, and how goals ended."),
+    "calibrate": Entry(
+        "calibrate",
+        "calibrate",
+        "Fit the numbers of an arm's file, modules and base, to measured tips; report what they miss before and after.",
+    ),
+}
+
+
+class DeferredCommand(TyperCommand):
+    """A command whose module is imported when its arguments are parsed."""
+
+    def __init__(self, name: str, entry: Entry) -> None:
+        """Keeps where the command is implemented."""
+        super().__init__(name, help=entry.summary)
+        self._entry = entry
+
+    def get_short_help_str(self, limit: int = 0) -> str:
+        """Returns the whole summary: the list of commands wraps it."""
+        return self._entry.summary
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """Returns the context of the imported command, which the group then invokes in place of this one."""
+        module = importlib.import_module(f"controller.commands.{self._entry.module}")
+        single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+        single.command(self.name)(getattr(module, self._entry.function))
+        return typer.main.get_command(single).make_context(info_name, args, parent, **extra)
+
+
+class Commands(TyperGroup):
+    """The commands of the table, in its order."""
+
+    def __init__(self, **settings: Any) -> None:
+        """Adds the deferred commands."""
+        super().__init__(**settings)
+        for name, entry in COMMANDS.items():
+            self.add_command(DeferredCommand(name, entry), name)
+
 
 app = typer.Typer(
     name="hyperbit",
     help="Drives arms made of many two-state actuators: goals over Zenoh in, switch commands over CANopen out.",
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # rich's help takes longer to import than all else that `--help` needs
 )
-app.command()(service.run)
-app.command()(service.simulate)
-app.command()(demo.demo)
-app.command()(talk.send)
-app.command()(talk.watch)
-app.command()(tell.cancel)
-app.command()(tell.stop)
-app.command()(tell.reset)
-app.command()(tell.degrade)
-app.command()(tell.obstacles)
-app.command()(plan.plan)
-app.command()(report.fk)
-app.command("map")(report.map_)
-app.command()(report.figure5)
-app.command()(health.check)
-app.command()(health.wear)
-app.command()(calibrate.calibrate)
+
+
+def print_version(wanted: bool) -> None:
+    """Prints the version and exits, if it is wanted."""
+    if wanted:
+        from importlib.metadata import version
+
+        sys.stdout.write(f"hyperbit {version('hyperbit')}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Accepts the options that precede a command."""
 
 
 def main() -> None:
-    """Runs the command line, with words and an exit code in place of tracebacks for what a user can mend."""
+    """Runs the command line; errors that the user can correct become a message and an exit code."""
     try:
         app()
-    except InputFaults as error:
+    except Exception as error:
+        from controller.commands.common import Failed, errors
+        from controller.strict import InputFaults
+
+        if not isinstance(error, InputFaults | Failed):
+            raise
         errors.print(str(error), markup=False)
-        sys.exit(2)
-    except Failed as error:
-        errors.print(str(error), markup=False)
-        sys.exit(1)
+        sys.exit(2 if isinstance(error, InputFaults) else 1)
 
 
 if __name__ == "__main__":

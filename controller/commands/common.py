@@ -1,21 +1,28 @@
-"""What the commands share: reading arms, densities, goals and configurations, and ways to write what is found."""
+"""What the commands share: reading arms, densities, goals and configurations, and ways to write what is found.
+
+Commands that only talk to a daemon import this module, too: kernels and NumPy are imported in the functions that use
+them.
+"""
+
+from __future__ import annotations
 
 import json
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
+from msgspec import Meta, Struct
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import Arm, load
-from controller.manipulator.manipulator import Configuration
-from controller.manipulator.notation import parse_configuration
-from controller.strict import UNIT, InputFaults
-from controller.workspace.densities import Densities
+from controller.strict import UNIT, InputFaults, check, read_yaml
+
+if TYPE_CHECKING:
+    from controller.config import Arm
+    from controller.manipulator.manipulator import Configuration
+    from controller.workspace.densities import Densities
 
 ArmFile = Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)]
 ArmName = Annotated[str, typer.Argument(metavar="ARM", help="The arm's file, or its name.", show_default=False)]
@@ -31,6 +38,12 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 class Failed(Exception):
     """What was asked for failed; the command ends with 1."""
+
+
+class Named(Struct, frozen=True):
+    """The one field of an arm's file that its clients need."""
+
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 
 
 def print_json(value: object) -> None:
@@ -71,6 +84,8 @@ def load_wired(path: Path) -> Arm:
     Raises:
         InputFaults: it is wrong, or maps none.
     """
+    from controller.config import load
+
     arm = load(path)
     if not arm.wiring:
         raise InputFaults(path, ["actuators: none is mapped to a board, so there is nothing to run"])
@@ -78,8 +93,21 @@ def load_wired(path: Path) -> Arm:
 
 
 def arm_name(arm: str) -> str:
-    """Returns the name of an arm given by its file or by its name."""
-    return load(Path(arm)).settings.name if Path(arm).exists() or arm.endswith((".yaml", ".yml")) else arm
+    """Returns the name of an arm given by its file or by its name.
+
+    Only the name is read: building the arm would import the kernels.
+
+    Raises:
+        InputFaults: the file is missing, is not YAML, or holds no valid name.
+    """
+    path = Path(arm)
+    if not path.is_file() and not arm.endswith((".yaml", ".yml")):
+        return arm
+    raw, faults = read_yaml(path), list[str]()
+    value = {"name": raw["name"]} if isinstance(raw, dict) and "name" in raw else {}
+    if (named := check(value, Named, faults)) is None:
+        raise InputFaults(path, faults)
+    return named.name
 
 
 def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
@@ -106,6 +134,8 @@ def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], floa
 
 def configuration(arm: Arm, text: str, where: str) -> Configuration:
     """Returns the configuration that `text` writes; what is wrong with it is told of `where`."""
+    from controller.manipulator.notation import parse_configuration
+
     try:
         return parse_configuration(arm.manipulator, text)
     except ValueError as error:
@@ -114,6 +144,8 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
 
 def shown(values: Any) -> str:
     """Returns numbers for a table."""
+    import numpy as np
+
     return ", ".join(f"{v:.4f}" for v in np.atleast_1d(values))
 
 

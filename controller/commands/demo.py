@@ -1,5 +1,7 @@
 """The demo: a real daemon with simulated boards in one process, its client in this one."""
 
+from __future__ import annotations
+
 import contextlib
 import math
 import queue
@@ -10,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -23,10 +25,12 @@ from controller import plots
 from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
 from controller.commands.talk import connected
 from controller.config import Arm
-from controller.daemon.client import Client, Message, Unanswered
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
 from controller.workspace.densities import Densities
+
+if TYPE_CHECKING:
+    from controller.daemon.client import Client, Message
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 48
@@ -201,10 +205,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
                 errors_seen.append(message["error"])
                 progress.update(task, completed=message["waypoint"] + 1)
 
-        try:
-            result = client.run({"waypoints": waypoints}, follow)
-        except Unanswered as error:
-            raise Failed(str(error)) from None
+        result = client.run({"waypoints": waypoints}, follow)
     if result["code"] != 0:
         raise Failed(f"{what}: {result['message']}")
     return {**result, "worst": max(*errors_seen, result["error"])}

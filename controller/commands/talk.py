@@ -1,11 +1,15 @@
 """Commands that talk to a running daemon: send and watch."""
 
+from __future__ import annotations
+
 import contextlib
 import queue
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import typer
 
 from controller.commands.common import (
@@ -17,12 +21,14 @@ from controller.commands.common import (
     ZenohFile,
     arm_name,
     console,
+    errors,
     parse_goal,
     print_json,
 )
-from controller.daemon.client import Client, Unanswered
-from controller.daemon.messages import encode
 from controller.strict import InputFaults, read_yaml
+
+if TYPE_CHECKING:
+    from controller.daemon.client import Client
 
 ONE_GOAL = "Where to go now, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
 
@@ -32,12 +38,14 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     """Opens a session with an arm's daemon.
 
     Raises:
-        Failed: there is none.
+        Failed: there is no daemon, or it does not answer while the context lasts.
     """
     import zenoh
 
     from controller.daemon import session
+    from controller.daemon.client import Client, Unanswered
 
+    name = arm_name(arm)
     zenoh.init_log_from_env_or("error")
     try:
         config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
@@ -49,7 +57,10 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
         reason = str(error).split(" at /")[0].strip()  # the rest is where in Zenoh's source
         raise Failed(f"no daemon at {zenoh_file or connect}: {reason}") from None
     with opened as live:
-        yield Client(live, arm_name(arm))
+        try:
+            yield Client(live, name)
+        except Unanswered as error:
+            raise Failed(str(error)) from None
 
 
 def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
@@ -62,7 +73,7 @@ def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
     try:
-        encode(value)
+        msgspec.json.encode(value)
     except (TypeError, UnicodeEncodeError) as error:
         raise InputFaults(path, [f"no {what}: {error}"]) from None
     return value
@@ -77,7 +88,7 @@ def send(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Send a goal and follow it to its result."""
+    """Send a goal and follow it to its result; Ctrl-C cancels the goal."""
     if (file is None) == (to is None):
         raise InputFaults(Path("send"), ["give either a goal's file or --to"])
     goal = {} if file is None else read_payload(file, "goal", "waypoints")
@@ -99,13 +110,15 @@ def send(
         elif message["accepted"]:
             console.print(message["message"])
 
+    goal.setdefault("id", uuid.uuid4().hex[:12])
     with connected(arm, connect, zenoh_file) as client:
+        if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH, as the arm is
+            goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
         try:
-            if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH, as the arm is
-                goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
             result = client.run(goal, tell)
-        except Unanswered as error:
-            raise Failed(str(error)) from None
+        except KeyboardInterrupt:
+            cancel_goal(client, goal["id"], as_json)
+            raise typer.Exit(130) from None
     if as_json and "status" in result:
         print_json(result)
     if result["code"] != 0:
@@ -113,6 +126,20 @@ def send(
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
         console.print(f"reached ({position}), error {missed(result)}, {result['switches']} switches")
+
+
+def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
+    """Cancels a goal whose command was interrupted, and prints the daemon's answer.
+
+    Raises:
+        Unanswered: the daemon did not answer; `connected` makes this a Failed.
+    """
+    errors.print(f"interrupted: canceling goal {goal}", markup=False)
+    answer = client.request("cancel")
+    if as_json:
+        print_json(answer)
+    else:
+        console.print(f"goal {goal}: {answer['message']}", markup=False)
 
 
 def missed(message: dict[str, Any]) -> str:

@@ -1,8 +1,10 @@
 """Commands that tell a running daemon to hold, to go on, and what to do without: actuators, by degrade, and room."""
 
+from __future__ import annotations
+
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,10 +19,12 @@ from controller.commands.common import (
     print_json,
 )
 from controller.commands.talk import connected, read_payload
-from controller.daemon.client import Client, Unanswered
-from controller.manipulator.held import STATES
 from controller.strict import InputFaults
 
+if TYPE_CHECKING:
+    from controller.daemon.client import Client
+
+STATES = ("contracted", "extended")  # as controller.manipulator.held has them, without its import of NumPy
 PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
 CHANGES = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
 REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacles` in the arm's file."
@@ -93,12 +97,10 @@ def ask(client: Client, key: str, payload: dict[str, Any], as_json: bool) -> Non
     """Prints what the daemon answers.
 
     Raises:
-        Failed: it refused, or did not answer.
+        Failed: the daemon refused.
+        Unanswered: the daemon did not answer; `connected` makes this a Failed.
     """
-    try:
-        answer = client.request(key, payload)
-    except Unanswered as error:
-        raise Failed(str(error)) from None
+    answer = client.request(key, payload)
     if as_json:
         print_json(answer)
     if not answer["accepted"]:

@@ -7,9 +7,8 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
 import zenoh
-
-from controller.daemon.messages import encode
 
 Message = dict[str, Any]
 
@@ -37,7 +36,7 @@ class Client:
         Raises:
             Unanswered: none came within `timeout` seconds, or the daemon lets this client not ask.
         """
-        data = encode(payload or {})
+        data = msgspec.json.encode(payload or {})
         replies = self._session.get(
             f"{self._prefix}/{key}", payload=data, encoding=zenoh.Encoding.APPLICATION_JSON, timeout=timeout
         )

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from controller.commands import demo
+from controller.commands.talk import connected
+
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 
 
@@ -80,6 +83,28 @@ def test_watch_streams_states_until_interrupted(endpoint):
         assert watching.wait(20) == 0
     assert {state["mode"] for state in states} == {"ready"}
     assert len(states[0]["measured"]) == 48
+
+
+def test_an_interrupt_cancels_the_goal_that_was_sent(endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    points = [f"- {{position: [0.5, 2.8], t: {t}}}" for t in (0, 300)]
+    file.write_text("\n".join(["id: long", "waypoints:", *points]))
+    words = ["send", "planar16", str(file), "--connect", endpoint]
+    with subprocess.Popen(
+        [sys.executable, "-m", "controller.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        text=True,
+    ) as sending:
+        assert sending.stdout is not None
+        assert sending.stdout.readline()  # the daemon's answer: the goal is accepted
+        sending.send_signal(signal.SIGINT)
+        out, err = sending.communicate(timeout=60)
+    assert (sending.returncode, err) == (130, "interrupted: canceling goal long\n")
+    assert out.endswith("goal long: canceled\n")
+    with connected("planar16", endpoint, None) as client:
+        demo.wait_until_ready(client)
 
 
 def test_a_second_daemon_at_the_same_endpoint_fails_in_words(hyperbit, endpoint, tmp_path):

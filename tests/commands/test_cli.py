@@ -1,0 +1,108 @@
+"""The command line itself: its table of commands, what it imports, its version."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from controller import cli
+from controller.commands import tell
+from controller.commands.common import arm_name
+from controller.manipulator import held
+from controller.strict import InputFaults
+
+ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+HEAVY = {"numba", "numpy", "scipy", "matplotlib", "can", "canopen"}
+NOWHERE = ("--connect", "tcp/127.0.0.1:1")
+RUN = """
+import json, sys
+from controller import cli
+sys.argv[0] = "hyperbit"
+try:
+    cli.main()
+finally:
+    print(json.dumps(sorted(name for name in sys.modules if "." not in name)))
+"""
+
+
+def imported(*words: str) -> set[str]:
+    """Returns the top-level modules that a command imports in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", RUN, *words], capture_output=True, text=True, timeout=100)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_the_table_agrees_with_the_commands():
+    for name, entry in cli.COMMANDS.items():
+        function = getattr(importlib.import_module(f"controller.commands.{entry.module}"), entry.function)
+        assert (name, entry.function) == (function.__name__.rstrip("_"), function.__name__)
+        assert entry.summary == inspect.getdoc(function).splitlines()[0]
+
+
+@pytest.mark.parametrize("words", [("--help",), ("--version",)])
+def test_help_and_version_import_no_command(words):
+    assert imported(*words).isdisjoint({*HEAVY, "zenoh", "yaml", "msgspec"})
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("stop", "--help"),
+        ("stop", str(ARM), *NOWHERE),
+        ("cancel", str(ARM), *NOWHERE),
+        ("reset", str(ARM), *NOWHERE),
+        ("watch", str(ARM), *NOWHERE),
+        ("send", str(ARM), "--to", "1,2", *NOWHERE),
+        ("degrade", str(ARM), "5.left=free", *NOWHERE),
+        ("obstacles", str(ARM), "--none", *NOWHERE),
+    ],
+)
+def test_commands_to_a_daemon_import_no_kernels(words):
+    assert imported(*words).isdisjoint(HEAVY)
+
+
+def test_the_version_is_that_of_the_package(hyperbit):
+    assert hyperbit("--version") == (0, f"hyperbit {version('hyperbit')}\n", "")
+
+
+def test_a_mistyped_command_is_unusable_input(hyperbit):
+    code, out, err = hyperbit("stpo")
+    assert (code, out) == (2, "")
+    assert "'stop'" in err
+
+
+def test_an_arm_is_a_file_only_if_it_is_a_regular_file(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "planar16").mkdir()
+    assert arm_name("planar16") == "planar16"
+    (tmp_path / "arm").write_text(ARM.read_text())
+    assert arm_name("arm") == "planar16"
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "name: required, but missing"),
+        ("- 1", "name: required, but missing"),
+        ("name: a/b", "name: "),
+        ("name: [a]", "name: "),
+        ("name: {", "is not YAML"),
+    ],
+)
+def test_a_file_without_a_name_is_unusable_input(tmp_path, text, fault):
+    file = tmp_path / "arm.yaml"
+    file.write_text(text)
+    with pytest.raises(InputFaults, match=fault):
+        arm_name(str(file))
+    with pytest.raises(InputFaults, match="no such file"):
+        arm_name(str(tmp_path / "missing.yaml"))
+
+
+def test_states_have_the_names_of_the_arm():
+    assert tell.STATES == held.STATES
