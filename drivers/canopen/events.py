@@ -1,0 +1,60 @@
+"""What happens on a CAN bus, as plain data: `bus.CanBus` makes these events, `master.Master` takes them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from drivers.canopen.cia301 import Frame
+
+
+class Received(NamedTuple):
+    """A data frame with an 11 bit identifier from another node or program."""
+
+    bus: str
+    frame: Frame
+
+
+class Ignored(NamedTuple):
+    """Another frame: extended, remote or CAN FD.
+
+    Attributes:
+        bus: name.
+        bits: on the wire at worst.
+    """
+
+    bus: str
+    bits: int
+
+
+class Echoed(NamedTuple):
+    """A frame left this computer: a frame of ours, or of another program on the same interface."""
+
+    bus: str
+    frame: Frame
+
+
+class SendFailed(NamedTuple):
+    """A frame was not sent and is not kept."""
+
+    bus: str
+    frame: Frame
+    why: str
+
+
+class Changed(NamedTuple):
+    """The state of the bus, or its error counters.
+
+    Attributes:
+        bus: name.
+        state: "active", "warning", "passive", "bus-off", "down" or "closed"; None if it did not change.
+        why: a sentence, or "".
+        errors: error counters in sending and receiving, None if unknown.
+    """
+
+    bus: str
+    state: str | None
+    why: str
+    errors: tuple[int, int] | None
+
+
+Event = Received | Ignored | Echoed | SendFailed | Changed

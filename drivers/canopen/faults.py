@@ -1,0 +1,58 @@
+"""Faults of buses and boards, each reported once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class BusError(Exception):
+    """A CAN bus could not be opened."""
+
+
+class Busy(Exception):
+    """A commit is refused: another is under way, or a bus or a board is not up."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of the hardware.
+
+    Attributes:
+        code: a short stable word. The master reports "board-missing", "board-lost", "board-rebooted", "board-stopped",
+            "wrong-device", "wrong-length", "sdo-refused", "emergency", "bus-off", "bus-down", "bus-busy",
+            "bus-passive", "foreign-master" and "halted"; the executor adds "stuck", "unexpected-motion" and others.
+        source: a board ("can0/5"), a bus ("can0") or an actuator ("5.left (can0/5 output 0)").
+        message: a sentence for a person.
+    """
+
+    code: str
+    source: str
+    message: str
+
+
+class FaultLog:
+    """Faults that were not taken yet. A code and source is reported once, until `clear`.
+
+    Only the first fault of one code and source counts: a board can send 65,280 different emergencies, 8,000 a second.
+    """
+
+    def __init__(self) -> None:
+        self._reported: set[tuple[str, str]] = set()
+        self._new: list[Fault] = []
+
+    def report(self, fault: Fault) -> None:
+        """Adds a fault, unless one of its code and source was reported since `clear`."""
+        key = fault.code, fault.source
+        if key not in self._reported:
+            self._reported.add(key)
+            self._new.append(fault)
+
+    def take(self) -> list[Fault]:
+        """Returns the faults that were reported since the last call."""
+        new, self._new = self._new, []
+        return new
+
+    def clear(self) -> None:
+        """Forgets all faults; what is still wrong is reported again."""
+        self._reported.clear()
+        self._new = []
