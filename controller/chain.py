@@ -9,8 +9,9 @@ from controller.manipulator import frames
 from controller.manipulator.joints import prismatic, revolute
 from controller.manipulator.module import Module, transforms
 from controller.manipulator.platform import platform
-from controller.manipulator.vgt import ACTUATORS, Diagonal, vgt
+from controller.manipulator.vgt import ACTUATORS, vgt
 from controller.settings import (
+    Diagonal,
     FrameSettings,
     Legs,
     ModuleSettings,

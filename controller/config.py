@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.actuators import map_actuators
 from controller.chain import build_frame, build_modules
 from controller.manipulator.held import STATES, Held, free, hold
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.notation import build_regions
 from controller.obstacles.regions import NONE, Regions, together
-from controller.settings import ActuatorSettings, ArmSettings
-from controller.strict import InputFaults, check, read_yaml
+from controller.settings import ActuatorSettings, ArmSettings, read_settings
+from controller.strict import InputFaults
 
 MOST_PIXELS = 2**19
 
@@ -99,22 +100,13 @@ def load(path: Path) -> Arm:
     Raises:
         InputFaults: the file is missing or wrong; one line per fault, each with the path of its field.
     """
-    raw = read_yaml(path)
-    faults: list[str] = []
-    settings = check(raw, ArmSettings, faults)
-    if settings is None:
-        raise InputFaults(path, faults)
-    if settings.boards.heartbeat_timeout <= 1.5 * settings.boards.heartbeat:
-        faults.append(
-            f"boards.heartbeat_timeout: {settings.boards.heartbeat_timeout:g} s is too short for heartbeats every"
-            f" {settings.boards.heartbeat:g} s; more than 1.5 times that is needed"
-        )
+    settings, faults = read_settings(path)
     modules = build_modules(settings.modules, path.parent, faults)
     base = build_frame(settings.base, "base", faults)
     if faults or not modules or base is None:
         raise InputFaults(path, faults)
     manipulator = Manipulator(modules, base)
-    wiring = map_actuators(settings, manipulator, faults)
+    wiring = map_actuators(settings, [module.actuators for module in modules], faults)
     if faults:
         raise InputFaults(path, faults)
     regions = build_regions(settings.obstacles, manipulator.dimension, "obstacles", faults)
@@ -135,34 +127,3 @@ def walled_in(arm: Arm) -> str | None:
     clearance = arm.clearance(Manipulator(arm.manipulator.modules[:1], arm.manipulator.base))
     states = np.arange(len(arm.manipulator.modules[0].frames))[:, None]
     return clearance.where(states[0]) if clearance.blocked(states).all() else None
-
-
-def map_actuators(settings: ArmSettings, manipulator: Manipulator, faults: list[str]) -> tuple[ActuatorSettings, ...]:
-    """Returns the actuators' wiring in the order of the manipulator's actuators."""
-    buses = [bus.name for bus in settings.buses]
-    faults += [f"buses[{k}].name: {b!r} is already taken" for k, b in enumerate(buses) if b in buses[:k]]
-    found: dict[str, ActuatorSettings] = {}
-    taken: dict[tuple[str, str, int, int], str] = {}
-    for k, entry in enumerate(settings.actuators):
-        path, label = f"actuators[{k}]", f"{entry.module}.{entry.actuator}"
-        if entry.module > len(manipulator.modules):
-            faults.append(f"{path}.module: {entry.module}, but the arm has modules 1 to {len(manipulator.modules)}")
-        elif label not in manipulator.actuators:
-            names = ", ".join(manipulator.modules[entry.module - 1].actuators)
-            faults.append(f"{path}.actuator: {entry.actuator!r}, but module {entry.module} has {names}")
-        elif label in found:
-            faults.append(f"{path}: actuator {label} is mapped already")
-        else:
-            found[label] = entry
-        if entry.bus not in buses:
-            faults.append(f"{path}.bus: {entry.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
-        for kind, bit in (("output", entry.output), ("input", entry.input)):
-            if bit is None:
-                continue
-            where = (kind, entry.bus, entry.node, bit)
-            if where in taken:
-                faults.append(f"{path}.{kind}: {kind} {bit} of {entry.bus}/{entry.node} is {taken[where]}'s already")
-            taken.setdefault(where, label)
-    if settings.actuators or settings.buses:
-        faults += [f"actuators: {label} is not mapped" for label in manipulator.actuators if label not in found]
-    return tuple(found[label] for label in manipulator.actuators if label in found)

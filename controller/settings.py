@@ -1,12 +1,11 @@
-"""What an arm's YAML file may say: its fields, their bounds and what holds where they are absent."""
+"""The fields of an arm's YAML file, their bounds and defaults; no geometry, so that the executor can read the file."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-from controller.manipulator.vgt import Diagonal
-from controller.obstacles.notation import RegionList
-from controller.search.method import Method
+from controller.strict import InputFaults, check, read_yaml
 
 # Lengths beyond these bounds are slips of the unit, and would overflow when squared.
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
@@ -17,8 +16,14 @@ Bit = Annotated[int, Meta(ge=0, le=63)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
+Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
 Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # more is degrees, or a slip
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
+Diagonal = Literal["BC", "AD"]  # of a truss module
+PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
+Method = Literal["minimum-switch", PaperMethod]
+
+MOST_REGIONS = 256  # in one list
 
 
 class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -83,6 +88,43 @@ class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unkn
 ModuleSettings = VgtSettings | RevoluteSettings | PrismaticSettings | PlatformSettings | TransformsSettings
 
 
+class RoundSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A disc or a sphere."""
+
+    centre: Vector
+    radius: Positive
+
+
+class BoxSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A box, turned about its centre: in the plane by an angle [rad], in space by a quaternion x, y, z, w."""
+
+    centre: Vector
+    size: Sides
+    angle: Angle | None = None
+    orientation: Quaternion | None = None
+
+
+class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A half-plane or half-space: all that lies on the side of `point` that `normal` points away from."""
+
+    point: Vector
+    normal: Vector
+
+
+class RegionSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A region that no module may touch: one of these, and what sentences call it."""
+
+    disc: RoundSettings | None = None
+    sphere: RoundSettings | None = None
+    box: BoxSettings | None = None
+    half_plane: HalfSettings | None = None
+    half_space: HalfSettings | None = None
+    name: Name | None = None
+
+
+RegionList = Annotated[list[RegionSettings], Meta(max_length=MOST_REGIONS)]
+
+
 class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """How near to a goal is good enough, where the goal says nothing."""
 
@@ -121,6 +163,7 @@ class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
     boot_timeout: Annotated[float, Meta(gt=0, le=120)] = 3.0
     on_loss: Literal["hold", "contract"] = "hold"
     shared_rpdo: bool = False
+    settle_margin: Annotated[float, Meta(ge=0, le=10)] = 0.03  # after travel_time, before an actuator counts as stuck
 
 
 class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -179,3 +222,22 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)
+
+
+def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
+    """Returns the fields of an arm's file, and the faults that single fields do not show.
+
+    Raises:
+        InputFaults: the file is missing or unreadable, or a field is wrong.
+    """
+    faults: list[str] = []
+    settings = check(read_yaml(path), ArmSettings, faults)
+    if settings is None:
+        raise InputFaults(path, faults)
+    boards = settings.boards
+    if boards.heartbeat_timeout <= 1.5 * boards.heartbeat:
+        faults.append(
+            f"boards.heartbeat_timeout: {boards.heartbeat_timeout:g} s is too short for heartbeats every"
+            f" {boards.heartbeat:g} s; more than 1.5 times that is needed"
+        )
+    return settings, faults

@@ -3,17 +3,16 @@
 import math
 from collections.abc import Iterable
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.frames import Frame, planar
 from controller.manipulator.module import Array, Module, binary_code
+from controller.settings import Diagonal
 
 Point = NDArray[np.float64]
 Lengths = tuple[float, float]
-Diagonal = Literal["BC", "AD"]
 
 ACTUATORS = ("left", "diagonal", "right")
 

@@ -2,62 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
-
-from msgspec import Meta, Struct
 
 from controller.manipulator import frames
 from controller.obstacles.regions import Regions, box, half_space, sphere, together
+from controller.settings import MOST_REGIONS, BoxSettings, HalfSettings, RegionSettings, RoundSettings
+from controller.settings import RegionList as RegionList  # with `build_regions`, for messages that carry regions
 from controller.strict import UNIT
 
-# Lengths beyond these bounds are slips of the unit, and would overflow when squared.
-Positive = Annotated[float, Meta(gt=0, le=1e6)]
-Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
-Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
-Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # more is degrees, or a slip
-Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
-
-MOST = 256  # regions in one list
+MOST = MOST_REGIONS
 PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
-
-
-class RoundSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A disc or a sphere."""
-
-    centre: Vector
-    radius: Positive
-
-
-class BoxSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A box, turned about its centre: in the plane by an angle [rad], in space by a quaternion x, y, z, w."""
-
-    centre: Vector
-    size: Sides
-    angle: Angle | None = None
-    orientation: Quaternion | None = None
-
-
-class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A half-plane or half-space: all that lies on the side of `point` that `normal` points away from."""
-
-    point: Vector
-    normal: Vector
-
-
-class RegionSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A region that no module may touch: one of these, and what sentences call it."""
-
-    disc: RoundSettings | None = None
-    sphere: RoundSettings | None = None
-    box: BoxSettings | None = None
-    half_plane: HalfSettings | None = None
-    half_space: HalfSettings | None = None
-    name: Name | None = None
-
-
-RegionList = Annotated[list[RegionSettings], Meta(max_length=MOST)]
 
 
 def build_regions(listed: Sequence[RegionSettings], dimension: int, path: str, faults: list[str]) -> Regions:
