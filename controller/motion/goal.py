@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
@@ -13,10 +14,12 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.destinations import destination, rotation
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
-from controller.strict import UNIT, check
+from controller.strict import check
 
 if TYPE_CHECKING:  # its kernels take a second to import: who only reads messages does not wait for it
+    from controller.manipulator.manipulator import Manipulator
     from controller.motion.pacing import Pace
 
 MOST_BYTES = 1_000_000
@@ -33,11 +36,15 @@ Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it goes into logs, a da
 
 
 class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where the tip is to be settled, `t` seconds after the stamp, and how it is to be turned, if that matters."""
+    """Where the arm is to be settled, `t` seconds after the stamp.
 
-    position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
+    Either the tip's position, with an orientation if it matters, or a configuration as `state` and `fk` write it.
+    """
+
+    position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)] | None = None
     t: Time = 0.0
     orientation: Turn | list[Turn] | None = None
+    configuration: Annotated[str, Meta(max_length=100_000)] | None = None
 
 
 class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
@@ -78,13 +85,34 @@ def parse(payload: bytes) -> GoalMessage:
     if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_POINTS:
         raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_POINTS} are taken")
     try:
-        return msgspec.convert(value, GoalMessage)
+        message = msgspec.convert(value, GoalMessage)
     except (
         msgspec.ValidationError,
         RecursionError,
         UnicodeError,
     ):  # all that is wrong, by field, is told by the slower check
         raise refusal(faults_of(value)) from None
+    check_destinations(message)
+    return message
+
+
+def check_destinations(message: GoalMessage) -> None:
+    """Checks that each waypoint has either a position or a configuration.
+
+    Raises:
+        Refusal: one has neither, both, or a configuration with an orientation or on a line.
+    """
+    for k, waypoint in enumerate(message.waypoints):
+        where = f"waypoints[{k}]"
+        if waypoint.configuration is None:
+            if waypoint.position is None:
+                raise refusal(f"{where}.position: required, but missing; a `configuration` may stand in its place")
+            continue
+        for name, given in (("position", waypoint.position), ("orientation", waypoint.orientation)):
+            if given is not None:
+                raise refusal(f"{where}.{name}: the configuration decides it, leave out one of them")
+        if message.path_tolerance is not None:
+            raise refusal(f"{where}.configuration: lines are followed by position only, leave out path_tolerance")
 
 
 def check_size(size: int) -> None:
@@ -129,7 +157,15 @@ def refusal(message: str) -> Refusal:
     return Refusal(INVALID_GOAL, message.encode("utf-8", "backslashreplace").decode())
 
 
-def schedule(message: GoalMessage, dimension: int, tolerance: float, turn: float, pace: Pace, now: float) -> Trajectory:
+def schedule(
+    message: GoalMessage,
+    dimension: int,
+    tolerance: float,
+    turn: float,
+    pace: Pace,
+    now: float,
+    manipulator: Manipulator | None = None,
+) -> Trajectory:
     """Returns the trajectory that a message asks for.
 
     Args:
@@ -139,50 +175,34 @@ def schedule(message: GoalMessage, dimension: int, tolerance: float, turn: float
         turn: tolerance of the orientation, likewise [rad].
         pace: of the actuators.
         now: time of arrival, UNIX seconds.
+        manipulator: the whole arm, for waypoints that are configurations; None: such waypoints are refused.
 
     Raises:
         Refusal: what is wrong, by field.
     """
     if not message.waypoints:
         raise refusal("waypoints: empty; at least one is needed")
+    positions, fixed = np.zeros((len(message.waypoints), dimension)), dict[int, NDArray[np.uint8]]()
     for k, waypoint in enumerate(message.waypoints):
-        if len(waypoint.position) != dimension:
-            given = len(waypoint.position)
-            raise refusal(f"waypoints[{k}].position: {given} coordinates, this arm's goals have {dimension}")
+        if waypoint.configuration is not None:
+            positions[k], fixed[k] = destination(waypoint.configuration, manipulator, f"waypoints[{k}].configuration")
+            continue
+        position = waypoint.position or []
+        if len(position) != dimension:
+            raise refusal(f"waypoints[{k}].position: {len(position)} coordinates, this arm's goals have {dimension}")
         if waypoint.orientation is not None and message.path_tolerance is not None:
             raise refusal(f"waypoints[{k}].orientation: lines are followed by position only, leave out path_tolerance")
+        positions[k] = position
     times = np.array([waypoint.t for waypoint in message.waypoints])
     check_times(times, message.stamp, pace.shortest, now)
-    positions = np.array([waypoint.position for waypoint in message.waypoints])
     own, stamp = message.tolerance.position or tolerance, message.stamp or None
     if message.path_tolerance is None:
         angle = message.tolerance.orientation or turn
         wanted = [waypoint.orientation for waypoint in message.waypoints]
         turns = np.array([math.inf if orientation is None or angle >= math.pi else angle for orientation in wanted])
         rotations = [rotation(value, dimension, f"waypoints[{k}].orientation") for k, value in enumerate(wanted)]
-        return through(times, positions, own, stamp, np.array(rotations), turns)
+        return replace(through(times, positions, own, stamp, np.array(rotations), turns), fixed=fixed)
     return along(times, positions, own, message.path_tolerance, pace, stamp)
-
-
-def rotation(orientation: float | list[float] | None, dimension: int, where: str) -> NDArray[np.float64]:
-    """Returns the rotation (3, 3) of an orientation, none where it is absent.
-
-    Raises:
-        Refusal: it is not of the arm's kind, or no unit quaternion.
-    """
-    from controller.manipulator import frames  # its kernels, too, take their time to import
-
-    if orientation is None:
-        return np.eye(3)
-    if dimension == 2:
-        if isinstance(orientation, list):
-            raise refusal(f"{where}: a planar arm's orientation is an angle in radians, got {len(orientation)} numbers")
-        return frames.planar(0.0, 0.0, orientation)[:3, :3]
-    length = math.hypot(*orientation) if isinstance(orientation, list) and len(orientation) == 4 else 0.0
-    if not isinstance(orientation, list) or abs(length - 1.0) > UNIT:
-        got = f"one of length {length:.4g}" if length else f"{json.dumps(orientation)[:60]}"
-        raise refusal(f"{where}: a quaternion x, y, z, w of length 1 is needed, got {got}")
-    return frames.spatial((0.0, 0.0, 0.0), orientation)[:3, :3]
 
 
 def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: float) -> None:

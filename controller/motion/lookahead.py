@@ -79,6 +79,10 @@ class LookAhead:
         if way.until > self._next:
             return [Way(way.cost, way.configuration, way.until, way)]
         goal, tolerance, turn = self._goal()
+        if (states := self._trajectory.fixed.get(self._first + self._next)) is not None:
+            fixed = self._solver.manipulator.configuration(states)
+            described = self._solver.described(fixed, goal, way.configuration, tolerance, turn)
+            return [Way(way.cost + described.cost, fixed, self._until(fixed[None])[0], way)]
         configurations, costs = self._solver.candidates(goal, way.configuration, tolerance, MOST, turn)
         if len(costs) == 0:
             return []

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.pacing import Blocked, Pace, Staged, Unfit
+from controller.motion.sentences import out_of_reach, place
 from controller.motion.trajectory import Trajectory, upwards
 from controller.motion.ways import PATIENCE
+from controller.motion.without_search import fixed, held
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
 from controller.search.solution import Solution
@@ -118,6 +120,16 @@ def plan(
             continue
         left = max(until - time.perf_counter(), 0.0)
         reckon = left > 0 or method != "minimum-switch"
+        if k in trajectory.fixed:
+            solution = fixed(solver, trajectory, previous, k)
+            try:
+                transitions.append(staged(solver, trajectory, previous, solution, k, pace, reckon, PATIENCE))
+            except Blocked as blocked:
+                what = f"no way to it without touching anything: {blocked}"
+                raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
+            solutions.append(solution)
+            previous = solution.configuration
+            continue
         solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left), turn)
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
@@ -178,39 +190,6 @@ def aside(
             return replace(solution, switches=switches), transition
     what = f"no way to it without touching anything: {blocked}"
     raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
-
-
-def held(solution: Solution, goal: NDArray[np.float64], tolerance: float) -> Solution | None:
-    """Returns what holding a configuration is for the next point, None if it does not serve there."""
-    error = float(np.linalg.norm(solution.tip[: len(goal), 3] - goal))
-    if error > tolerance:
-        return None
-    return replace(solution, error=error, switches=0, seconds=0.0, cost=0.0, lower_bound=0.0)
-
-
-def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
-    """Returns the sentence on a point that no configuration was found for."""
-    goal, tolerance = trajectory.positions[point], trajectory.tolerances[point]
-    bias = trajectory.bias
-    wanted = ", ".join(f"{x:g}" for x in (goal if bias is None else goal + bias))
-    tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
-    if (turn := trajectory.turns[point]) < np.inf:
-        away = f"{nearest.error:.4f} away and turned {nearest.angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
-        found = f"is out of reach in this orientation; the nearest pose found is at ({tip}), {away}"
-    else:
-        away = f"{nearest.error:.4f} away, tolerance {tolerance:g}"
-        found = f"is out of reach; the nearest point found is ({tip}), {away}"
-    if bias is not None and bias.any():
-        found += f"; the real tip is ({', '.join(f'{x:.4f}' for x in bias)}) beside the computed one"
-    return f"{place(trajectory, point)}: ({wanted}) {found}"
-
-
-def place(trajectory: Trajectory, point: int) -> str:
-    """Returns what a point is called."""
-    if trajectory.between(point):
-        last = trajectory.last(point)
-        return f"waypoints[{last}] to waypoints[{last + 1}]"
-    return f"waypoints[{trajectory.last(point)}].position"
 
 
 def staged(

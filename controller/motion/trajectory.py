@@ -7,7 +7,8 @@ is near enough to the part's middle is near enough to every point of it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,7 @@ class Trajectory:
         waypoints: which of the points are the goal's own, shape (m,), ascending; the last point is.
         path_tolerance: greatest distance of a settled tip from the lines' moving point; None: no lines are followed.
         bias: that the positions are corrected by, shape (dimension,); None: by none, as no tracker tells of the tip.
+        fixed: actuator states (A,) of the points that are configurations; the positions of these points are the tip's.
     """
 
     stamp: float | None
@@ -49,10 +51,18 @@ class Trajectory:
     waypoints: NDArray[np.int64]
     path_tolerance: float | None = None
     bias: Array | None = None
+    fixed: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def corrected(self, bias: Array | None) -> Trajectory:
-        """Returns the trajectory for computed tips, the real one being so much (dimension,) beside them."""
-        return self if bias is None else replace(self, positions=self.positions - bias, bias=bias)
+        """Returns the trajectory for computed tips, the real one being so much (dimension,) beside them.
+
+        A configuration has its tip wherever that is: its position is not corrected.
+        """
+        if bias is None:
+            return self
+        positions = self.positions - bias
+        positions[list(self.fixed)] = self.positions[list(self.fixed)]
+        return replace(self, positions=positions, bias=bias)
 
     def goal(self, point: int) -> Array:
         """Returns a point's position, shape (dimension,), or the tip's frame there, shape (4, 4), if it turns, too."""
@@ -64,9 +74,14 @@ class Trajectory:
         return frame
 
     def serve(self, tips: Array, points: slice) -> NDArray[np.bool_]:
-        """Returns whether tips (m, 4, 4) are within the tolerances of each of some points (k), shape (m, k)."""
+        """Returns whether tips (m, 4, 4) are within the tolerances of each of some points (k), shape (m, k).
+
+        A tip does not tell whether it is of the right configuration: points that are configurations count as missed.
+        """
         away = np.linalg.norm(tips[:, None, : self.positions.shape[1], 3] - self.positions[points], axis=2)
         served = away <= self.tolerances[points]
+        if self.fixed:
+            served &= [k not in self.fixed for k in range(*points.indices(len(self.times)))]
         turns = self.turns[points]
         if np.isfinite(turns).any():
             chords = np.linalg.norm(tips[:, None, :3, :3] - self.rotations[points], axis=(2, 3)) / math.sqrt(2.0)
