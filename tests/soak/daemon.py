@@ -50,6 +50,7 @@ class Answers:
         self.most_waiting: Counter[str] = Counter()
         self.aborted: list[str] = []
         self.mode = ""
+        self.followed = False  # whether setpoints have switched actuators
         self.diagnostics: dict[str, Any] = {}
         self.told = 0
 
@@ -73,11 +74,17 @@ class Answers:
 
     def diagnose(self, message: dict[str, Any]) -> None:
         self.diagnostics, self.told = message, self.told + 1
+        self.followed |= self.open == 0 and message["switches"] > self.switches
         for queue, waiting in message["queues"].items():
             self.most_waiting[queue] = max(self.most_waiting[queue], waiting)
 
     def state(self, message: dict[str, Any]) -> None:
         self.mode = message["mode"]
+
+    @property
+    def complete(self) -> bool:
+        """Whether goals have succeeded and been refused, and setpoints were followed."""
+        return self.followed and self.statuses["succeeded"] > 0 and self.statuses["refused"] > 0
 
     @property
     def open(self) -> int:
@@ -115,16 +122,16 @@ class Load:
             self._answers.asked[k] = True
             self._session.get(f"{self._prefix}/goal", self._answers.reply(k), payload=payload, timeout=60)
 
-    def send_goals(self, seconds: float) -> None:
-        """Sends goals for so long."""
-        for t in paced(GOAL_EVERY, seconds):
+    def send_goals(self, going: Callable[[float], bool]) -> None:
+        """Sends goals as long as `going` returns true."""
+        for t in paced(GOAL_EVERY, going):
             if t % CYCLE < GOALS_FOR:
                 self.goal(self.goals, last=t % CYCLE >= GOALS_FOR - GOAL_EVERY)
                 self.goals += 1
 
-    def send_setpoints(self, seconds: float) -> None:
-        """Sends setpoints for so long."""
-        for t in paced(SETPOINT_EVERY, seconds):
+    def send_setpoints(self, going: Callable[[float], bool]) -> None:
+        """Sends setpoints as long as `going` returns true."""
+        for t in paced(SETPOINT_EVERY, going):
             within = t % CYCLE
             if not REST_FROM <= within < REST_TO and (within > GOALS_FOR or within % STREAM_EVERY < STREAM_FOR):
                 position = [0.5 + 0.2 * np.sin(t), 2.8 - 0.1 * (1 - np.cos(t))]
@@ -132,10 +139,10 @@ class Load:
                 self.setpoints += 1
 
 
-def paced(every: float, seconds: float) -> Iterator[float]:
-    """Gives the time since the begin at even intervals; what is late is not made up for."""
+def paced(every: float, going: Callable[[float], bool]) -> Iterator[float]:
+    """Gives the time since the begin at even intervals, as long as `going` of it is true; late ones are dropped."""
     began = time.monotonic()
-    while (t := time.monotonic() - began) < seconds:
+    while going(t := time.monotonic() - began):
         yield t
         time.sleep(max(every - (time.monotonic() - began) % every, 0.0))
 
@@ -159,8 +166,14 @@ def listening(bus: can.BusABC, counter: SwitchCounter) -> Iterator[None]:
         thread.join()
 
 
-def soaked(arm: Arm, densities: Densities, seconds: float) -> dict[str, Any]:
-    """Runs a daemon under load for so long; returns the figures.
+def soaked(arm: Arm, densities: Densities, seconds: float, longest: float = 0.0) -> dict[str, Any]:
+    """Runs a daemon under load; returns the figures.
+
+    Args:
+        arm: to be driven.
+        densities: of the arm.
+        seconds: shortest duration of the load [s].
+        longest: duration [s] after which the load ends although answers are not yet complete.
 
     Raises:
         AssertionError: something was lost, doubled or miscounted.
@@ -170,7 +183,7 @@ def soaked(arm: Arm, densities: Densities, seconds: float) -> dict[str, Any]:
     wiring = embedded(wiring_of(arm))
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    answers = Answers(int(seconds / GOAL_EVERY) + 100)
+    answers = Answers(int(max(seconds, longest) / GOAL_EVERY) + 100)
     counter = SwitchCounter([(entry.node, entry.output) for entry in arm.wiring])
     with tempfile.TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger.sqlite"
@@ -181,19 +194,26 @@ def soaked(arm: Arm, densities: Densities, seconds: float) -> dict[str, Any]:
             config = session.configuration("peer", listen=endpoint)
             stack.enter_context(running(Daemon(arm, densities, wiring, config, ledger, timing)))
             opened = stack.enter_context(zenoh.open(session.configuration("client", connect=endpoint)))
-            load, figures = loaded(opened, arm, answers, seconds)
+            load, figures = loaded(opened, arm, answers, seconds, longest)
         return {**figures, **checked(arm, answers, load, counter, boards.switches(), ledger)}
 
 
-def loaded(opened: zenoh.Session, arm: Arm, answers: Answers, seconds: float) -> tuple[Load, dict[str, Any]]:
-    """Loads a daemon for so long, and waits until it has answered everything and is ready."""
+def loaded(
+    opened: zenoh.Session, arm: Arm, answers: Answers, seconds: float, longest: float
+) -> tuple[Load, dict[str, Any]]:
+    """Loads a daemon, and waits until it has answered everything and is ready; see `soaked`."""
     client, load = Client(opened, arm.settings.name), Load(opened, arm, answers)
     takers = {"result": answers.result, "diagnostics": answers.diagnose, "state": answers.state}
     subscribers = [client.subscribe(key, take) for key, take in takers.items()]
     eventually(lambda: answers.mode == "ready", 60)
-    memory = Memory(int(seconds) + 60, traced=True)
-    with Periods(int(110 * seconds) + 1000) as periods:
-        senders = [threading.Thread(target=send, args=(seconds,)) for send in (load.send_goals, load.send_setpoints)]
+    longest = max(seconds, longest)
+    memory = Memory(int(longest) + 60)
+
+    def going(t: float) -> bool:
+        return t < seconds or (t < longest and not answers.complete)
+
+    with Periods(int(110 * longest) + 1000) as periods:
+        senders = [threading.Thread(target=send, args=(going,)) for send in (load.send_goals, load.send_setpoints)]
         for sender in senders:
             sender.start()
         while any(sender.is_alive() for sender in senders):

@@ -2,7 +2,6 @@
 
 import resource
 import sys
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -56,41 +55,32 @@ class Periods:
 
 
 class Memory:
-    """Resident memory of this process and Python's blocks in use; with tracemalloc also bytes, at three times the time.
+    """Resident memory of this process and the number of Python's blocks in use.
+
+    Both are read from outside: tracemalloc crashes a process whose kernels run without the interpreter's lock.
 
     Args:
         most: samples that are kept.
-        traced: whether tracemalloc is to run.
     """
 
-    def __init__(self, most: int, *, traced: bool = False) -> None:
-        self._samples, self._count = np.zeros((most, 3)), 0
-        if traced:
-            tracemalloc.start()
+    def __init__(self, most: int) -> None:
+        self._samples, self._count = np.zeros((most, 2)), 0
 
     def sample(self) -> None:
         """Notes what is taken now."""
         if self._count < len(self._samples):
             resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-            traced = tracemalloc.get_traced_memory()[0]
-            self._samples[self._count] = resident / 2**20, sys.getallocatedblocks(), traced / 2**20
+            self._samples[self._count] = resident / 2**20, sys.getallocatedblocks()
             self._count += 1
 
     def end(self) -> dict[str, float]:
-        """Ends the watch; returns figures after a fifth of the time and at its end, memory in MiB.
+        """Returns figures after a fifth of the time and at its end, memory in MiB.
 
         Each is the least within a tenth of the time, since they swing with garbage that waits for its collection.
         """
-        tracemalloc.stop()
         samples = self._samples[: self._count]
         tenth = max(self._count // 10, 1)
         warm, last = samples[2 * tenth : 3 * tenth].min(axis=0), samples[-tenth:].min(axis=0)
         figures = {"rss_warm": warm[0], "rss_end": last[0], "rss_growth": last[0] / warm[0] - 1}
         figures |= {"blocks_warm": warm[1], "blocks_end": last[1], "blocks_growth": last[1] / warm[1] - 1}
-        if warm[2]:
-            figures |= {
-                "traced_warm": warm[2],
-                "traced_end": last[2],
-                "traced_growth_of_rss": (last - warm)[2] / warm[0],
-            }
         return {name: float(value) for name, value in figures.items()}

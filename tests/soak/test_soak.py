@@ -1,5 +1,7 @@
 """The long runs, short: what must hold for hours holds for seconds."""
 
+import pytest
+
 from controller.config import Arm
 from controller.workspace.densities import Densities
 from tests.soak.commits import committed
@@ -24,9 +26,9 @@ def test_switches_are_counted_when_sync_comes() -> None:
     assert counter.counts.tolist() == [3, 2, 1]
 
 
+@pytest.mark.timeout(600)
 def test_under_load_no_goal_and_no_switch_is_lost(arm: Arm, densities: Densities) -> None:
-    figures = soaked(arm, densities, 10.0)
-    assert figures["accepted"] > 100
+    figures = soaked(arm, densities, 10.0, longest=300.0)
     assert figures["results"]["succeeded"] >= 1
     assert figures["results"]["refused"] >= 1
     assert figures["switches_following"] > 0
