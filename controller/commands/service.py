@@ -6,20 +6,15 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from controller.commands.common import ENDPOINT, ArmFile, Failed, ZenohFile, console, densities_of, errors, load_wired
 from controller.strict import InputFaults
 
-VERBS = (
-    *("stick", "release", "slow", "lose_sensor", "restore_sensor"),
-    *("silence", "unsilence", "power_cut", "power_on"),
-)
-FAULTS = """\
-Faults on demand, a line each: stick 5.left 1 | release 5.left | slow 5.left 4 | lose_sensor 5.left |
-restore_sensor 5.left | silence can0/5 | unsilence can0/5 | power_cut can0/5 | power_on can0/5"""
+if TYPE_CHECKING:
+    from drivers.simulation.simulation import Simulation
 
 
 def run(
@@ -69,6 +64,7 @@ def simulate(file: ArmFile) -> None:
     import can
 
     from controller.daemon import service
+    from drivers.simulation import fault_commands
 
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -77,22 +73,18 @@ def simulate(file: ArmFile) -> None:
     try:
         with service.simulated(wiring, service.timing_of(arm)) as simulation:
             names = ", ".join(f"{bus.name} ({bus.interface} {bus.channel})" for bus in wiring.buses)
-            console.print(f"simulating the boards of {arm.settings.name} on {names}\n{FAULTS}")
+            console.print(f"simulating the boards of {arm.settings.name} on {names}\n{fault_commands.HELP}")
             threading.Thread(target=obey, args=(simulation,), daemon=True).start()
             ending.wait()
     except (can.CanError, OSError) as error:
         raise Failed(f"the bus cannot be opened: {error}") from None
 
 
-def obey(simulation: object) -> None:
+def obey(simulation: "Simulation") -> None:
     """Makes the faults that lines on standard input ask for."""
     for line in sys.stdin:
-        verb, *arguments = line.split() or [""]
         try:
-            if verb not in VERBS:
-                raise ValueError(f"{verb!r} is none of {', '.join(VERBS)}")
-            numbers = [float(number) if verb == "slow" else int(number) for number in arguments[1:]]
-            getattr(simulation, verb)(*arguments[:1], *numbers)
+            simulation.fault(*line.split())
             console.print(f"done: {line.strip()}")
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError) as error:
             errors.print(f"not done: {error}")

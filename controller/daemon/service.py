@@ -82,7 +82,7 @@ def embedded(wiring: Wiring) -> Wiring:
 @contextmanager
 def simulated(wiring: Wiring, timing: Timing) -> Iterator[Simulation]:
     """Runs simulated boards for a wiring while the context lasts."""
-    simulation = Simulation.from_wiring(wiring, timing)
+    simulation = Simulation(wiring, timing)
     simulation.start()
     try:
         yield simulation

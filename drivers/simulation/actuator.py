@@ -15,6 +15,7 @@ class Actuator:
 
     Attributes:
         position: 0..1.
+        driven: whether its drive is on, 0 or 1.
         switches: how often its drive changed.
     """
 
@@ -24,7 +25,7 @@ class Actuator:
         self.switches = 0
         self._travel_time = travel_time
         self._slowness = 1.0
-        self._driven = 0
+        self.driven = 0
         self._stuck: int | None = None
         self._end = 0
         self._frozen: int | None = None
@@ -46,8 +47,8 @@ class Actuator:
     def drive(self, state: int, now: float) -> None:
         """Switches the drive off (0) or on (1)."""
         self.step(now)
-        self.switches += state != self._driven
-        self._driven = state
+        self.switches += state != self.driven
+        self.driven = state
 
     def step(self, now: float) -> None:
         """Moves it on to the time `now` [s]."""
@@ -60,6 +61,14 @@ class Actuator:
             self._end = self._target
         else:
             self.position += elapsed / time * (1 if way > 0 else -1)
+
+    def position_at(self, now: float) -> float:
+        """Returns where it is at a time not before the last step [s]."""
+        way = self._target - self.position
+        if way == 0.0 or self._now is None:
+            return self.position
+        reach = (now - self._now) / (self._travel_time * self._slowness)
+        return self._target if reach >= abs(way) else self.position + reach * (1 if way > 0 else -1)
 
     def stick(self, state: int) -> None:
         """Lets it go to an end and stay there, whatever its drive."""
@@ -83,4 +92,4 @@ class Actuator:
 
     @property
     def _target(self) -> int:
-        return self._driven if self._stuck is None else self._stuck
+        return self.driven if self._stuck is None else self._stuck

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from canopen.sdo.server import SdoServer
 
-from drivers import cia301
-from drivers.cia301 import Command, State
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Command, State
 from drivers.simulation.actuator import Actuator
 from drivers.simulation.emergencies import Emergencies
 from drivers.simulation.objects import Objects

@@ -11,7 +11,7 @@ from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.datatypes import NUMBER_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers import cia301
+from drivers.canopen import cia301
 
 EDS = Path(__file__).with_name("board.eds")
 

@@ -42,7 +42,7 @@ class Rig:
         self.timing = timing
         # The listeners come first, so that no answer reaches them before its question.
         self.taps = {s.name: can.Bus(interface="virtual", channel=s.channel) for s in self.wiring.buses}
-        self.simulation = Simulation.from_wiring(self.wiring, timing)
+        self.simulation = Simulation(self.wiring, timing)
         self.faults: list[Fault] = []
         self.now = 0.0
         self._open: list[Boards] = []
@@ -56,7 +56,6 @@ class Rig:
 
     def boot(self) -> None:
         """The boards have long booted when the driver comes."""
-        self.simulation.step(time.monotonic())
         self.simulation.start()
         self.boards.connect()
         self.frames()

@@ -114,10 +114,10 @@ def test_a_commit_back_to_the_old_states_after_a_busy_bus_clears_what_waits_in_t
 
 def test_moving_until_the_end_stop_says_so(make_rig):
     rig = make_rig().up()
-    rig.simulation.slow("5.left", 1e9)
+    rig.simulation.fault("slow", "5.left", 1e9)
     rig.commit(1, 0)
     assert rig.boards.moving(rig.now)
-    rig.simulation.slow("5.left", 1)
+    rig.simulation.fault("slow", "5.left", 1)
     rig.arrive(1, 0)
     assert not rig.boards.moving(rig.now)
 
@@ -145,7 +145,7 @@ def test_an_actuator_that_is_held_is_in_its_state_whatever_its_output_unless_its
 
 def test_an_actuator_called_back_halfway_moves_for_the_travel_time(make_rig):
     rig = make_rig().up()
-    rig.simulation.slow("5.left", 1e9)
+    rig.simulation.fault("slow", "5.left", 1e9)
     rig.commit(1, 0)
     rig.commit(0, 0)
     assert rig.boards.moving(rig.now + 0.049)
@@ -226,7 +226,7 @@ def test_a_bus_on_which_nothing_leaves_is_lost_and_start_brings_it_back(make_rig
 def test_inputs_whose_tpdo_was_lost_are_asked_for_until_they_tell(make_rig, wait):
     rig = make_rig().up()
     lost = []
-    with rig.simulation.board("can0/5") as (board, _):
+    with rig.simulation.board("can0/5") as board:
         say = board._bus
         board._bus = lambda cob_id, data: lost.append(data) if cob_id == 0x185 else say(cob_id, data)
     rig.commit(1, 0)

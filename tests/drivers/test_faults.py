@@ -8,7 +8,7 @@ from drivers.faults import BusBusy
 
 def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_start(make_rig):
     rig = make_rig().up()
-    rig.simulation.silence("can0/5")
+    rig.simulation.fault("silence", "can0/5")
     rig.pass_time(200, step=5)
     assert rig.codes() == ["board-lost"]
     assert rig.boards.measured().tolist() == [-1, -1]
@@ -17,7 +17,7 @@ def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_start(make_rig):
     with pytest.raises(BusBusy, match="can0/5"):
         rig.commit(1, 0)
     assert rig.frames() == []
-    rig.simulation.unsilence("can0/5")
+    rig.simulation.fault("unsilence", "can0/5")
     assert rig.boards.start() == []
     rig.commit(1, 0)
     rig.arrive(1, 0)
@@ -34,8 +34,8 @@ def test_a_reboot_is_told_and_start_adopts_what_it_left(make_rig, wait):
     rig = make_rig().up()
     rig.commit(1, 1)
     rig.arrive(1, 1)
-    rig.simulation.power_cut("can0/5")
-    rig.simulation.power_on("can0/5")
+    rig.simulation.fault("power_cut", "can0/5")
+    rig.simulation.fault("power_on", "can0/5")
     wait(lambda: rig.codes() == ["board-rebooted"])
     assert "can0/5" in rig.faults[0].message
     wait(lambda: rig.simulation.positions().tolist() == [0, 0])
@@ -77,11 +77,11 @@ def test_an_emergency_is_told_in_words(make_rig, wait, code, words):
 def test_an_actuator_that_does_not_arrive_is_stuck(make_rig, trouble):
     rig = make_rig().up()
     if trouble == "stuck":
-        rig.simulation.stick("5.left", 0)
+        rig.simulation.fault("stick", "5.left", 0)
     elif trouble == "slow":
-        rig.simulation.slow("5.left", 1e9)
+        rig.simulation.fault("slow", "5.left", 1e9)
     else:
-        rig.simulation.lose_sensor("5.left")
+        rig.simulation.fault("lose_sensor", "5.left")
     rig.commit(1, 1)
     rig.arrive(0, 1)
     rig.pass_time(0.07)
@@ -96,7 +96,7 @@ def test_an_actuator_that_does_not_arrive_is_stuck(make_rig, trouble):
 
 def test_a_stuck_actuator_is_accepted_as_measured_by_start(make_rig):
     rig = make_rig().up()
-    rig.simulation.stick("5.left", 0)
+    rig.simulation.fault("stick", "5.left", 0)
     rig.commit(1, 0)
     rig.pass_time(0.1)
     assert rig.codes() == ["stuck"]
@@ -112,7 +112,7 @@ def test_a_stuck_actuator_is_accepted_as_measured_by_start(make_rig):
 
 def test_motion_nobody_commanded_is_told(make_rig):
     rig = make_rig().up()
-    rig.simulation.stick("5.right", 1)
+    rig.simulation.fault("stick", "5.right", 1)
     rig.arrive(0, 1)
     rig.pass_time(0.1)
     assert rig.codes() == ["unexpected-motion"]
@@ -124,7 +124,7 @@ def test_motion_nobody_commanded_is_told(make_rig):
 
 def test_hold_takes_what_is_measured_as_right(make_rig):
     rig = make_rig().up()
-    rig.simulation.stick("5.right", 1)
+    rig.simulation.fault("stick", "5.right", 1)
     rig.arrive(0, 1)
     rig.boards.hold()
     rig.pass_time(0.1)
@@ -160,7 +160,7 @@ def test_error_frames_tell_the_state_of_the_bus(make_rig, wait):
 @pytest.mark.parametrize("restarted", [True, False])
 def test_after_bus_off_nothing_is_sent_until_start(make_rig, wait, restarted):
     rig = make_rig().up()
-    rig.simulation.silence("can0/5")
+    rig.simulation.fault("silence", "can0/5")
     error(rig, 0x40)
     wait(lambda: rig.codes() == ["bus-off"])
     rig.frames()
@@ -171,7 +171,7 @@ def test_after_bus_off_nothing_is_sent_until_start(make_rig, wait, restarted):
     assert rig.frames() == []
     if restarted:
         error(rig, 0x100)
-    rig.simulation.unsilence("can0/5")
+    rig.simulation.fault("unsilence", "can0/5")
     wait(lambda: rig.boards.status().buses[0].state == "active")
     with pytest.raises(BusBusy, match="start"):
         rig.commit(1, 0)

@@ -10,7 +10,7 @@ from drivers.wiring import BusSettings, Channel, Wiring
 def test_every_board_says_what_it_is_and_nothing_on_it_changes(make_rig, two_boards):
     rig = make_rig(two_boards)
     rig.boot()
-    with rig.simulation.board("can0/9") as (board, _):
+    with rig.simulation.board("can0/9") as board:
         board.objects.put(0x1000, 0, 0x00020191)
     good, wrong = probe(rig.wiring)
     assert (good.board, good.ok) == ("can0/5", True)
@@ -24,7 +24,7 @@ def test_every_board_says_what_it_is_and_nothing_on_it_changes(make_rig, two_boa
 
 def test_a_silent_board_is_told_by_name(make_rig):
     rig = make_rig()
-    rig.simulation.silence("can0/5")
+    rig.simulation.fault("silence", "can0/5")
     rig.boot()
     [answer] = probe(rig.wiring)
     assert not answer.ok

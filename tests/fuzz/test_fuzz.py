@@ -58,7 +58,7 @@ def test_a_frame_that_no_goal_asks_for_is_found(monkeypatch):
 
 def test_outputs_that_differ_from_what_was_switched_are_found():
     world = World()
-    world.segment.boards[5].wired[0].actuator.drive(1, world.now)
+    world.simulation.board("can0/5").wired[0].actuator.drive(1, world.now)
     with pytest.raises(Moved, match=r"the outputs are \[1, 0, 0, 0, 0, 0\], switched to \[0, 0"):
         world.check_outputs()
 

@@ -21,7 +21,8 @@ from controller.daemon.ledger import Ledger
 from controller.daemon.loop import PERIOD, ControlLoop
 from drivers import cia301
 from drivers.boards import Boards
-from drivers.simulation.simulation import Simulation
+from drivers.canopen.cia301 import Frame
+from drivers.simulation.buses import SimulatedBuses
 from drivers.wiring import MASTER, BusSettings, Channel, Timing, Wiring
 from tests.daemon.rig import ARM, FakeLedger, planned
 
@@ -83,22 +84,6 @@ class Wire:
         pass
 
 
-class Far:
-    """The bus as the boards see it: nothing waits there, and what they send is at the driver at once."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-
-    def recv(self, timeout: float | None = None) -> None:
-        return None
-
-    def send(self, message: can.Message, timeout: float | None = None) -> None:
-        self._world.from_boards(message)
-
-    def shutdown(self) -> None:
-        pass
-
-
 class News(threading.Condition):
     """The driver's word that a frame came; who waits for it lets time pass."""
 
@@ -145,10 +130,7 @@ class World:
         self.now = 1000.0
         self.journal = Journal()
         wiring = Wiring((BusSettings("can0", "virtual", f"fuzz-{next(_channels)}"),), CHANNELS)
-        self.simulation = Simulation.from_wiring(wiring, TIMING, lambda: self.now)
-        (self.segment,) = self.simulation._segments.values()
-        self.segment._bus.shutdown()
-        self.segment._bus = Far(self)
+        self.simulation = SimulatedBuses(wiring, TIMING, lambda _, frame: self.from_boards(cia301.frame(*frame)))
         self.boards = Boards(wiring, TIMING)
         self.can = self.boards._buses["can0"]
         self.can._bus, self.can.state = Wire(self), "active"
@@ -185,7 +167,7 @@ class World:
     def tick(self) -> None:
         """Lets one period pass for all."""
         self.now += PERIOD
-        self.segment.step(self.now)
+        self.simulation.step(self.now)
         self.loop.step()
 
     def go(self, ticks: int = 1) -> None:
@@ -215,14 +197,16 @@ class World:
         if wrong_length and ready[message.arbitration_id]:
             name = f"can0/{message.arbitration_id - cia301.TPDO1}"
             assert ("wrong-length", name) in self.boards._faults._told, f"passed over: {message}"
-        self.segment.step(self.now, message)
+        self.to_boards(message)
 
     def _known(self) -> tuple[bytes, list[object]]:
         """What the driver takes the boards' states for."""
         return self.boards._inputs.tobytes(), [(node.state, node.ready) for node in self.boards._nodes]
 
     def to_boards(self, message: can.Message) -> None:
-        self.segment.step(self.now, message)
+        standard = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame or message.is_fd)
+        if standard:
+            self.simulation.receive("can0", Frame(message.arbitration_id, bytes(message.data)), self.now)
 
     def from_boards(self, message: can.Message) -> None:
         self.can._receive(message)
@@ -263,8 +247,7 @@ class World:
     def supply(self, node: int, on: bool) -> None:
         """Takes a board's supply away, or gives it back."""
         self.dirty = True
-        board = self.segment.boards[node]
-        (board.power_on if on else board.power_cut)(self.now)
+        (self.simulation.power_on if on else self.simulation.power_cut)(f"can0/{node}")
 
     # --- what must hold
 
@@ -305,7 +288,7 @@ class World:
 
     def drives(self) -> NDArray[np.uint8]:
         """(A,) what the boards' outputs drive."""
-        return np.array([actuator._driven for actuator, _ in self.simulation._actuators], dtype=np.uint8)
+        return np.array(self.simulation.drives(), dtype=np.uint8)
 
     def check_outputs(self) -> None:
         """Compares the boards' outputs with what the daemon switched, if no stranger commanded them.
@@ -324,9 +307,9 @@ class World:
         """
         self._answers.clear()
         if self.dirty:
-            for board in self.segment.boards.values():
-                board.power_cut(self.now)
-                board.power_on(self.now)
+            for node in NODES:
+                self.supply(node, on=False)
+                self.supply(node, on=True)
             self.go(8)
         if self.can.state == "bus-off":
             self.can._receive(can.Message(arbitration_id=0x100, is_error_frame=True))

@@ -112,9 +112,9 @@ def timing(arm: Arm) -> Timing:
 def boards(wiring: Wiring, timing: Timing) -> Iterator[Simulation]:
     """The simulated boards, running."""
     with simulated(wiring, timing) as boards:
-        for segment in boards._segments.values():
-            assert segment._bus
-            vcan.give_way(segment._bus, vcan.FIRST)  # in the queues of an interface, which theirs would not be in
+        for port in boards._ports.values():
+            assert port._bus
+            vcan.give_way(port._bus, vcan.FIRST)  # in the queues of an interface, which theirs would not be in
         yield boards
 
 

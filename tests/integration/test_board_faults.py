@@ -28,11 +28,11 @@ Answer = Callable[[int, bytes], list[tuple[int, bytes]]]
 @contextmanager
 def answering(boards: Simulation, name: str, answer: Answer) -> Iterator[None]:
     """Lets a board say something else, or nothing, in place of what it would."""
-    with boards.board(name) as (board, _):
+    with boards.board(name) as board:
         say = board._bus
         board._bus = lambda cob_id, data: [say(*frame) for frame in answer(cob_id, data)]
     yield
-    with boards.board(name) as (board, _):
+    with boards.board(name) as board:
         board._bus = say
 
 
@@ -41,12 +41,12 @@ def test_a_silent_board_is_told_and_when_it_is_heard_again_the_arm_is_ready(
 ) -> None:
     running(client)
     silenced = time.time()
-    boards.silence("can0/5")
+    boards.fault("silence", "can0/5")
     state = client.wait_fault("board-lost", silenced, within=1.0)
     assert "can0/5" in state["reason"]
     aborted(client, "a", "can0/5")
     back = time.time()
-    boards.unsilence("can0/5")
+    boards.fault("unsilence", "can0/5")
     ready_by_itself(client, boards, back)
 
 
@@ -55,8 +55,8 @@ def test_a_board_that_reboots_is_told_and_waits_for_reset(
 ) -> None:
     running(client)
     rebooted = time.time()
-    boards.power_cut("can0/7")
-    boards.power_on("can0/7")
+    boards.fault("power_cut", "can0/7")
+    boards.fault("power_on", "can0/7")
     client.wait_fault("board-rebooted", rebooted, within=1.0)
     aborted(client, "a", "can0/7")
     eventually(lambda: not boards.positions()[18:21].any())
@@ -69,10 +69,10 @@ def test_a_board_without_power_for_long_is_told_to_have_rebooted_when_it_is_back
 ) -> None:
     client.move(MIDDLE)
     cut = time.time()
-    boards.power_cut("can0/7")
+    boards.fault("power_cut", "can0/7")
     client.wait_fault("board-lost", cut, within=1.0)
     on = time.time()
-    boards.power_on("can0/7")
+    boards.fault("power_on", "can0/7")
     client.wait_fault("board-rebooted", on, within=1.0)
     reset(client)
     client.move(RIGHT, goal="after")
@@ -84,9 +84,9 @@ def test_all_boards_rebooting_are_told_and_one_reset_brings_them_back(
     running(client)
     rebooted = time.time()
     for board in board_names(arm):
-        boards.power_cut(board)
+        boards.fault("power_cut", board)
     for board in board_names(arm):
-        boards.power_on(board)
+        boards.fault("power_on", board)
     client.wait_fault("board-rebooted", rebooted, within=1.0)
     aborted(client, "a", "can0/")
     told: Callable[[], bool] = lambda: (  # noqa: E731
@@ -169,7 +169,7 @@ def test_a_board_that_answers_late_or_wrongly_at_start_is_named_and_brought_up_l
 def test_inputs_of_a_wrong_length_are_told(client: Observer, boards: Simulation, motions: Motions) -> None:
     running(client)
     said = time.time()
-    with boards.board("can0/4") as (board, _):
+    with boards.board("can0/4") as board:
         board.send_message(cia301.TPDO1 + 4, bytes(3))
     client.wait_fault("wrong-length", said, within=1.0)
     aborted(client, "a", "can0/4")
@@ -205,13 +205,13 @@ def test_a_slow_actuator_is_stuck_when_it_is_late_and_ready_after_reset(
     client: Observer, boards: Simulation, arm: Arm, motions: Motions
 ) -> None:
     label, _ = first_to_switch(client, arm, RIGHT)
-    boards.slow(label, 20)
+    boards.fault("slow", label, 20)
     sent = time.time()
     assert client.goal(RIGHT, id="a")["accepted"]
     state = client.wait_fault("stuck", sent, within=1.0)
     assert label in state["reason"]
     aborted(client, "a", label)
-    boards.slow(label, 1)
+    boards.fault("slow", label, 1)
     eventually(lambda: np.isin(boards.positions(), (0, 1)).all())
     reset(client)
     client.move(LEFT, goal="after")
@@ -235,7 +235,7 @@ def test_an_end_stop_that_bounces_is_borne_while_the_actuator_travels_and_told_w
     eventually(lambda: time.time() > rest)
     assert client.wait_now("ready")["faults"] == []
     rattled = time.time()
-    with boards.board(f"can0/{node}") as (board, _):
+    with boards.board(f"can0/{node}") as board:
         board.send_message(cia301.TPDO1 + board.node, bytes([board.objects.number(0x6000, 1) ^ 1 << bit]))
     state = client.wait_fault("unexpected-motion", rattled, within=1.0)
     assert label in state["reason"]

@@ -33,7 +33,7 @@ def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(
     client.move(MIDDLE)
     label, state_now = first_to_switch(client, arm, RIGHT)
     k = arm.manipulator.actuators.index(label)
-    boards.stick(label, state_now)
+    boards.fault("stick", label, state_now)
     client.goal(RIGHT, id="a")
     assert (client.result("a")["status"], label in client.result("a")["message"]) == ("aborted", True)
     before = len(client.heard["state"])
@@ -51,7 +51,7 @@ def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(
         state = client.wait_now("ready")
         assert state["commanded"][k] == state["measured"][k] == state_now
 
-    boards.release(label)
+    boards.fault("release", label)
     assert client.ask("degrade", actuator=label, state=None)["accepted"]
     state = client.wait_now("ready")
     assert (state["degraded"], state["faults"]) == ([], [])

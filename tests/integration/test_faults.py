@@ -39,7 +39,7 @@ def first_to_switch(client: Observer, arm: Arm, goal: tuple[float, float]) -> tu
 def test_a_stuck_actuator_is_named_and_its_goal_aborted_once(client: Observer, boards: Simulation, arm: Arm) -> None:
     client.move(MIDDLE)
     label, state_now = first_to_switch(client, arm, RIGHT)
-    boards.stick(label, state_now)
+    boards.fault("stick", label, state_now)
     client.goal(RIGHT, id="a")
     result = client.result("a")
     assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
@@ -47,7 +47,7 @@ def test_a_stuck_actuator_is_named_and_its_goal_aborted_once(client: Observer, b
     state = client.wait_for("fault")
     assert label in state["reason"]
     assert [fault["code"] for fault in state["faults"]] == ["stuck"]
-    boards.release(label)
+    boards.fault("release", label)
     reset(client)
     client.move(RIGHT, goal="b")
     assert len(client.results("a")) == 1
@@ -55,7 +55,7 @@ def test_a_stuck_actuator_is_named_and_its_goal_aborted_once(client: Observer, b
 
 def test_after_a_fault_planning_starts_from_what_was_measured(client: Observer, boards: Simulation, arm: Arm) -> None:
     label, state_now = first_to_switch(client, arm, RIGHT)
-    boards.stick(label, state_now)
+    boards.fault("stick", label, state_now)
     client.goal(RIGHT, id="a")
     client.wait_for("fault")
     reset(client)
@@ -73,7 +73,7 @@ def test_a_silent_board_is_a_fault_soon_and_reset_goes_on(
     client.goal(MIDDLE, RIGHT, times=[0, HOUR], id="a")
     eventually(lambda: client.feedback("a"))
     silenced = time.time()
-    boards.silence("can0/5")
+    boards.fault("silence", "can0/5")
     state = client.wait_for("fault")
     assert state["stamp"] - silenced < 5 * SLOWNESS, "a second is enough, but for a loaded machine"
     assert "can0/5" in state["reason"]
@@ -87,7 +87,7 @@ def test_a_silent_board_is_a_fault_soon_and_reset_goes_on(
     drain(listener)
     client.ask("reset")
     assert "can0/5" in client.wait_now("fault", "neither booted nor answered")["reason"]
-    boards.unsilence("can0/5")
+    boards.fault("unsilence", "can0/5")
     reset(client)
     assert syncs(drain(listener)) == []
     assert boards.positions().tolist() == before
@@ -101,8 +101,8 @@ def test_a_board_that_lost_its_power_is_a_fault_and_reset_configures_it_anew(
     client.move(RIGHT)
     before = boards.positions()
     its = np.array([channel.node == 7 for channel in arm.wiring])
-    boards.power_cut("can0/7")
-    boards.power_on("can0/7")
+    boards.fault("power_cut", "can0/7")
+    boards.fault("power_on", "can0/7")
     assert "can0/7" in client.wait_for("fault")["reason"]
     eventually(lambda: not boards.positions()[its].any())
     reset(client)
@@ -116,14 +116,14 @@ def test_a_board_that_lost_its_power_is_a_fault_and_reset_configures_it_anew(
 def test_a_missing_board_at_start_is_named_and_may_come_later(
     boards: Simulation, bench: Bench, listener: can.BusABC
 ) -> None:
-    boards.silence("can0/3")
+    boards.fault("silence", "can0/3")
     bench.run()
     client = bench.observer()
     assert "can0/3" in client.wait_for("fault")["reason"]
     refused = client.goal(MIDDLE)
     assert not refused["accepted"]
     assert "can0/3" in refused["message"]
-    boards.unsilence("can0/3")
+    boards.fault("unsilence", "can0/3")
     reset(client)
     assert syncs(drain(listener)) == []
     client.move(MIDDLE)
@@ -134,7 +134,7 @@ def starting(boards: Simulation, bench: Bench) -> Observer:
     """A client of a daemon that waits long for board can0/3, which has no power."""
     patient = replace(bench.arm.settings, boards=replace(bench.arm.settings.boards, boot_timeout=2 * PATIENCE))
     bench.arm = dataclasses.replace(bench.arm, settings=patient)
-    boards.power_cut("can0/3")
+    boards.fault("power_cut", "can0/3")
     bench.run()
     client = bench.observer()
     client.wait_for("starting")
@@ -145,7 +145,7 @@ def test_a_goal_while_starting_is_refused_with_the_reason(starting: Observer, bo
     answer = starting.goal(MIDDLE, id="a")
     assert (answer["accepted"], answer["id"]) == (False, "a")
     assert answer["message"] == "the arm is starting: the boards are being brought up"
-    boards.power_on("can0/3")
+    boards.fault("power_on", "can0/3")
     starting.wait_for("ready")
     starting.move(MIDDLE)
     assert starting.results("a") == []
@@ -155,7 +155,7 @@ def test_a_stop_while_starting_stays_until_reset(starting: Observer, boards: Sim
     starting.ask("stop")
     starting.ask("reset")  # the first start-up is still under way
     starting.ask("stop")
-    boards.power_on("can0/3")
+    boards.fault("power_on", "can0/3")
     starting.wait_now("stopped")
     starting.ask("reset")
     starting.wait_now("ready")

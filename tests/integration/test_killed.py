@@ -201,7 +201,7 @@ def test_a_halted_daemon_sends_nothing_stale_when_it_goes_on(
 def _states(boards: Simulation, arm: Arm) -> list[int | None]:
     states = []
     for name in board_names(arm):
-        with boards.board(name) as (board, _):
+        with boards.board(name) as board:
             states.append(board.state)
     return states
 
