@@ -6,13 +6,13 @@ MINUTES ?= 10
 
 .PHONY: demo test vm vm-test check bench fuzz soak clean
 
-demo: $(VENV)/installed
+demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
 
 # What runs in real time comes last: two of its files at a time leave the processors idle for half of the time. Two
 # processes leave BLAS no threads to gain by.
 REAL_TIME := tests/integration tests/soak
-test: check
+test: check $(VENV)/kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %)
 	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME)
 
@@ -40,6 +40,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.obstacle_transitions
 	$(BIN)/python -m tests.benchmarks.daemon
 	$(BIN)/python -m tests.benchmarks.real_time
+	$(BIN)/python -m tests.benchmarks.steps
 
 fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'
@@ -48,9 +49,20 @@ fuzz: $(VENV)/installed
 soak: $(VENV)/installed
 	$(BIN)/python -m tests.soak --minutes $(MINUTES) --json soak.json
 
-$(VENV)/installed: pyproject.toml
+# The program alone. What is imported is compiled to bytecode at its first import; pip would compile all of it.
+$(VENV)/program: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable '.[dev]'
+	$(BIN)/pip install --quiet --no-compile --editable .
+	touch $@
+
+# Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
+$(VENV)/kernels: $(VENV)/program
+	$(BIN)/python -m controller.kernels
+	touch $@
+
+# The developers' tools.
+$(VENV)/installed: $(VENV)/program
+	$(BIN)/pip install --quiet --no-compile --editable '.[dev]'
 	touch $@
 
 clean:

@@ -1,0 +1,29 @@
+"""Which modules have kernels, and in which order they are compiled."""
+
+import sys
+
+import pytest
+
+from controller import kernels
+
+
+def test_modules_with_kernels_come_with_those_they_depend_on():
+    found = kernels.kernels()
+    assert {"controller.search.meeting", "controller.search.guard", "controller.obstacles.touching"} <= found.keys()
+    assert "controller.obstacles.touching" in found["controller.search.meeting"]
+    for name, others in found.items():
+        assert name not in others
+        assert others <= found.keys()
+
+
+def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "hyperbit_first.py").write_text(f"open({str(tmp_path / 'mark')!r}, 'w').close()")
+    (tmp_path / "hyperbit_second.py").write_text(f"open({str(tmp_path / 'mark')!r}).close()")
+    kernels.compile_all({"hyperbit_second": {"hyperbit_first"}, "hyperbit_first": set()}, 2)
+    assert not {"hyperbit_first", "hyperbit_second"} & set(sys.modules)
+
+
+def test_a_module_that_cannot_be_imported_is_named():
+    with pytest.raises(RuntimeError, match=r"the kernels of controller\.missing cannot be compiled"):
+        kernels.compile_all({"controller.missing": set()}, 1)
