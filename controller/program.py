@@ -99,6 +99,7 @@ class Replacement(Message, frozen=True, tag="replacement"):
     Attributes:
         generation: greater than of all replacements of this program before.
         first: index of the first stage that is replaced; the number of stages so far to append.
+        strict: makes the program strict from now on; a strict program stays so.
     """
 
     program: Number
@@ -107,6 +108,7 @@ class Replacement(Message, frozen=True, tag="replacement"):
     start: States
     stages: Stages
     final: bool
+    strict: bool = False
 
 
 class Setpoint(Message, frozen=True, tag="setpoint"):

@@ -1,0 +1,134 @@
+"""A plan as stages of a motion program: packed actuator states, when each stage may begin, and marks.
+
+Stage k of the n stages to a point begins `lead * (n - k)` before the point's time, so that the last stage has settled
+at that time. The mark of a stage is the index of the point that the stage reaches.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.motion.pacing import Staged
+from controller.motion.plan import Plan
+from controller.motion.trajectory import Trajectory
+from controller.program import Stage
+
+States = NDArray[np.uint8]
+Pack = Callable[[States], list[bytes]]  # packs actuator states (k, A) for the executor
+
+
+@dataclass(frozen=True, eq=False)
+class PointStages:
+    """The stages that reach one point of a trajectory.
+
+    Attributes:
+        point: index in the trajectory; the mark of the last stage.
+        stages: at least one.
+        excursion: greatest distance of the tip from the straight line meanwhile; None: not known.
+    """
+
+    point: int
+    stages: tuple[Stage, ...]
+    excursion: float | None
+
+    @property
+    def end(self) -> bytes:
+        """Packed actuator states after the last stage."""
+        return self.stages[-1].states
+
+
+def pack_states(states: States) -> list[bytes]:
+    """Returns actuator states (k, A) in the executor's packing: actuator a is bit a % 8 of byte a // 8."""
+    return [row.tobytes() for row in np.packbits(states, axis=1, bitorder="little")]
+
+
+def unpack_states(packed: bytes, actuators: int) -> States:
+    """Returns the states (A,) of so many actuators from the executor's packing."""
+    return np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=actuators, bitorder="little")
+
+
+def point_stages(
+    trajectory: Trajectory, point: int, transition: Staged, lead: float, delay: float, not_before: float, pack: Pack
+) -> PointStages:
+    """Returns the stages of the transition to one point.
+
+    Args:
+        trajectory: of the goal.
+        point: index in it.
+        transition: its stages.
+        lead: time that one stage needs [s].
+        delay: the trajectory's t = 0 in the program's time [s].
+        not_before: when the stage before begins in the program's time [s]; begins never decrease.
+        pack: packs actuator states.
+    """
+    packed, time = pack(transition.stages), float(trajectory.times[point]) + delay
+    n, last = len(packed), len(packed) - 1
+    stages = tuple(
+        Stage(
+            states,
+            max(time - lead * (n - k), not_before),
+            point if k == last else -1,
+            time if k == last else 0.0,
+        )
+        for k, states in enumerate(packed)
+    )
+    return PointStages(point, stages, transition.excursion)
+
+
+def stages_from(
+    plan: Plan, first: int, end: bytes | None, lead: float, delay: float, not_before: float, pack: Pack
+) -> Iterator[PointStages]:
+    """Yields the stages to each point of a plan from point `first` on.
+
+    A point between waypoints at which the arm holds its configuration has no stages and is left out.
+
+    Args:
+        plan: the plan.
+        first: index of a point.
+        end: packed states after the point before; None: there is none.
+        lead: time that one stage needs [s].
+        delay: the trajectory's t = 0 in the program's time [s].
+        not_before: when the stage before `first` begins in the program's time [s].
+        pack: packs actuator states.
+    """
+    trajectory, transitions = plan.trajectory, plan.transitions
+    for point in range(first, len(transitions)):
+        reached = point_stages(trajectory, point, transitions[point], lead, delay, not_before, pack)
+        if reached.end == end and trajectory.between(point):
+            continue
+        yield reached
+        end, not_before = reached.end, reached.stages[-1].at
+
+
+def delay_of(trajectory: Trajectory, needed: float) -> float:
+    """Returns t = 0 of a trajectory without a stamp, after its program is taken [s].
+
+    It is as much later as the first point's actuators need: that point is not late, and all keep their distances.
+
+    Args:
+        trajectory: the goal.
+        needed: time from taking the program until the first point's actuators can be settled [s].
+    """
+    return max(needed - float(trajectory.times[0]), 0.0)
+
+
+def in_groups(states: States, target: States, most: int) -> States:
+    """Returns the stages (k, A) from actuator states (A,) to others, at most `most` actuators at once, base first.
+
+    The stages may end in states that are no configuration.
+    """
+    changes = np.flatnonzero(states != target)
+    stages, current = list[States](), states.copy()
+    for start in range(0, len(changes), most):
+        current = current.copy()
+        group = changes[start : start + most]
+        current[group] = target[group]
+        stages.append(current)
+    return np.array(stages or [target])
+
+
+def flatten(points: Sequence[PointStages]) -> list[Stage]:
+    """Returns the stages of points in their order."""
+    return [stage for point in points for stage in point.stages]

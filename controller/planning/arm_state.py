@@ -1,0 +1,129 @@
+"""The executor's snapshots in the planner's terms: arrays over actuators, and the configuration that they spell."""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.held import Held, free
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.pacing import Pace
+from controller.motion.program import pack_states, unpack_states
+from controller.program import Snapshot
+
+States = NDArray[np.uint8]
+Measured = NDArray[np.int8]  # actuator states, -1 unknown
+
+
+def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
+    """Returns packed measured states as an array, -1 where they are not known, shape (A,)."""
+    states = unpack_states(measured, actuators).astype(np.int8)
+    return np.where(unpack_states(known, actuators) == 1, states, -1).astype(np.int8)
+
+
+class ArmState:
+    """The arm at one snapshot. Immutable; its arrays are reckoned when they are asked for.
+
+    Attributes:
+        snapshot: as the executor sent it.
+        manipulator: the whole arm.
+    """
+
+    def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
+        self.manipulator, self.snapshot = manipulator, snapshot
+
+    @cached_property
+    def outputs(self) -> States:
+        """The boards' outputs, as last switched, shape (A,)."""
+        return unpack_states(self.snapshot.outputs, len(self.manipulator.actuators))
+
+    @cached_property
+    def measured(self) -> Measured:
+        """Measured states, -1 where they are not known, shape (A,)."""
+        return measured_states(self.snapshot.measured, self.snapshot.known, len(self.manipulator.actuators))
+
+    @cached_property
+    def sensed(self) -> NDArray[np.bool_]:
+        """Which actuators have an end-stop, shape (A,)."""
+        return unpack_states(self.snapshot.sensed, len(self.manipulator.actuators)).astype(np.bool_)
+
+    @cached_property
+    def locked(self) -> NDArray[np.bool_]:
+        """Which actuators are locked, shape (A,)."""
+        return unpack_states(self.snapshot.locked, len(self.manipulator.actuators)).astype(np.bool_)
+
+    @cached_property
+    def states(self) -> States:
+        """The states to plan from, shape (A,): outputs; of a locked actuator the state in which it is locked."""
+        return np.where(self.locked & (self.measured >= 0), self.measured, self.outputs).astype(np.uint8)
+
+    @property
+    def known(self) -> bool:
+        """Whether all boards are up, so that the outputs are known."""
+        return bool((self.measured >= 0).all())
+
+    @cached_property
+    def configuration(self) -> Configuration | None:
+        """The configuration to plan from, shape (B,); None if the outputs spell none or are not known."""
+        return self._spelled(self.states) if self.known else None
+
+    @cached_property
+    def unknown_state(self) -> str | None:
+        """Why the arm at rest is in no configuration, in words; None if it is in one, moves, or a board is missing."""
+        if self.snapshot.moving or not self.known:
+            return None
+        for states, what in ((self.measured, "what the boards measure"), (self.states, "what the boards put out")):
+            try:
+                self.manipulator.configuration(states)
+            except ValueError as error:
+                return f"{what} is no configuration: {error}"
+        return None
+
+    def locked_states(self, declared: Held) -> Held:
+        """Returns the state in which each actuator is locked, -1 where it is free, shape (A,).
+
+        Args:
+            declared: the states in which actuators were locked by file or request, shape (A,).
+        """
+        states = np.where(declared >= 0, declared, self.states)
+        states = np.where(self.sensed & (self.measured >= 0), self.measured, states)
+        return np.where(self.locked, states, free(self.manipulator)).astype(np.int8)
+
+    def pack(self, stages: States) -> list[bytes]:
+        """Returns stages (k, A) packed for the executor; outputs of locked actuators stay as they are."""
+        return pack_states(np.where(self.locked, self.outputs, stages).astype(np.uint8))
+
+    def _spelled(self, states: States | Measured) -> Configuration | None:
+        try:
+            return self.manipulator.configuration(states)
+        except ValueError:
+            return None
+
+
+class RestClock:
+    """When each actuator switched last, as far as the snapshots tell. For the link's thread to note, for any to read.
+
+    Args:
+        actuators: how many there are.
+        travel: longest time of an actuator from end-stop to end-stop [s].
+        pace: of the transitions.
+    """
+
+    def __init__(self, actuators: int, travel: float, pace: Pace) -> None:
+        self._switched_at = np.full(actuators, -np.inf)
+        self._travel, self._pace = travel, pace
+
+    def note(self, before: ArmState | None, state: ArmState) -> None:
+        """Notes what has switched between two snapshots."""
+        if before is not None and before.snapshot.outputs != state.snapshot.outputs:
+            changed = before.outputs != state.outputs
+            self._switched_at = np.where(changed, state.snapshot.at, self._switched_at)
+
+    def ready(self, state: ArmState, stage: States, strict: bool) -> float:
+        """Returns from when on a stage (A,) may begin [s]: the last stage has ended, and its actuators have rested."""
+        differ, ready, switched_at = state.states != stage, -np.inf, self._switched_at
+        if differ.any() and (self._pace.inrush is not None or strict):
+            ready = switched_at.max() + self._travel
+        if differ.any() and self._pace.rest > 0:
+            ready = max(ready, switched_at[differ].max() + self._travel + self._pace.rest)
+        return float(ready)

@@ -1,0 +1,136 @@
+"""From a goal's message to a plan from where the arm is. Pure but for the search; each thread has its own."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.manipulator.manipulator import Configuration
+from controller.motion import codes
+from controller.motion.codes import Refusal
+from controller.motion.goal import GoalMessage, schedule
+from controller.motion.pacing import Pace
+from controller.motion.plan import Plan, plan
+from controller.motion.trajectory import Trajectory
+from controller.planning.arm_state import ArmState
+from controller.planning.keep_out import CollisionAwareSolver, KeepOutSet
+from controller.planning.monitor import ArmMonitor
+from controller.planning.program_feed import most_stages
+from controller.program import MOST_PROGRAM_STAGES
+from controller.search.solver import Solver
+
+PERIOD = 0.01  # [s] of the executor's loop
+TRIES = 3  # plans of a goal, while the arm moves on or the obstacles change
+
+Bias = Callable[[], NDArray[np.float64] | None]
+
+
+def pace_of(arm: Arm) -> Pace:
+    """Returns the pace of an arm's transitions."""
+    settings = arm.settings
+    return Pace(settings.travel_time + PERIOD, settings.inrush, settings.rest_time)
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan, and what it was made with.
+
+    Attributes:
+        plan: of the goal.
+        state: of the arm before.
+        previous: configuration before, of the solver's arm, shape (B,).
+        solver: that found it.
+        keep_out: the obstacles that it keeps clear of.
+    """
+
+    plan: Plan
+    state: ArmState
+    previous: Configuration
+    solver: Solver
+    keep_out: KeepOutSet
+
+
+class GoalPlanning:
+    """Makes plans of goals. One thread's.
+
+    Args:
+        arm: to plan for.
+        solver: used by nobody else.
+        monitor: of the arm.
+        bias: returns what goals are corrected by, shape (dimension,); None: no tracker.
+    """
+
+    def __init__(self, arm: Arm, solver: CollisionAwareSolver, monitor: ArmMonitor, bias: Bias) -> None:
+        self.arm, self.pace = arm, pace_of(arm)
+        self._solver, self._monitor, self._bias = solver, monitor, bias
+
+    def now(self) -> tuple[Solver, KeepOutSet]:
+        """Returns the solver as it is now, and the obstacles that it keeps clear of."""
+        return self._solver.now()
+
+    def trajectory(self, message: GoalMessage, received: float) -> Trajectory:
+        """Returns the trajectory that a message asks for, corrected by the tip's bias.
+
+        Args:
+            message: a goal.
+            received: when it came [UNIX s].
+
+        Raises:
+            Refusal: what is wrong, by field.
+        """
+        arm, manipulator = self.arm, self.arm.manipulator
+        scheduled = schedule(message, manipulator.dimension, arm.tolerance, arm.turn, self.pace, received, manipulator)
+        return scheduled.corrected(self._bias())
+
+    def plan(self, trajectory: Trajectory, proceed: Callable[[], None], run: bool) -> Planned:
+        """Returns a plan from where the arm is; a new one if the arm or the obstacles moved on meanwhile.
+
+        Args:
+            trajectory: what is asked for.
+            proceed: called before each point; a Refusal that it raises ends the planning.
+            run: whether the plan is to be run.
+
+        Raises:
+            Refusal: there is none.
+        """
+        for _ in range(TRIES):
+            found = self._plan(trajectory, proceed, run)
+            now = self._monitor.state
+            moved = now is None or now.snapshot.outputs != found.state.snapshot.outputs
+            if found.keep_out is self._solver.now()[1] and (found.keep_out.free or not moved):
+                break
+        return found
+
+    def _plan(self, trajectory: Trajectory, proceed: Callable[[], None], run: bool) -> Planned:
+        state = self._monitor.require(run)
+        solver, keep_out = self._solver.now()
+        previous = self._monitor.start(state, solver.manipulator)
+        found = plan(solver, trajectory, previous, self.arm.settings.method, proceed, self.pace)
+        self._check_size(found)
+        touched = keep_out.touched(solver.manipulator.actuator_states(previous), stages_of(found))
+        if touched is not None:  # checked once more, so that the executor need not ask
+            raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan that was found is not taken: {touched}")
+        return Planned(found, state, previous, solver, keep_out)
+
+    def _check_size(self, found: Plan) -> None:
+        """Checks that the executor takes a plan.
+
+        Raises:
+            Refusal: it has too many stages.
+        """
+        counts = [len(transition.stages) for transition in found.transitions]
+        most = most_stages(len(self.arm.manipulator.actuators))
+        if max(counts) > most or sum(counts) > MOST_PROGRAM_STAGES:
+            raise Refusal(
+                codes.INVALID_GOAL,
+                f"the plan has {sum(counts)} stages, {max(counts)} to one point; at most {MOST_PROGRAM_STAGES} and"
+                f" {most} are taken: send fewer waypoints",
+            )
+
+
+def stages_of(found: Plan) -> Iterator[NDArray[np.uint8]]:
+    """Yields the actuator states (A,) that each stage of a plan ends in."""
+    for transition in found.transitions:
+        yield from transition.stages

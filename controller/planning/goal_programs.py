@@ -1,0 +1,129 @@
+"""Programs of plans: from the arm's latest outputs, with what the executor and the goal's result need."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.motion.bounded import split
+from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.pacing import Staged
+from controller.motion.plan import Plan
+from controller.motion.program import delay_of
+from controller.motion.trajectory import Trajectory
+from controller.planning.arm_state import ArmState, States
+from controller.planning.goal_planning import GoalPlanning, Planned
+from controller.planning.goals import RunningGoals
+from controller.planning.keep_out import CollisionError
+from controller.planning.messages import Reply, done
+from controller.planning.monitor import ArmMonitor
+from controller.planning.program_feed import ProgramFeed
+from controller.planning.reports import GoalReport
+from controller.planning.running_goal import RunningGoal
+from controller.program import Program
+
+Make = Callable[[ArmState, int, int], RunningGoal]
+
+
+class GoalPrograms:
+    """Makes programs of plans.
+
+    Args:
+        planning: that made the plans.
+        monitor: of the arm.
+        goals: that run.
+    """
+
+    def __init__(self, planning: GoalPlanning, monitor: ArmMonitor, goals: RunningGoals) -> None:
+        self._planning, self._monitor, self._goals = planning, monitor, goals
+        self._manipulator, self._pace = planning.arm.manipulator, planning.pace
+
+    def maker(self, goal: str, found: Planned, reply: Reply, proceed: Callable[[], None]) -> Make:
+        """Returns what makes the program of a plan from the arm's state, with a number and an epoch.
+
+        What is made raises Refusal if the goal may not begin, CollisionError if its first stages touch something.
+
+        Args:
+            goal: its id.
+            found: the plan.
+            reply: answers the goal when the executor has taken it.
+            proceed: raises Refusal if the goal is not wanted any more.
+        """
+
+        def make(state: ArmState, number: int, epoch: int) -> RunningGoal:
+            proceed()
+            self._check(goal, found)
+            return self._program(state, number, epoch, goal, found, reply)
+
+        return make
+
+    def _program(
+        self, state: ArmState, number: int, epoch: int, goal: str, found: Planned, reply: Reply
+    ) -> RunningGoal:
+        stages, plan, strict = self._from_here(state, found), found.plan, not found.keep_out.free
+        trajectory, first = plan.trajectory, plan.transitions[0]
+        if not np.array_equal(stages, first.stages):
+            plan = replace(plan, transitions=(Staged(stages, None, first.strict), *plan.transitions[1:]))
+        begin, delay = self._times(state, trajectory, stages, strict)
+        feed = ProgramFeed(self._manipulator, plan, self._pace, delay, state.pack, number, strict)
+        report = GoalReport(self._manipulator, goal, trajectory)
+        start, name = state.snapshot.outputs, f"goal {goal}"
+        program = Program(number, epoch, start, begin, feed.stages, feed.final, strict, name, report.context)
+        run = RunningGoal(program, report, feed, len(trajectory.waypoints))
+        run.plan, run.delay = plan, delay
+        run.on_accepted = lambda: reply({**done(accepted(plan)), "id": goal})
+        return run
+
+    def _times(self, state: ArmState, trajectory: Trajectory, stages: States, strict: bool) -> tuple[float, float]:
+        """Returns the begin of a program, and t = 0 of its trajectory after that [s]."""
+        now = self._monitor.clock()
+        if trajectory.stamp is not None:
+            return trajectory.stamp + now - time.time(), 0.0
+        waits = max(self._monitor.rest.ready(state, stages[0], strict) - now, 0.0)
+        return 0.0, delay_of(trajectory, self._pace.lead * len(stages) + waits)
+
+    def _check(self, goal: str, found: Planned) -> None:
+        """Checks that a goal may begin now.
+
+        Raises:
+            Refusal: it is late, runs already, or was planned among other obstacles.
+        """
+        trajectory, running = found.plan.trajectory, self._goals.current
+        late = 0.0 if trajectory.stamp is None else time.time() - trajectory.stamp - float(trajectory.times[-1])
+        if late > 0:
+            words = f"stamp: the trajectory ended {late:.3f} s before it was planned"
+            raise Refusal(OLD_HEADER_TIMESTAMP, words)
+        if running is not None and running.report.id == goal:
+            words = f"id: goal {goal} is running already; one that replaces it needs its own"
+            raise Refusal(INVALID_GOAL, words)
+        current = self._planning.now()[1]
+        if found.keep_out is not current and not current.free:
+            words = "what is to be kept out of changed while the goal was planned; send it again"
+            raise Refusal(INVALID_GOAL, words)
+
+    def _from_here(self, state: ArmState, found: Planned) -> States:
+        """Returns the stages (k, A) to a plan's first point from the states as they are.
+
+        Those that keep clear of obstacles stay as they were planned if that is possible: actuators may switch to and
+        fro in them.
+
+        Raises:
+            CollisionError: something would be touched on the way.
+        """
+        planned, keep_out = found.plan.transitions[0].stages, found.keep_out
+        most = self._pace.inrush or len(self._manipulator.actuators)
+        rows = np.vstack([state.states, planned]).astype(int)
+        fits = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= most
+        if fits and not keep_out.free and keep_out.touched(state.states, planned) is None:
+            return planned
+        stages: NDArray[np.uint8] = split(self._manipulator, state.states, planned, most)
+        if (touched := keep_out.touched(state.states, stages)) is not None:
+            raise CollisionError(touched)
+        return stages
+
+
+def accepted(plan: Plan) -> str:
+    """Returns the sentence on a goal that is taken."""
+    return f"accepted, {len(plan.trajectory.waypoints)} waypoints, {plan.switches} switches planned"

@@ -1,0 +1,22 @@
+"""Payloads of answers: a request was carried out, or why it was refused."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from controller.motion import codes
+
+Payload = Mapping[str, Any]
+Reply = Callable[[Payload], None]  # must not wait
+
+BARRED = "a cancel, stop, reset or fault came before it began"
+CLOSING = "the daemon is shutting down; the arm holds"
+
+
+def done(message: str) -> Payload:
+    """Returns the answer to a request that was carried out."""
+    return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
+
+
+def refused(code: int, message: str, goal: str | None = None) -> Payload:
+    """Returns the answer to a request that was refused; `goal` is its id, where it is known."""
+    return {"accepted": False, "id": goal, "code": code, "message": message}

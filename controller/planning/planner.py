@@ -1,0 +1,197 @@
+"""The planner's thread: has the executor run goals and jogs in order of arrival, and improves the plans of goals."""
+
+import logging
+import queue
+import threading
+import time
+import uuid
+from dataclasses import dataclass
+
+from controller.motion import codes
+from controller.motion.codes import Refusal
+from controller.motion.goal import check_size, parse
+from controller.planning.admission import Admission, Ticket
+from controller.planning.goal_planning import GoalPlanning, Planned, stages_of
+from controller.planning.goal_programs import GoalPrograms
+from controller.planning.goals import RunningGoals
+from controller.planning.improvement import Improvement
+from controller.planning.jogging import Jogging
+from controller.planning.keep_out import CollisionError
+from controller.planning.messages import BARRED, CLOSING, Payload, Reply, refused
+from controller.planning.monitor import ArmMonitor
+from controller.planning.running_goal import RunningGoal
+from controller.planning.sending import ProgramSender
+
+log = logging.getLogger(__name__)
+
+MOST_WAITING = 16
+REPLANS = 3  # of a goal whose first stages touch something from where the arm has moved on to
+IDLE = 0.02  # [s] without a request, after which the planner prepares for one
+
+
+@dataclass(frozen=True, eq=False)
+class GoalRequest:
+    """A payload to plan and run, or actuators to switch; `received` in UNIX seconds."""
+
+    ticket: Ticket
+    reply: Reply
+    payload: bytes
+    received: float
+    jog: bool = False
+
+
+class Planner:
+    """Answers every request once: refuses it, or has the executor take it. All methods but `close` never wait.
+
+    Args:
+        planning: makes the plans; used by nobody else.
+        monitor: of the arm.
+        admission: knows which requests are barred.
+        goals: that run.
+        sender: of programs.
+        jogging: makes programs of single actuators.
+    """
+
+    def __init__(
+        self,
+        planning: GoalPlanning,
+        monitor: ArmMonitor,
+        admission: Admission,
+        goals: RunningGoals,
+        sender: ProgramSender,
+        jogging: Jogging,
+    ) -> None:
+        self._planning, self._monitor, self._admission = planning, monitor, admission
+        self._goals, self._sender, self._jogging = goals, sender, jogging
+        self._arm, self._pace = planning.arm, planning.pace
+        self._programs = GoalPrograms(planning, monitor, goals)
+        self._queue: queue.Queue[GoalRequest | None] = queue.Queue()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
+
+    def start(self) -> None:
+        """Starts the thread."""
+        self._thread.start()
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Refuses what waits or is being planned, and ends the thread."""
+        self._closing = True
+        self._queue.put(None)
+        self._thread.join(timeout)
+
+    def waiting(self) -> int:
+        """Returns how many requests wait."""
+        return self._queue.qsize()
+
+    def submit(self, payload: bytes, reply: Reply, jog: bool = False) -> None:
+        """Takes a request, or refuses it at once when it is too large or too many wait."""
+        try:
+            check_size(len(payload))
+            if self._closing:
+                raise Refusal(codes.INVALID_GOAL, CLOSING)
+            if self._queue.qsize() >= MOST_WAITING:
+                raise Refusal(codes.INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting to be planned already")
+        except Refusal as refusal:
+            reply(refused(refusal.code, str(refusal)))
+        else:
+            self._queue.put(GoalRequest(self._admission.arrive(), reply, payload, time.time(), jog))
+
+    # --- the thread
+
+    def _run(self) -> None:
+        while (request := self._next()) is not None:
+            goal: list[str] = []  # its id, once it is known
+            try:
+                self._proceed(request)
+                self._serve(request, goal)
+            except Refusal as refusal:
+                log.info("goal %s refused: %s", *(goal or ["?"]), refusal)
+                request.reply(refused(refusal.code, str(refusal), *goal))
+            except Exception:
+                log.exception("planning failed")
+                words = "internal error while planning, see the journal"
+                request.reply(refused(codes.INVALID_GOAL, words, *goal))
+
+    def _next(self) -> GoalRequest | None:
+        """Waits for the next request; meanwhile prepares for a goal from where the arm is."""
+        while True:
+            try:
+                return self._queue.get(timeout=IDLE)
+            except queue.Empty:
+                self._expect()
+
+    def _expect(self) -> None:
+        """Prepares the search, step by step so that no request waits for it."""
+        state, (solver, _) = self._monitor.state, self._planning.now()
+        if state is None or self._arm.settings.method != "minimum-switch":
+            return
+        try:
+            previous = self._monitor.start(state, solver.manipulator)
+        except Refusal:
+            return
+        for _ in solver.expect(previous, self._arm.tolerance):
+            if not self._queue.empty():
+                return
+
+    def _proceed(self, request: GoalRequest) -> None:
+        """Checks that a request is still wanted.
+
+        Raises:
+            Refusal: it is not.
+        """
+        if self._closing:
+            raise Refusal(codes.INVALID_GOAL, CLOSING)
+        if self._admission.barred(request.ticket):
+            raise Refusal(codes.INVALID_GOAL, BARRED)
+
+    def _serve(self, request: GoalRequest, named: list[str]) -> None:
+        if request.jog:
+            self._sender.send(request.ticket, self._jogging.maker(request.payload, self._accepting(request)))
+            return
+        message = parse(request.payload)
+        goal = message.id or uuid.uuid4().hex[:12]
+        named.append(goal)
+        trajectory = self._planning.trajectory(message, request.received)
+        for last in (*[False] * (REPLANS - 1), True):
+            found = self._planning.plan(trajectory, lambda: self._proceed(request), run=True)
+            try:
+                maker = self._programs.maker(goal, found, self._accepting(request), lambda: self._proceed(request))
+                run = self._sender.send(request.ticket, maker)
+                break
+            except CollisionError as error:
+                if last:
+                    raise Refusal(codes.INVALID_GOAL, f"on the way from where the arm is, {error}") from None
+        if self._arm.settings.method == "minimum-switch":
+            self._improve(request, run, found)
+
+    def _accepting(self, request: GoalRequest) -> Reply:
+        """Returns what answers a request that the executor has taken; it is called in the link's thread."""
+
+        def reply(payload: Payload) -> None:
+            self._admission.end_streams(request.ticket)
+            request.reply(payload)
+
+        return reply
+
+    # --- while it runs
+
+    def _improve(self, request: GoalRequest, run: RunningGoal, found: Planned) -> None:
+        """Improves the plan of a running goal until that is done, the goal has ended, or a request waits."""
+        plan = run.plan
+        if plan is None:
+            return
+        before, told = found.solver.manipulator.actuator_states(found.previous), plan
+        start = run.begin + run.delay
+        try:
+            for better in Improvement(found.solver, plan, self._pace, start).plans():
+                current = self._planning.now()[1]
+                if not self._queue.empty() or not self._goals.runs(run) or current is not found.keep_out:
+                    return
+                self._proceed(request)
+                if better is not told and current.touched(before, stages_of(better)) is None:
+                    self._goals.improve(run, better)
+                    told = better
+        except Refusal:  # canceled or stopped: the goal has had its answer
+            return
+        except Exception:
+            log.exception("look-ahead failed, the goal goes on as first planned")
