@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import time
 from collections.abc import Callable
 
-from drivers.canopen.cia301 import Frame
-from drivers.canopen.events import Event
+import can
+
+from drivers.canopen.cia301 import Frame, wire_bits
+from drivers.canopen.error_frames import read_error
+from drivers.canopen.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.faults import BusError
 from drivers.canopen.wiring import BusSettings
+
+_MOST_EVENTS = 256  # of one poll, so that a flood does not stop the caller
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
+_NOTHING = (errno.EAGAIN, errno.EINTR)  # there is no frame after all
 
 
 class CanBus:
@@ -22,6 +33,13 @@ class CanBus:
 
     def __init__(self, settings: BusSettings, clock: Callable[[], float] = time.monotonic) -> None:
         self.settings = settings
+        self._clock = clock
+        self._bus: can.BusABC | None = None
+        self._closed = True
+        self._down = False
+        self._pause = _FIRST_PAUSE
+        self._next_try = 0.0
+        self._events: list[Event] = []  # of opening and sending
 
     @property
     def name(self) -> str:
@@ -34,21 +52,100 @@ class CanBus:
         Raises:
             BusError: the interface cannot be opened.
         """
+        try:
+            self._bus = self._open()
+        except Exception as error:  # python-can passes on whatever the interface raises
+            s = self.settings
+            raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
+        self._closed = self._down = False
+        self._events.append(Changed(self.name, "active", "", None))
 
     def fileno(self) -> int | None:
         """Returns the file descriptor to wait on; None if there is none now: call `poll` every tick.
 
         It changes when the bus is opened again: ask after each `poll`.
         """
-        raise NotImplementedError
+        if self._bus is None:
+            return None
+        try:
+            number = self._bus.fileno()
+        except Exception:  # virtual interfaces have none
+            return None
+        return number if number >= 0 else None
 
     def send(self, frame: Frame) -> str | None:
         """Sends a frame now or not at all; returns None, or why it was not sent. The caller tells the master."""
-        raise NotImplementedError
+        if self._bus is None:
+            return "the bus is closed" if self._closed else "the interface is down"
+        try:
+            self._bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+        except Exception as error:
+            if getattr(error, "error_code", None) in _GONE:
+                self._lose(f"sending failed ({error})")
+            return str(error) or repr(error)
+        return None
 
     def poll(self) -> list[Event]:
-        """Returns what happened since the last call: at most 256 events; then call again before waiting."""
-        raise NotImplementedError
+        """Returns what happened since the last call, at most 256 frames; if as many, call again soon."""
+        events, self._events = self._events, []
+        if self._bus is None and not self._closed and self._clock() >= self._next_try:
+            try:
+                self._bus = self._open()
+            except Exception as error:
+                self._lose(f"it cannot be opened ({error})")
+        for _ in range(_MOST_EVENTS):
+            if self._bus is None:
+                break
+            try:
+                message = self._bus.recv(0)
+            except Exception as error:  # whatever the interface raises, reading goes on when it is back
+                if getattr(error, "error_code", None) not in _NOTHING:
+                    self._lose(f"reading failed ({error})")
+                break
+            if self._down:  # an interface that is down can be opened, and fails to be read
+                self._down, self._pause = False, _FIRST_PAUSE
+                events.append(Changed(self.name, "active", "", None))
+            if message is None:
+                break
+            events.append(self._event(message))
+        events += self._events
+        self._events = []
+        return events
 
     def close(self) -> None:
         """Closes the bus; sends nothing."""
+        self._closed = True
+        self._shut()
+        self._events = [Changed(self.name, "closed", "", None)]
+
+    def _event(self, message: can.Message) -> Event:
+        if message.is_error_frame:
+            said = read_error(message.arbitration_id, bytes(message.data))
+            return Changed(self.name, said.state, "", said.errors)
+        if message.is_remote_frame or message.is_extended_id or message.is_fd:
+            size = 0 if message.is_remote_frame else min(message.dlc, 8)
+            return Ignored(self.name, wire_bits(size, message.is_extended_id))
+        frame = Frame(message.arbitration_id, bytes(message.data))
+        return Received(self.name, frame) if message.is_rx else Echoed(self.name, frame)
+
+    def _open(self) -> can.BusABC:
+        s = self.settings
+        bus = can.Bus(
+            interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=True, ignore_config=True
+        )
+        if (raw := getattr(bus, "socket", None)) is not None:
+            raw.setblocking(False)  # a full send buffer must fail, not wait
+        return bus
+
+    def _shut(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(Exception):  # an interface that is gone may fail to shut
+                bus.shutdown()
+
+    def _lose(self, why: str) -> None:
+        self._shut()
+        self._next_try = self._clock() + self._pause
+        self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+        self._down = True
+        self._events.append(Changed(self.name, "down", f"{why}; it is opened again until it works", None))

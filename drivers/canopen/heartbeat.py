@@ -1,0 +1,51 @@
+"""The master's heartbeat: boards that miss it become safe."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import State
+from drivers.canopen.link import Link
+from drivers.canopen.wiring import MASTER, Timing
+
+BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
+
+
+class Heartbeat:
+    """Sends the master's heartbeat on all buses; knows when boards were without it. Times are real time [s].
+
+    Args:
+        links: of all buses.
+        timing: period, and the time-out of the boards.
+    """
+
+    def __init__(self, links: Iterable[Link], timing: Timing) -> None:
+        self._links, self._timing = tuple(links), timing
+        self._last: float | None = None  # when `tick` was called last
+        self._sent: dict[str, float] = {}  # of each bus, the last heartbeat
+        self._before: dict[str, float] = {}  # and the one before it
+
+    def tick(self, clock: float, now: float) -> None:
+        """Sends what is due at `clock`; `now` stands still while the loop stalls."""
+        self._last = clock
+        for link in self._links:
+            due = clock >= self._sent.get(link.name, -math.inf) + self._timing.heartbeat - 1e-6
+            if link.usable and (due or link.failing):  # a further one shows whether it still fails
+                link.send(BEAT, now)
+                self._before[link.name] = self._sent.get(link.name, -math.inf)
+                self._sent[link.name] = clock
+
+    def failed(self, bus: str) -> None:
+        """Notes that the last heartbeat was not sent; the next tick tries again, for the bus is failing."""
+        self._sent[bus] = self._before.get(bus, -math.inf)
+
+    def halted(self, clock: float) -> float | None:
+        """Returns the time since the last `tick` [s] if boards have been without their master meanwhile, else None."""
+        timing, last = self._timing, self._last
+        if last is None or clock - last < timing.heartbeat_timeout - timing.heartbeat:
+            return None
+        armed = [link.name for link in self._links if link.armed]
+        without = any(clock - self._sent.get(name, clock) >= timing.heartbeat_timeout for name in armed)
+        return clock - last if without else None

@@ -1,0 +1,55 @@
+"""Frames of one bus: to the boards, or a fault if another master sends them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.faults import Fault
+from drivers.canopen.layout import RpdoFrame
+from drivers.canopen.station import Station
+from drivers.canopen.wiring import MASTER
+
+
+class Reception:
+    """Passes the frames of one bus on.
+
+    Args:
+        bus: its name.
+        frames: RPDO frames of the master, on all buses.
+        stations: boards of all buses.
+        rebooted: called with a board that has started anew.
+        report: takes faults.
+    """
+
+    def __init__(
+        self,
+        bus: str,
+        frames: Sequence[RpdoFrame],
+        stations: Iterable[Station],
+        rebooted: Callable[[Station, float], None],
+        report: Callable[[Fault], None],
+    ) -> None:
+        self._bus, self._rebooted, self._report = bus, rebooted, report
+        self.stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
+        self._masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
+        self._masters |= {frame.cob_id: "an RPDO" for frame in frames if frame.bus == bus}
+
+    def receive(self, frame: Frame, now: float) -> bool:
+        """Takes a frame of another node; returns whether it had a meaning."""
+        cob_id, data = frame
+        if (what := self._masters.get(cob_id)) is not None:
+            text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
+            self._report(Fault("foreign-master", self._bus, f"{text} the boards"))
+            return True
+        if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
+            return False
+        function, board, boots = cob_id & 0x780, station.board, station.board.boots
+        understood = board.receive(function, data, now)
+        if function == cia301.SDO_ANSWER and understood:
+            station.runner.receive_sdo(data, now)
+        if board.boots != boots:
+            self._rebooted(station, now)
+        station.runner.check(now)
+        return understood

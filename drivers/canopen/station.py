@@ -1,0 +1,62 @@
+"""A board and the procedures that run with it; questions for its inputs and its presence."""
+
+from __future__ import annotations
+
+from drivers.canopen.board import Board
+from drivers.canopen.link import Link
+from drivers.canopen.procedure import Procedure, Runner
+from drivers.canopen.sdo import Transfer
+
+_PATIENCE = 0.3  # [s] for an answer to a question
+
+
+class Station:
+    """One board on its bus.
+
+    Attributes:
+        index: of the board.
+        board: what is known of it.
+        runner: of the procedures with it.
+        questioning: whether a question for its inputs is neither answered nor timed out.
+    """
+
+    def __init__(self, index: int, board: Board, link: Link) -> None:
+        self.index, self.board = index, board
+        self.runner = Runner(board.layout.node, link)
+        self.questioning = False
+        self._again = False
+
+    def cancel(self) -> None:
+        """Gives up whatever runs."""
+        self.runner.cancel()
+        self.questioning = self._again = False
+
+    def question(self, now: float) -> None:
+        """Asks for the inputs, once more if a question is under way: its answer may be too old."""
+        if self.questioning:
+            self._again = True
+        elif self.board.ready and self.board.layout.inputs:
+            self.questioning, self._again = True, False
+            self.runner.start(_ask_inputs(self.board), lambda fault, now: self._answered(now), now)
+
+    def probe(self, now: float) -> None:
+        """Asks for the device type; any answer shows that the board is back."""
+        if not self.runner.running:
+            self.runner.start(_ask_presence(), lambda fault, now: None, now)
+
+    def _answered(self, now: float) -> None:
+        self.questioning = False
+        if self._again:
+            self.question(now)
+
+
+def _ask_inputs(board: Board) -> Procedure:
+    before = board.input_frames
+    for sub in board.layout.inputs:
+        outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE)
+        if outcome.data and board.input_frames == before:  # otherwise a TPDO brought newer ones
+            board.set_input(sub, outcome.data[0])
+
+
+def _ask_presence() -> Procedure:
+    yield Transfer(0x1000, 0, tries=1)
