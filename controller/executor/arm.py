@@ -1,0 +1,94 @@
+"""The arm as the executor sees it: actuators, wiring and times, from the arm's file alone."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from controller.actuators import read_wired
+from controller.settings import ActuatorSettings, ArmSettings, RealTimeSettings
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+
+WORDS = ("contracted", "extended")  # of the states 0 and 1
+
+
+@dataclass(frozen=True)
+class ExecutedArm:
+    """An arm of A actuators. Actuator k is bit k of integers of states and of masks.
+
+    Attributes:
+        name: of the arm.
+        actuators: label of each actuator, shape (A,).
+        wiring: buses and boards.
+        timing: of boards and actuators.
+        inrush: most actuators that may switch at once; None: no bound.
+        rest: time that an actuator rests between two travels [s].
+        locked: mask of the actuators that the file declares stuck.
+        locked_states: their states.
+        continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
+        real_time: what the file asks of the system.
+        digest: SHA-256 of the file, in hexadecimal.
+    """
+
+    name: str
+    actuators: tuple[str, ...]
+    wiring: Wiring
+    timing: Timing
+    inrush: int | None = None
+    rest: float = 0.0
+    locked: int = 0
+    locked_states: int = 0
+    continue_on_stuck: bool = False
+    real_time: RealTimeSettings | None = None
+    digest: str = ""
+
+    @property
+    def most(self) -> int:
+        """Most actuators that may switch at once."""
+        return len(self.actuators) if self.inrush is None else self.inrush
+
+
+def read_arm(path: Path) -> ExecutedArm:
+    """Returns the arm of a file that maps its actuators to boards.
+
+    Raises:
+        InputFaults: the file is missing or wrong; one line for each fault, with the path of its field.
+    """
+    settings, actuators, wired = read_wired(path)
+    return ExecutedArm(
+        name=settings.name,
+        actuators=actuators,
+        wiring=wiring_of(settings, actuators, wired),
+        timing=timing_of(settings),
+        inrush=settings.inrush,
+        rest=settings.rest_time,
+        locked=sum(1 << k for k, entry in enumerate(wired) if entry.stuck is not None),
+        locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == WORDS[1]),
+        continue_on_stuck=settings.on_stuck == "continue",
+        real_time=settings.real_time,
+        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
+    )
+
+
+def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[ActuatorSettings, ...]) -> Wiring:
+    """Returns the drivers' view of buses and actuators."""
+    return Wiring(
+        buses=tuple(BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses),
+        channels=tuple(
+            Channel(label, entry.bus, entry.node, entry.output, entry.input)
+            for label, entry in zip(actuators, wired, strict=True)
+        ),
+        on_loss=settings.boards.on_loss,
+        shared_rpdo=settings.boards.shared_rpdo,
+    )
+
+
+def timing_of(settings: ArmSettings) -> Timing:
+    """Returns the drivers' view of times."""
+    boards = settings.boards
+    return Timing(
+        heartbeat=boards.heartbeat,
+        heartbeat_timeout=boards.heartbeat_timeout,
+        boot_timeout=boards.boot_timeout,
+        travel_time=settings.travel_time,
+        settle_margin=boards.settle_margin,
+    )

@@ -1,0 +1,16 @@
+"""Sets of actuators as masks: actuator k is bit k of an integer."""
+
+from collections.abc import Iterator
+
+
+def indices(mask: int) -> Iterator[int]:
+    """Yields the actuators of a mask, the least first."""
+    while mask:
+        lowest = mask & -mask
+        yield lowest.bit_length() - 1
+        mask ^= lowest
+
+
+def merged(mask: int, chosen: int, other: int) -> int:
+    """Returns states: `chosen` where the mask is set, `other` elsewhere."""
+    return (chosen & mask) | (other & ~mask)

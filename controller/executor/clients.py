@@ -1,0 +1,76 @@
+"""The clients of the executor: one planner, and operators."""
+
+from collections.abc import Callable
+from typing import Literal
+
+from controller.executor.events import Client
+from controller.program import SILENT_AFTER, VERSION, Goodbye, Hello, Up
+
+Role = Literal["planner", "operator"]
+
+
+class Clients:
+    """Who is connected, in which role, and whether the planner is alive.
+
+    Attributes:
+        planner: the connected planner.
+        roles: of all clients that have said hello.
+
+    Args:
+        arm: name of the arm.
+        send: sends a message to a client.
+    """
+
+    def __init__(self, arm: str, send: Callable[[Client, Up], None]) -> None:
+        self.planner: Client | None = None
+        self.roles: dict[Client, Role] = {}
+        self._arm, self._send = arm, send
+        self._heard = 0.0
+        self._silent = False
+
+    def to_planner(self, message: Up) -> None:
+        """Sends a message to the planner, if there is one."""
+        if self.planner is not None:
+            self._send(self.planner, message)
+
+    def greet(self, client: Client, hello: Hello, clock: float) -> bool:
+        """Returns whether a client is served; if not, says why."""
+        reason = self._refusal(client, hello)
+        if reason is not None:
+            self._send(client, Goodbye(reason))
+            return False
+        self.roles[client] = hello.role
+        if hello.role == "planner":
+            self.planner = client
+            self.hear(clock)
+        return True
+
+    def hear(self, clock: float) -> None:
+        """Notes a message of the planner."""
+        self._heard, self._silent = clock, False
+
+    def fell_silent(self, clock: float) -> bool:
+        """Returns whether the planner is connected and has been silent for too long; once."""
+        if self.planner is None or self._silent or clock - self._heard < SILENT_AFTER:
+            return False
+        self._silent = True
+        return True
+
+    def remove(self, client: Client) -> bool:
+        """Forgets a client; returns whether it was the planner."""
+        self.roles.pop(client, None)
+        if client != self.planner:
+            return False
+        self.planner = None
+        return True
+
+    def _refusal(self, client: Client, hello: Hello) -> str | None:
+        if client in self.roles:
+            return "Hello was sent before"
+        if hello.version != VERSION:
+            return f"the executor speaks version {VERSION} of the contract, this client version {hello.version}"
+        if hello.arm not in (self._arm, "") or (hello.role == "planner" and hello.arm != self._arm):
+            return f"this is the executor of arm {self._arm}, not of {hello.arm[:100]!r}"
+        if hello.role == "planner" and self.planner is not None:
+            return f"a planner is connected already, process {self.planner.pid}; only one may drive the arm"
+        return None

@@ -1,0 +1,247 @@
+"""The core of the executor: an event comes in, actions come out. It has no clock, no I/O and no threads."""
+
+import logging
+import traceback
+from collections.abc import Callable
+from typing import ParamSpec
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.clients import Clients
+from controller.executor.events import (
+    Action,
+    Client,
+    ClientGone,
+    Event,
+    FromClient,
+    Log,
+    Notify,
+    Quit,
+    Send,
+    Tick,
+    ToClient,
+)
+from controller.executor.locked import LockedActuators
+from controller.executor.modes import Modes
+from controller.executor.motion import Motion
+from controller.executor.reports import Reports
+from controller.executor.requests import Requests
+from controller.executor.results import Results
+from controller.executor.switch_journal import SwitchJournal
+from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.faults import Fault
+from drivers.canopen.master import Master
+
+PERIOD = 0.01  # [s] between two ticks
+LONGEST = 2 * PERIOD  # [s] that count for supervision from one tick to the next, however late the next is
+DEFECT = Fault("internal-error", "executor", "internal error, see the log; the arm holds")
+
+P = ParamSpec("P")
+
+
+class Executor:
+    """Runs motion programs on the boards of an arm.
+
+    Attributes:
+        reports: what the event loop adds to them.
+        modes: mode and faults.
+        motion: the running program or stream.
+
+    Args:
+        arm: the arm.
+        journal: counts switches.
+        instance: random number of this run.
+        watchdog: greatest time between two beats for systemd [s]; None: it does not watch.
+        build_master: makes the CANopen master; tests may make another.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        journal: SwitchJournal,
+        instance: int,
+        watchdog: float | None = None,
+        build_master: Callable[..., Master] = Master,
+    ) -> None:
+        self._arm, self._journal, self._instance, self._watchdog = arm, journal, instance, watchdog
+        self._actions: list[Action] = []
+        self._master = master = build_master(arm.wiring, arm.timing, self._send)
+        self._clients = clients = Clients(arm.name, self._to_client)
+        self._results = Results(clients.to_planner)
+        self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
+        self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)
+        self.reports = Reports(arm, master, motion, locked, journal)
+        self.modes = Modes(master, motion, locked, self.reports, self._act)
+        self._requests = Requests(arm, master, motion, locked, self.modes, clients, self._act)
+        self._last_tick: float | None = None
+        self._awake = 0.0  # until the last tick [s]
+        self._next_beat = 0.0
+        self._healthy = True
+
+    @property
+    def ended(self) -> bool:
+        """Whether it was asked to end, and no stage is under way."""
+        return self._requests.quitting and not (self.motion.busy and self._master.committing)
+
+    def step(self, event: Event, now: float) -> list[Action]:
+        """Acts on an event.
+
+        Args:
+            event: of a bus, a client or the loop.
+            now: CLOCK_MONOTONIC, or any clock that never goes back [s].
+
+        Returns:
+            What is to be done, in order.
+        """
+        self._healthy = True
+        self.motion.clock = self._clock(now)
+        if self._last_tick is not None:
+            self._guarded(self._look_back, now)
+        self._guarded(self._handle, event, now)
+        self._guarded(self._conclude, now)
+        if self.reports.changed and self._last_tick is not None:
+            self._guarded(self._show, now)
+        actions, self._actions = self._actions, []
+        return actions
+
+    def _guarded(self, work: Callable[P, None], *arguments: P.args, **more: P.kwargs) -> None:
+        """Does a part of a step: a defect in it must not let go of the arm, which holds and says so."""
+        try:
+            work(*arguments, **more)
+        except Exception:
+            self._healthy = False
+            if self.modes.faults.add(DEFECT):  # not a hundred times a second
+                self._act(Log(logging.ERROR, f"internal error\n{traceback.format_exc()}"))
+            now = arguments[-1]
+            self.modes.fail(DEFECT, now)  # type: ignore[arg-type]
+
+    def _look_back(self, now: float) -> None:
+        """Looks, before anything is acted on, whether the process was halted: then what waited for it is stale."""
+        fault = self._master.halted(now)
+        if fault is not None:
+            self.modes.fail(fault, now)
+
+    def _handle(self, event: Event, now: float) -> None:
+        match event:
+            case Tick():
+                self._tick(now)
+            case FromClient():
+                self._hear(event.client, event.message, now)
+            case ClientGone():
+                if self._clients.remove(event.client):
+                    self._hold("the planner is gone")
+            case Quit():
+                self._quit()
+            case _:
+                self._master.take(event, now)
+
+    def _conclude(self, now: float) -> None:
+        """Notes what the event has changed on the boards."""
+        self.modes.look(now)
+        self.motion.conclude(now)
+        fault = self.motion.actuation.fault
+        if fault is not None:
+            self.motion.actuation.fault = None
+            self.modes.fail(fault, now)
+
+    # --- time
+
+    def _tick(self, now: float) -> None:
+        if self._last_tick is None:
+            self._act(Notify("READY=1"))
+            self._act(Notify(f"STATUS={self.modes.mode}: {self.modes.reason}"))
+            self.modes.boot(self.modes.reason, now)
+        self._awake, self._last_tick = self._clock(now), now
+        self._master.tick(now)
+        self._conclude(now)
+        for finding in self.motion.supervise(now):
+            if finding.fault.code == "stuck":
+                self._locked.note_stuck(finding.actuator)
+            self.modes.fail(finding.fault, now)
+        if self._clients.fell_silent(self.motion.clock):
+            self._hold("the planner is silent")
+        self._advance(now)
+        self.modes.recover(now)
+        self._report(now)
+
+    def _advance(self, now: float) -> None:
+        """Goes on with the program, or with what is followed."""
+        if self.modes.mode == "executing" and not self._requests.quitting:
+            end = self.motion.advance(now)
+            if end is not None:
+                self.modes.enter("ready", end)
+
+    def _report(self, now: float) -> None:
+        if self.reports.snapshot_due(now):
+            self._show(now)
+        if self.reports.diagnostics_due(now):
+            diagnostics = self.reports.diagnostics(now)
+            for client in self._clients.roles:
+                self._to_client(client, diagnostics)
+        if self._watchdog and self._healthy and now >= self._next_beat:
+            self._act(Notify("WATCHDOG=1"))
+            self._next_beat = now + self._watchdog / 4
+
+    def _show(self, now: float) -> None:
+        modes = self.modes
+        snapshot = self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, modes.faults.all())
+        for client in self._clients.roles:
+            self._to_client(client, snapshot)
+
+    def _clock(self, now: float) -> float:
+        """Returns the time that the executor was awake: it does not grow while ticks are late [s]."""
+        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST))
+
+    # --- clients
+
+    def _hear(self, client: Client, message: Down, now: float) -> None:
+        if client == self._clients.planner:
+            self._clients.hear(self.motion.clock)
+        match message:
+            case Hello():
+                self._greet(client, message)
+            case _ if client not in self._clients.roles:
+                self._to_client(client, Goodbye("Hello must be the first message"))
+            case Acknowledge() if client == self._clients.planner:
+                self._results.acknowledge(message.result)
+            case Counts() if client == self._clients.planner:
+                self._journal.raise_to(message.counts)
+            case _:
+                self._requests.take(client, message, now)
+                self._advance(now)  # what is due at once does not wait for the tick
+
+    def _greet(self, client: Client, hello: Hello) -> None:
+        if self._clients.greet(client, hello, self.motion.clock):
+            counts, greatest = tuple(self._journal.counts), self._requests.greatest
+            self._to_client(
+                client, Welcome(VERSION, self._arm.name, self._arm.digest, self._instance, counts, greatest)
+            )
+            if hello.role == "planner":
+                self._results.send_again()
+            self.reports.changed = True
+
+    def _hold(self, why: str) -> None:
+        """Ends what the planner wanted."""
+        self.motion.end("aborted", f"{why}; the arm holds")
+        if self.modes.mode == "executing":
+            self.modes.enter("ready", f"holding; {why}")
+
+    def _quit(self) -> None:
+        """Ends what runs with a result; asked again, does not wait for the stage under way."""
+        if self._requests.quitting:
+            self.motion.close()
+            return
+        self._requests.quitting = True
+        self._act(Notify("STOPPING=1"))
+        self._hold("the executor is shutting down")
+
+    # --- actions
+
+    def _act(self, action: Action) -> None:
+        self._actions.append(action)
+
+    def _send(self, bus: str, frame: Frame) -> None:
+        self._actions.append(Send(bus, frame))
+
+    def _to_client(self, client: Client, message: Up) -> None:
+        self._actions.append(ToClient(client, message))

@@ -1,0 +1,73 @@
+"""What goes into the executor's core and what comes out, as plain data."""
+
+from typing import NamedTuple
+
+from controller.program import Down, Up
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.events import Event as CanEvent
+
+
+class Client(NamedTuple):
+    """A connection to the executor's socket.
+
+    Attributes:
+        number: of the connection, never used again.
+        pid: process at the other end.
+    """
+
+    number: int
+    pid: int
+
+
+class Tick(NamedTuple):
+    """A control period has begun."""
+
+
+class FromClient(NamedTuple):
+    """A client sent a message."""
+
+    client: Client
+    message: Down
+
+
+class ClientGone(NamedTuple):
+    """A connection was closed."""
+
+    client: Client
+
+
+class Quit(NamedTuple):
+    """The process is asked to end."""
+
+
+Event = CanEvent | Tick | FromClient | ClientGone | Quit
+
+
+class Send(NamedTuple):
+    """A frame for a bus."""
+
+    bus: str
+    frame: Frame
+
+
+class ToClient(NamedTuple):
+    """A message for a client. The server closes the connection after a `Goodbye`."""
+
+    client: Client
+    message: Up
+
+
+class Notify(NamedTuple):
+    """An assignment for systemd, e.g. "READY=1"."""
+
+    text: str
+
+
+class Log(NamedTuple):
+    """A line of the log, with a level of the module logging."""
+
+    level: int
+    text: str
+
+
+Action = Send | ToClient | Notify | Log

@@ -1,0 +1,115 @@
+"""The modes of the executor: starting, ready, executing, fault, stopped; how each is entered and left."""
+
+import logging
+from collections.abc import Callable
+
+from controller.executor.active_faults import ActiveFaults
+from controller.executor.events import Action, Log, Notify
+from controller.executor.locked import LockedActuators
+from controller.executor.motion import Motion
+from controller.executor.reports import Reports
+from controller.program import Mode
+from drivers.canopen.faults import Fault
+from drivers.canopen.master import Master
+
+RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and from a fault to the first
+
+
+class Modes:
+    """The mode and the active faults.
+
+    Attributes:
+        mode: of the executor.
+        reason: a sentence on the mode.
+        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, and end of a boot.
+        faults: active faults.
+
+    Args:
+        master: of the boards.
+        motion: on them.
+        locked: the locked actuators.
+        reports: are told of changes.
+        act: takes actions.
+    """
+
+    def __init__(
+        self, master: Master, motion: Motion, locked: LockedActuators, reports: Reports, act: Callable[[Action], None]
+    ) -> None:
+        self.mode: Mode = "starting"
+        self.reason = "the boards are being booted"
+        self.epoch = 1
+        self.faults = ActiveFaults(frozenset({"stuck"} if locked.continue_on_stuck else ()))
+        self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
+        self._booting = False
+        self._next_try = 0.0
+
+    def enter(self, mode: Mode, reason: str) -> None:
+        """Enters a mode, and says so in the log and to systemd."""
+        if (mode, reason) != (self.mode, self.reason):
+            self._act(Log(logging.WARNING if mode in ("fault", "stopped") else logging.INFO, f"{mode}: {reason}"))
+            self._act(Notify(f"STATUS={mode}: {reason}"))
+        self.mode, self.reason, self._reports.changed = mode, reason, True
+
+    def new_epoch(self) -> None:
+        """Has the planner plan anew: programs and streams of the epochs before are no longer taken."""
+        self.epoch += 1
+        self._reports.changed = True
+
+    def boot(self, reason: str, now: float) -> None:
+        """Boots the boards; `look` notes the end."""
+        self.faults.clear()
+        self._booting = True
+        self._motion.supervision.reset(0, 0)
+        self._master.boot(now)
+        self.enter("starting", reason)
+
+    def look(self, now: float) -> None:
+        """Takes the master's faults, and notes the end of a boot; to be called after each event."""
+        for fault in self._master.take_faults():
+            self.fail(fault, now)
+        if self._booting and not self._master.booting:
+            self._booting = False
+            if self.mode == "starting":  # after a stop, Reset boots again
+                self._booted(now)
+
+    def fail(self, fault: Fault, now: float) -> None:
+        """Holds, ends the program, and waits for Reset or recovery; during a boot, the end of the boot decides."""
+        if self.faults.add(fault):
+            self._act(Log(logging.ERROR, f"{fault.code}: {fault.message}"))
+        self._reports.changed = True
+        self._motion.end("aborted", fault.message)
+        if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._booting):
+            self._enter_fault(fault.message, now)
+
+    def recover(self, now: float) -> None:
+        """Leaves a fault without Reset if all active faults clear by themselves, and all boards are heard again."""
+        if self.mode != "fault" or now < self._next_try or not self.faults.passing:
+            return
+        self._next_try = now + RETRY
+        self._master.probe_silent(now)
+        if self._master.back and not self._motion.moving:
+            self.boot("the boards are back and are being booted", now)
+
+    def go_on(self, now: float) -> None:
+        """Holds what is measured, and is ready."""
+        self._locked.settle(self._master.measured, self._master.sensed & self._master.known)
+        self._motion.supervision.accept(self._motion.measured, self._master.known)
+        self._motion.actuation.adopt(now)
+        self.new_epoch()
+        locked = f", {self._locked.sentence()}" if self._locked.mask else ""
+        self.enter("ready", f"holding what the boards measured{locked}")
+
+    def _booted(self, now: float) -> None:
+        for fault in self._master.boot_faults:
+            if self.faults.add(fault):
+                self._act(Log(logging.ERROR, f"{fault.code}: {fault.message}"))
+        if self.faults:
+            self._enter_fault(self.faults.sentence(), now)
+        else:
+            self._motion.supervision.reset(self._motion.measured, self._master.known)
+            self.go_on(now)
+
+    def _enter_fault(self, reason: str, now: float) -> None:
+        self.new_epoch()
+        self._next_try = now + RETRY
+        self.enter("fault", reason)

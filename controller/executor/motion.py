@@ -1,0 +1,250 @@
+"""The motion on the boards: the running program, or the set-point that is followed; never both."""
+
+from collections.abc import Callable
+
+from controller.executor.actuation import Actuation, Commit
+from controller.executor.arm import ExecutedArm
+from controller.executor.bits import merged
+from controller.executor.clearance import ClearanceQuestions
+from controller.executor.locked import LockedActuators
+from controller.executor.motion_supervision import Finding, MotionSupervision
+from controller.executor.program_execution import ProgramExecution
+from controller.executor.results import Results
+from controller.executor.setpoint_stream import SetpointStream
+from controller.executor.switch_journal import SwitchJournal
+from controller.program import Begun, Settled, Up, pack
+from drivers.canopen.master import Master
+
+TOUCHES = "on the way that was planned, "
+
+
+class Motion:
+    """Switches the boards to the stages of the running program or stream, and supervises the actuators.
+
+    Attributes:
+        execution: of the running program.
+        stream: of set-points that is followed.
+        actuation: of the boards.
+        supervision: of the actuators.
+        clearances: questions to the planner.
+        clock: time that the executor was awake, at the last event [s].
+
+    Args:
+        arm: the arm.
+        master: of its boards.
+        journal: counts switches.
+        locked: the locked actuators.
+        results: takes the result of each program.
+        send: sends a message to the planner, if there is one.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        master: Master,
+        journal: SwitchJournal,
+        locked: LockedActuators,
+        results: Results,
+        send: Callable[[Up], None],
+    ) -> None:
+        self.execution: ProgramExecution | None = None
+        self.stream: SetpointStream | None = None
+        self.actuation = Actuation(master, arm, journal)
+        places = [channel.place for channel in arm.wiring.channels]
+        timing = arm.timing
+        self.supervision = MotionSupervision(master, places, timing.travel_time, timing.settle_margin)
+        self.clearances = ClearanceQuestions(send, len(arm.actuators))
+        self.clock = 0.0
+        self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
+        self._index, self._before = 0, 0  # of the stage whose commit is under way; outputs before it
+        self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the commit under way
+
+    # --- what is measured
+
+    @property
+    def measured(self) -> int:
+        """States from the end-stops, else from the outputs; of a locked actuator without end-stop its locked state."""
+        return merged(self._locked.mask & ~self._master.sensed, self._locked.states, self._master.measured)
+
+    @property
+    def moving(self) -> bool:
+        """Whether a switched actuator has not arrived."""
+        return self.supervision.moving(self.measured, self.clock)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a commit is under way."""
+        return self.actuation.target is not None
+
+    def packed(self) -> tuple[bytes, bytes]:
+        """Returns the measured states and the mask of the known ones, packed."""
+        actuators = len(self._arm.actuators)
+        return pack(self.measured & self._master.known, actuators), pack(self._master.known, actuators)
+
+    def supervise(self, now: float) -> list[Finding]:
+        """Returns the actuators that went astray since the last call; to be called every period."""
+        return self.supervision.tick(self.measured, self._master.known, self.clock, now)
+
+    # --- begin and end
+
+    def run(self, execution: ProgramExecution) -> None:
+        """Makes a program the running one."""
+        self.stream = None
+        self.clearances.forget()
+        self.execution = execution
+
+    def follow(self, stream: SetpointStream) -> None:
+        """Follows a set-point, in place of the last one.
+
+        But not while a question is open about the last one: its answer would always come too late.
+        """
+        last = self.stream
+        if last is not None and self.clearances.waiting and stream.stages and stream.start == last.start:
+            last.until, last.reason, last.number = stream.until, stream.reason, stream.number
+        else:
+            self.stream = stream
+
+    def end(self, status: str, message: str) -> bool:
+        """Ends program and stream; returns whether there was a program. Its result waits for the commit under way."""
+        execution, self.execution, self.stream = self.execution, None, None
+        self.clearances.forget()
+        self.actuation.rest()
+        if execution is None:
+            return False
+        self._closing = execution, status, message
+        if not self.busy:
+            self.close()
+        return True
+
+    def close(self) -> None:
+        """Gives the result of a program that has ended."""
+        if self._closing is not None:
+            execution, status, message = self._closing
+            self._closing = None
+            try:
+                measured, known = self.packed()
+            except Exception:  # a defect must not keep a program from its result
+                measured = known = pack(0, len(self._arm.actuators))
+            self._results.add(execution, status, message, measured, known)
+
+    # --- what is due
+
+    def conclude(self, now: float) -> None:
+        """Notes what has switched since the last call; to be called after each event."""
+        for mask, at in self._master.take_switched():
+            self.actuation.switched(mask, at)
+            self.supervision.switched(mask, self._master.outputs, self.measured, self.clock, now)
+            running = self.execution if self._closing is None else self._closing[0]
+            if running is not None:
+                running.switches += mask.bit_count()
+        commit = self.actuation.conclude(now)
+        if not (self.busy and self._master.committing):
+            self.close()
+        if commit is not None and commit.reached:
+            self._took(commit)
+
+    def advance(self, now: float) -> str | None:
+        """Does what is due; returns a sentence when program or stream have ended by themselves."""
+        if self.stream is not None:
+            return self._pursue(self.stream, now)
+        execution = self.execution
+        if execution is None:
+            return None
+        if execution.waiting and not self.busy and not self.moving and execution.settles(now):
+            self._send(self._settled(execution))
+        if execution.finished and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
+            self.end("done", "all stages have settled")
+            return f"holding; {execution.program.name} is done"
+        return self._switch(execution, now)
+
+    def _switch(self, execution: ProgramExecution, now: float) -> str | None:
+        """Begins the stage of a program that is due; returns a sentence if that ends the program."""
+        index = None if self.busy else execution.due(now, self._master.outputs, self._arm.most)
+        if index is None:
+            return None
+        states = execution.state(index)
+        if (states ^ self._master.outputs).bit_count() > self._arm.most:
+            self.end("aborted", "the outputs are too far from the next stage; the arm holds")
+            return f"holding; {execution.program.name} was aborted: the outputs are too far from its next stage"
+        touched = self._begin(index, execution.state(execution.taken), states, execution.strict, now)
+        if touched is None:
+            return None
+        self.end("aborted", f"{TOUCHES}{touched}; the arm holds")
+        return f"holding; {execution.program.name} was aborted: {TOUCHES}{touched}"
+
+    def _pursue(self, stream: SetpointStream, now: float) -> str | None:
+        """Begins the stage of a stream that is due; returns a sentence when the stream has stopped."""
+        if now > stream.until:
+            self.end("canceled", "")
+            return "holding; the stream of setpoints has stopped"
+        if self.busy:
+            return None
+        index = stream.due(self._master.outputs, self._arm.most)
+        if index is None:
+            self.clearances.forget()
+            self.actuation.rest()
+        elif now >= self.actuation.free_at and not self.moving:
+            touched = self._begin(index, stream.start, stream.stages[index], stream.strict, now)
+            if touched is not None:
+                stream.stages = []  # the follower is to find another way
+        return None
+
+    def _begin(self, index: int, planned: int, states: int, strict: bool, now: float) -> str | None:
+        """Begins to switch to a stage, if it may begin now; returns what it touches, in words.
+
+        Args:
+            index: of the stage.
+            planned: states from which it was planned.
+            states: in which it ends.
+            strict: whether nothing may be moving, and it must be known to be clear.
+            now: [s].
+        """
+        self._index, self._before = index, self._master.outputs
+        if states == self._before and not (strict and self.moving):
+            self._took(Commit(states, reached=True))
+            return None
+        if now < self.actuation.ready_at(states, strict) - 1e-9 or (strict and self.moving):
+            return None
+        if strict:
+            expected, start, stage = self._ways(planned, states)
+            if start not in (expected, stage) and not self.clearances.known(start, stage, now):
+                self.clearances.waits += 1
+                self.actuation.rest()
+                return None
+            if start not in (expected, stage) and self.clearances.touched is not None:
+                return self.clearances.touched
+        if self.actuation.switch(states, now) and self.execution is not None:
+            self.execution.begins(index)
+        return None
+
+    def _ways(self, planned: int, states: int) -> tuple[int, int, int]:
+        """Returns actuator states, of locked actuators as they are locked: planned, before a stage, and after it.
+
+        Before the stage, actuators that are measured elsewhere than after it may come free on the way.
+        """
+        mask, locked = self._locked.mask, self._locked.states
+        stage, measured = merged(mask, locked, states), self.measured
+        outputs = merged(mask, locked, self._master.outputs)
+        return merged(mask, locked, planned), merged(measured ^ stage, measured, outputs), stage
+
+    def _took(self, commit: Commit) -> None:
+        """Notes that the outputs have reached the stage begun last."""
+        execution, stream = self.execution, self.stream
+        if stream is not None and self._index < len(stream.stages) and stream.stages[self._index] == commit.states:
+            stream.took(self._index)
+        if execution is not None:
+            switched = commit.states != self._before
+            execution.took(self._index, self._before, switched, self.actuation.free_at)
+            self._send(Begun(execution.program.program, self._index, execution.switches))
+
+    def _settled(self, execution: ProgramExecution) -> Settled:
+        measured, known = self.packed()
+        return Settled(
+            program=execution.program.program,
+            mark=execution.mark,
+            measured=measured,
+            known=known,
+            switches=execution.switches,
+            stages=execution.stages,
+            planned=execution.planned,
+        )

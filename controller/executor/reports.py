@@ -1,0 +1,104 @@
+"""Snapshots 20 times a second and on each change, and diagnostics once a second."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.locked import LockedActuators
+from controller.executor.motion import Motion
+from controller.executor.switch_journal import SwitchJournal
+from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
+from drivers.canopen.faults import Fault as BoardFault
+from drivers.canopen.master import Master
+
+SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
+MOST_FAULTS, MOST_TEXT = 50, 300  # what a snapshot carries, so that it fits one message
+
+
+class Reports:
+    """Makes snapshots and diagnostics when they are due.
+
+    Attributes:
+        changed: whether something has that no snapshot shows yet.
+        loop_status: returns how the event loop keeps time since the last call.
+        real_time: "off", "on", or what is missing, in a sentence.
+        dropped: returns how many snapshots the server has dropped.
+
+    Args:
+        arm: the arm.
+        master: of its boards.
+        motion: on them.
+        locked: the locked actuators.
+        journal: counts switches.
+    """
+
+    def __init__(
+        self, arm: ExecutedArm, master: Master, motion: Motion, locked: LockedActuators, journal: SwitchJournal
+    ) -> None:
+        self.changed = True
+        self.loop_status: Callable[[], dict[str, float]] = dict
+        self.real_time = "off"
+        self.dropped: Callable[[], int] = int
+        self._arm, self._master, self._motion, self._locked, self._journal = arm, master, motion, locked, journal
+        self._size = len(arm.actuators)
+        self._next_snapshot = self._next_diagnostics = 0.0
+        self._shown: tuple[int, ...] = ()
+
+    def snapshot_due(self, now: float) -> bool:
+        """Returns whether a snapshot is due at a tick, also because what is measured has changed."""
+        motion = self._motion
+        shown = (self._master.outputs, motion.measured, self._master.known, int(motion.moving))
+        self.changed |= shown != self._shown
+        self._shown = shown
+        return self.changed or now >= self._next_snapshot
+
+    def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[BoardFault, ...]) -> Snapshot:
+        """Returns the state of the executor."""
+        self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
+        motion, size = self._motion, self._size
+        execution, stream = motion.execution, motion.stream
+        measured, known = motion.packed()
+        every = faults + self._locked.faults() + self._master.warnings() + self._own()
+        return Snapshot(
+            at=now,
+            mode=mode,
+            reason=reason[:1_000],
+            epoch=epoch,
+            outputs=pack(self._master.outputs, size),
+            measured=measured,
+            known=known,
+            sensed=pack(self._master.sensed, size),
+            locked=pack(self._locked.mask, size),
+            locks=self._locked.number,
+            moving=motion.moving,
+            free_at=motion.actuation.free_at,
+            program=-1 if execution is None else execution.program.program,
+            mark=-1 if execution is None else execution.mark,
+            stream=-1 if stream is None else stream.number,
+            faults=tuple(
+                Fault(fault.code, fault.source[:100], fault.message[:MOST_TEXT]) for fault in every[:MOST_FAULTS]
+            ),
+        )
+
+    def diagnostics_due(self, now: float) -> bool:
+        """Returns whether diagnostics are due."""
+        return now >= self._next_diagnostics
+
+    def diagnostics(self, now: float) -> Diagnostics:
+        """Returns the health of loop, buses and boards."""
+        self._next_diagnostics = now + DIAGNOSTICS_EVERY
+        status = self._master.status()
+        return Diagnostics(
+            at=now,
+            loop=self.loop_status(),
+            buses=[asdict(bus) for bus in status.buses],
+            boards=[asdict(board) for board in status.boards],
+            real_time=self.real_time[:1_000],
+            counts=tuple(self._journal.counts),
+            waits=self._motion.clearances.waits,
+            dropped=self.dropped(),
+        )
+
+    def _own(self) -> tuple[BoardFault, ...]:
+        problem = self._journal.problem
+        return () if problem is None else (BoardFault("journal", "executor", problem),)

@@ -1,0 +1,204 @@
+"""What clients ask for: programs, set-points, cancel, halt, reset, locks."""
+
+import logging
+from collections.abc import Callable
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.clients import Clients
+from controller.executor.events import Action, Client, Log, ToClient
+from controller.executor.locked import LockedActuators
+from controller.executor.modes import Modes
+from controller.executor.motion import Motion
+from controller.executor.program_execution import Misfit, ProgramExecution, check_stages, checked_states
+from controller.executor.setpoint_stream import SetpointStream
+from controller.program import (
+    Accepted,
+    Answer,
+    Cancel,
+    Clearance,
+    Declined,
+    Down,
+    Goodbye,
+    Halt,
+    Lock,
+    Program,
+    Replaced,
+    Replacement,
+    Reset,
+    Setpoint,
+)
+from drivers.canopen.master import Master
+
+
+class Requests:
+    """Acts on the messages of clients that were greeted.
+
+    Attributes:
+        greatest: number of a program or stream so far.
+        quitting: whether the executor ends, and takes nothing more.
+
+    Args:
+        arm: the arm.
+        master: of its boards.
+        motion: on them.
+        locked: the locked actuators.
+        modes: of the executor.
+        clients: of the executor.
+        act: takes actions.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        master: Master,
+        motion: Motion,
+        locked: LockedActuators,
+        modes: Modes,
+        clients: Clients,
+        act: Callable[[Action], None],
+    ) -> None:
+        self.quitting = False
+        self._arm, self._master, self._motion, self._locked = arm, master, motion, locked
+        self._modes, self._clients, self._act = modes, clients, act
+        self._size = len(arm.actuators)
+        self._program = self._stream = 0  # greatest numbers so far
+
+    @property
+    def greatest(self) -> int:
+        """Number of a program or stream so far."""
+        return max(self._program, self._stream)
+
+    def take(self, client: Client, message: Down, now: float) -> None:
+        """Acts on a message."""
+        if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
+            self._act(ToClient(client, Goodbye("an operator may only halt")))
+            return
+        match message:
+            case Program():
+                self._take_program(message, now)
+            case Replacement():
+                self._replace(message)
+            case Setpoint():
+                self._follow(message, now)
+            case Clearance():
+                self._motion.clearances.answer(message)
+            case Cancel():
+                self._answer(client, message.request, True, self._cancel(message))
+            case Halt():
+                self._halt()
+                self._answer(client, message.request, True, "stopped; the arm holds until reset")
+            case Reset():
+                self._answer(client, message.request, True, self._reset(now))
+            case Lock():
+                self._lock(client, message, now)
+
+    # --- programs and set-points
+
+    def _take_program(self, message: Program, now: float) -> None:
+        """Runs a program in place of the running one, or declines it."""
+        declined = self._declined(message)
+        if declined is not None:
+            self._clients.to_planner(declined)
+            return
+        self._motion.end("replaced", f"replaced by {message.name}")
+        self._program = message.program
+        begin = message.begin or now
+        self._motion.run(ProgramExecution(message, begin))
+        self._modes.enter("executing", message.name)
+        self._clients.to_planner(Accepted(message.program, begin))
+
+    def _declined(self, message: Program) -> Declined | None:
+        """Returns why a program is declined, or None."""
+        number, mode = message.program, self._modes.mode
+        if self.quitting or mode not in ("ready", "executing"):
+            reason = "the executor is shutting down" if self.quitting else f"the arm is {mode}: {self._modes.reason}"
+            return Declined(number, "mode", reason[:1_000])
+        if message.epoch != self._modes.epoch:
+            return Declined(number, "epoch", "a cancel, stop, reset or fault came before it began")
+        if number <= self._program:
+            return Declined(number, "malformed", f"a program of number {self._program} came before")
+        try:
+            start = checked_states(message.start, self._size)
+            check_stages(message.stages, start, message.start, -1e12, self._arm.most, self._locked.mask, self._size)
+        except Misfit as misfit:
+            return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
+        if start != self._master.outputs or self._motion.busy:
+            return Declined(number, "moved", "the arm has moved since the program was planned")
+        return None
+
+    def _replace(self, message: Replacement) -> None:
+        """Takes other stages for the running program, or not."""
+        execution = self._motion.execution
+        accepted = execution is not None and execution.program.program == message.program
+        if execution is not None and accepted:
+            try:
+                execution.replace(message, self._arm.most, self._locked.mask, self._size)
+            except Misfit as misfit:
+                accepted = False
+                self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))
+        self._clients.to_planner(Replaced(message.program, message.generation, accepted))
+
+    def _follow(self, message: Setpoint, now: float) -> None:
+        """Follows a set-point, but none of a stream or an epoch that has ended."""
+        old = message.stream <= self._program or message.stream < self._stream or message.epoch != self._modes.epoch
+        if old or self.quitting or now > message.until or self._modes.mode not in ("ready", "executing"):
+            return
+        try:
+            stream = SetpointStream(message, self._arm.most, self._locked.mask, self._size)
+        except Misfit as misfit:
+            self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
+            return
+        self._stream = message.stream
+        if self._motion.execution is not None:
+            self._motion.end("replaced", "replaced by a setpoint")
+        self._motion.follow(stream)
+        if (self._modes.mode, self._modes.reason) != ("executing", message.reason):
+            self._modes.enter("executing", message.reason)
+
+    # --- cancel, halt, reset, lock
+
+    def _cancel(self, message: Cancel) -> str:
+        """Ends one program, or whatever runs; returns the answer."""
+        execution, followed = self._motion.execution, self._motion.stream is not None
+        if message.program is not None and (execution is None or execution.program.program != message.program):
+            return f"program {message.program} is not running"
+        self._motion.end("canceled", message.reason or "canceled; the arm holds")
+        if message.program is None:
+            self._modes.new_epoch()
+        if self._modes.mode == "executing":
+            name = "following" if execution is None else execution.program.name
+            self._modes.enter("ready", f"holding; {name} was canceled")
+        return "canceled" if execution or followed else "there was no goal to cancel; the arm holds"
+
+    def _halt(self) -> None:
+        self._modes.new_epoch()
+        self._motion.end("aborted", "emergency stop; the arm holds")
+        self._modes.enter("stopped", "emergency stop; the arm holds until reset")
+
+    def _reset(self, now: float) -> str:
+        if self._modes.mode not in ("fault", "stopped"):
+            return f"nothing to reset: the arm is {self._modes.mode}"
+        self._modes.new_epoch()
+        self._modes.boot("the boards are being booted after a reset", now)
+        return "resetting; the mode will be ready, or fault with the reason"
+
+    def _lock(self, client: Client, message: Lock, now: float) -> None:
+        """Locks an actuator, or unlocks it; nothing moves."""
+        readable = self._master.sensed & self._master.known
+        refusal = self._locked.refusal(message.actuator, message.state, self._master.measured, readable)
+        mode = self._modes.mode
+        if mode == "executing" or self._motion.moving or self._motion.busy:
+            refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"
+        if refusal is not None:
+            self._answer(client, message.request, False, refusal)
+            return
+        self._locked.change(message.actuator, message.state)
+        waits = mode in ("fault", "stopped")
+        if mode == "ready":
+            self._modes.go_on(now)
+        self._modes.new_epoch()
+        text = f"{self._locked.sentence()}{', from the reset on' if waits else ''}"
+        self._answer(client, message.request, True, text)
+
+    def _answer(self, client: Client, request: int, accepted: bool, message: str) -> None:
+        self._act(ToClient(client, Answer(request, accepted, message[:1_000])))

@@ -1,0 +1,172 @@
+"""The switch journal: counts of switches that survive a killed process and a reboot.
+
+One file of two records, each with a checksum, which are written in turn; one of them is whole whenever the process
+ends. The file is mapped into memory: a write never waits for the disk, and the kernel writes it out.
+"""
+
+import fcntl
+import logging
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from controller.executor.bits import indices
+
+log = logging.getLogger(__name__)
+
+MAGIC = b"hyperbit switches 1\n"
+PAGE = mmap.PAGESIZE
+
+
+class Held(Exception):
+    """Another process uses the file."""
+
+
+class SwitchJournal(Protocol):
+    """Counts the switches of A actuators.
+
+    The states that a stage is to bring about are noted before its SYNC. A process that is killed after that cannot know
+    whether the SYNC has left; the boards' outputs tell the next process.
+
+    Attributes:
+        counts: switches of each actuator, shape (A,).
+        problem: why counts are lost with the process, or were lost; None if they are not.
+    """
+
+    counts: list[int]
+    problem: str | None
+
+    def intend(self, before: int, after: int) -> None:
+        """Notes that outputs are to be switched from the states `before` to the states `after`."""
+
+    def resolve(self, outputs: int) -> int:
+        """Counts the intended switches that the outputs show; returns the mask of these actuators."""
+
+    def raise_to(self, counts: Sequence[int]) -> None:
+        """Raises counts (A,) to those that somebody else knows: counts only grow, so the greater is right."""
+
+    def close(self) -> None:
+        """Closes the file."""
+
+
+class MemoryJournal:
+    """A journal that ends with the process. See `SwitchJournal`."""
+
+    def __init__(self, actuators: int) -> None:
+        """Takes the number of actuators."""
+        self.counts = [0] * actuators
+        self.problem: str | None = None
+        self._intended = self._after = 0
+
+    def intend(self, before: int, after: int) -> None:
+        """See `SwitchJournal`."""
+        self._intended, self._after = before ^ after, after
+        self._write()
+
+    def resolve(self, outputs: int) -> int:
+        """See `SwitchJournal`."""
+        if not self._intended:
+            return 0
+        switched = self._intended & ~(self._after ^ outputs)
+        for k in indices(switched):
+            self.counts[k] += 1
+        self._intended = 0
+        self._write()
+        return switched
+
+    def raise_to(self, counts: Sequence[int]) -> None:
+        """See `SwitchJournal`."""
+        if len(counts) == len(self.counts) and any(a > b for a, b in zip(counts, self.counts, strict=True)):
+            self.counts = [max(pair) for pair in zip(counts, self.counts, strict=True)]
+            self._write()
+
+    def close(self) -> None:
+        """Does nothing."""
+
+    def _write(self) -> None:
+        """Does nothing."""
+
+
+class FileJournal(MemoryJournal):
+    """A journal in a file. See `SwitchJournal`.
+
+    The first page of the file names its user; a record begins with each of the two parts that follow.
+
+    Args:
+        path: of the file; created if it does not exist.
+        actuators: labels (A,); counts of other actuators are not taken over.
+
+    Raises:
+        Held: another process uses the file; the text names it.
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, actuators: Sequence[str]) -> None:
+        super().__init__(len(actuators))
+        self._labels, self._number = zlib.crc32("\n".join(actuators).encode()), 0
+        octets = (len(actuators) + 7) // 8
+        self._record = struct.Struct(f"<QI{len(actuators)}Q{octets}s{octets}s")
+        self._octets = octets
+        self._part = -(-(4 + self._record.size) // PAGE) * PAGE
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            self._lock(path)
+            fresh = os.fstat(self._file).st_size == 0
+            os.posix_fallocate(self._file, 0, PAGE + 2 * self._part)  # a hole on a full disk would be a SIGBUS later
+            self._map = mmap.mmap(self._file, PAGE + 2 * self._part)
+        except BaseException:
+            os.close(self._file)
+            raise
+        self._map[:PAGE] = (MAGIC + b"%d\n" % os.getpid()).ljust(PAGE, b"\0")
+        if not self._read() and not fresh:
+            self.problem = f"{path} is damaged or of other actuators: counts of switches begin at what the ledger knows"
+            log.warning("%s", self.problem)
+        self._write()
+
+    def close(self) -> None:
+        """Closes the file, and writes it to the disk."""
+        if not self._map.closed:
+            self._map.flush()
+            self._map.close()
+            os.close(self._file)
+
+    def _lock(self, path: Path) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lines = os.pread(self._file, PAGE, 0).split(b"\n")
+            pid = lines[1].decode(errors="replace") if len(lines) > 1 else "unknown"
+            raise Held(f"the switch journal {path} is in use by process {pid}") from None
+
+    def _write(self) -> None:
+        """Writes a record over the older of the two."""
+        if self._map.closed:
+            return
+        self._number += 1
+        intended, after = (bits.to_bytes(self._octets, "little") for bits in (self._intended, self._after))
+        body = self._record.pack(self._number, self._labels, *self.counts, intended, after)
+        begin = PAGE + self._number % 2 * self._part
+        self._map[begin : begin + 4 + len(body)] = zlib.crc32(body).to_bytes(4, "little") + body
+
+    def _read(self) -> bool:
+        """Takes over the newer of the whole records; returns whether there was one of these actuators."""
+        for begin in (PAGE, PAGE + self._part):
+            body = self._map[begin + 4 : begin + 4 + self._record.size]
+            if int.from_bytes(self._map[begin : begin + 4], "little") != zlib.crc32(body):
+                continue
+            number, labels, *counts, intended, after = self._record.unpack(body)
+            if labels == self._labels and number > self._number:
+                self._number, self.counts = number, list(counts)
+                self._intended, self._after = (int.from_bytes(bits, "little") for bits in (intended, after))
+        return self._number > 0
+
+
+def default_path(arm: str) -> Path:
+    """Returns where an arm's journal is: in systemd's StateDirectory, else in the home directory."""
+    folder = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return (Path(folder) if folder else Path.home() / ".local/state/hyperbit") / f"{arm}.switches"

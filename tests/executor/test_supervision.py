@@ -1,0 +1,122 @@
+"""Motion supervision: a verdict needs an answer, and no delay of the executor is one of an actuator."""
+
+import pytest
+
+from controller.executor.core import PERIOD
+from controller.program import Ended
+from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
+
+ALL = (1 << SIZE) - 1
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return ready()
+
+
+def codes(rig: Rig) -> list[tuple[str, str]]:
+    return [(fault.code, fault.source) for fault in rig.snapshot.faults]
+
+
+def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(rig: Rig) -> None:
+    rig.master.stuck = 1
+    rig.run(0b000111)
+    rig.go(TRAVEL + MARGIN - PERIOD)
+    assert rig.mode != "fault"
+    rig.go(4 * PERIOD)
+    assert (rig.mode, rig.results) == ("fault", [(1, "aborted")])
+    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    assert "was to be extended within 0.08 s; its end-stop still reads contracted" in rig.last(Ended).message
+    assert {board for board, _ in rig.master.questions} == {0}
+
+
+def test_a_lost_message_of_an_end_stop_is_made_up_for_by_the_question(rig: Rig) -> None:
+    rig.master.stuck, rig.master.answers = 1, False
+    rig.run(1)
+    rig.go(TRAVEL + MARGIN + 2 * PERIOD)
+    assert (rig.mode, rig.master.questioning(0)) == ("executing", True)
+    rig.master.inputs |= 1  # the answer tells
+    rig.master.answers = True
+    rig.go(0.1)
+    assert rig.results == [(1, "done")]
+
+
+def test_a_question_that_times_out_is_a_verdict_too(rig: Rig) -> None:
+    rig.master.stuck, rig.master.answers = 1, False
+    rig.run(1)
+    rig.go(0.2)
+    assert rig.mode != "fault"
+    rig.master.answers = True
+    rig.go(3 * PERIOD)
+    assert rig.mode == "fault"
+
+
+def test_a_stall_of_the_executor_is_no_delay_of_an_actuator(rig: Rig) -> None:
+    rig.master.stuck = 1
+    rig.run(1)
+    rig.go(PERIOD)
+    rig.now += 0.3
+    rig.go(PERIOD)
+    assert rig.mode != "fault"
+    rig.master.inputs |= 1
+    rig.go(0.1)
+    assert rig.results == [(1, "done")]
+
+
+def test_the_margin_is_the_arms(rig: Rig) -> None:
+    rig.core.motion.supervision._margin = 0.5
+    rig.master.stuck = 1
+    rig.run(1)
+    rig.go(TRAVEL + 0.4)
+    assert rig.mode != "fault"
+    rig.go(0.2)
+    assert rig.mode == "fault"
+
+
+@pytest.mark.parametrize("stuck_at", [0, 1])
+def test_an_actuator_toggled_at_every_transition_that_never_arrives_is_found(rig: Rig, stuck_at: int) -> None:
+    if stuck_at:
+        rig.run(1)
+        rig.go(0.2)
+    rig.master.stuck = 1
+    for k in range(10):
+        rig.run(rig.master.outputs ^ 1, step=1)
+        rig.go(TRAVEL + PERIOD)
+        if rig.mode == "fault":
+            break
+    assert rig.mode == "fault", "after ten commands"
+    assert 4 <= k <= 7, "after the third that was missed"
+    assert "missed 3 commands" in rig.reason
+
+
+def test_an_actuator_toggled_as_fast_that_arrives_is_not_stuck(rig: Rig) -> None:
+    for _ in range(20):
+        rig.run(rig.master.outputs ^ 1, step=1)
+        rig.go(TRAVEL + PERIOD)
+    assert rig.mode != "fault"
+
+
+def test_one_that_moves_by_itself_is_a_fault(rig: Rig) -> None:
+    rig.master.inputs |= 0b000010
+    rig.go()
+    assert (rig.mode, codes(rig)) == ("fault", [("unexpected-motion", "1.diagonal (can0/1 output 1)")])
+
+
+def test_without_end_stops_only_the_travel_time_tells() -> None:
+    rig = ready(sensed=0)
+    rig.run(ALL)
+    assert rig.core.motion.moving
+    rig.go(TRAVEL + PERIOD)
+    assert not rig.core.motion.moving
+    rig.go(0.2)
+    assert (rig.mode, rig.results, rig.master.questions) == ("ready", [(1, "done")], [])
+
+
+def test_a_lost_board_ends_the_motions_of_its_actuators(rig: Rig) -> None:
+    rig.master.stuck = 1
+    rig.run(1)
+    rig.go(PERIOD)
+    rig.master.known = 0b111000
+    rig.go(0.2)
+    assert not rig.core.motion.moving
+    assert rig.mode != "fault", "that a board is lost is for the master to say"
