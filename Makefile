@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 MINUTES ?= 10
+# Bytecode is written when a module is first imported: pip would compile all that it installs.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test vm vm-test check bench fuzz soak clean
 
@@ -49,7 +51,7 @@ fuzz: $(VENV)/installed
 soak: $(VENV)/installed
 	$(BIN)/python -m tests.soak --minutes $(MINUTES) --json soak.json
 
-# The program alone. What is imported is compiled to bytecode at its first import; pip would compile all of it.
+# The program alone.
 $(VENV)/program: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --no-compile --editable .
@@ -62,7 +64,7 @@ $(VENV)/kernels: $(VENV)/program
 
 # The developers' tools.
 $(VENV)/installed: $(VENV)/program
-	$(BIN)/pip install --quiet --no-compile --editable '.[dev]'
+	$(BIN)/pip install --quiet --editable '.[dev]'
 	touch $@
 
 clean:

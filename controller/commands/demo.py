@@ -19,7 +19,6 @@ import typer
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
-from scipy.ndimage import convolve
 
 from controller import plots
 from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
@@ -112,10 +111,12 @@ def expected(densities: Densities, tolerance: float, planar: bool) -> NDArray[np
     """
     values = densities.level(0).astype(float)
     counts = np.where(values >= 0, np.exp(np.minimum(values, MOST)), 0.0)
-    around = np.ones((1, 3, 3) if planar else (3, 3, 3))
+    axes = (1, 2) if planar else (0, 1, 2)
+    for axis in axes:
+        ends = [(int(k == axis),) * 2 for k in range(3)]
+        counts = np.lib.stride_tricks.sliding_window_view(np.pad(counts, ends), 3, axis).sum(axis=-1)
     ball = np.pi * tolerance**2 if planar else 4 / 3 * np.pi * tolerance**3
-    share = ball / densities.volume(0, planar=planar) / around.size
-    return np.asarray(convolve(counts, around, mode="constant") * share)
+    return np.asarray(counts * (ball / densities.volume(0, planar=planar) / 3 ** len(axes)))
 
 
 def looked_up(densities: Densities, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
