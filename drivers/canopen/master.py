@@ -70,6 +70,7 @@ class Master:
         longest = timing.heartbeat_timeout / 2
         self._commit = Commit(self._links, self._outputs, self._refusal, self._note_switched, longest)
         self._ticked: float | None = None  # real time of the last tick
+        self._halt_reported: float | None = None  # of the last tick before a halt
         self._now = 0.0  # time that stands still while the loop stalls, as of the last tick
 
     # --- events
@@ -148,10 +149,9 @@ class Master:
         The states of all boards are unknown from then on, until `boot`. A boot under way begins again instead, without
         a fault. To be called before anything is acted on; `tick` and `commit` look as well.
         """
-        if not self._image.known and not self._booting.under_way:
+        if self._halt_reported == self._ticked or (pause := self._heartbeat.halted(now)) is None:
             return None
-        if (pause := self._heartbeat.halted(now)) is None:
-            return None
+        self._halt_reported = self._ticked
         if self._booting.under_way:
             self.boot(now)
             return None

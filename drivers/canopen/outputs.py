@@ -21,6 +21,7 @@ class Outputs:
         self._image = [0] * len(layout.frames)
         # What the boards take over with the next SYNC. None: unknown, so the frame is sent before any SYNC.
         self._latched: list[int | None] = [None] * len(layout.frames)
+        self._uncertain: set[int] = set()  # frames that may have left: they may switch with the next SYNC
 
     def adopt(self, board: BoardLayout, values: bytes) -> None:
         """Takes over the output bytes that were read back from a board."""
@@ -29,19 +30,20 @@ class Outputs:
         image = self._image[board.frame] & ~mask | int.from_bytes(values, "little") << shift
         self._image[board.frame] = image
         self._latched[board.frame] = None
+        self._uncertain.discard(board.frame)
         self.states = self.states & ~board.actuators | _states(self._frames[board.frame], image) & board.actuators
 
     def due(self, states: int) -> dict[str, list[int]]:
         """Returns indices of the frames to send before a SYNC, for each bus that needs a SYNC.
 
-        A bus needs a SYNC if an output changes on it. Then frames whose latched bytes are unknown or others are sent
-        too, for the SYNC switches them as well.
+        A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames whose
+        latched bytes are unknown or others are sent, for the SYNC switches them as well.
         """
         buses: set[str] = set()
         stale: list[int] = []
         for i, frame in enumerate(self._frames):
             wanted, latched = self._wanted(i, states), self._latched[i]
-            if wanted != self._image[i] or latched not in (None, wanted):
+            if wanted != self._image[i] or latched not in (None, wanted) or i in self._uncertain:
                 buses.add(frame.bus)
             if wanted != latched:
                 stale.append(i)
@@ -59,10 +61,12 @@ class Outputs:
     def sending(self, i: int) -> None:
         """Notes that frame `i` is on its way: what is latched is unknown until `sent`."""
         self._latched[i] = None
+        self._uncertain.add(i)
 
     def sent(self, i: int, states: int) -> None:
         """Notes that frame `i` has left with the states."""
         self._latched[i] = self._wanted(i, states)
+        self._uncertain.discard(i)
 
     def switched(self, bus: str, states: int) -> int:
         """Notes that the SYNC of a bus has left; returns the mask of the actuators that it switched."""

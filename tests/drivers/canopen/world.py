@@ -102,9 +102,7 @@ class World:
         self.boards: dict[tuple[str, int], SimulatedBoard] = {}
         for bus, node in sorted({(c.bus, c.node) for c in channels}):
             wired = [
-                Wired(self.actuators[c.actuator], c.output, c.input)
-                for c in channels
-                if (c.bus, c.node) == (bus, node)
+                Wired(self.actuators[c.actuator], c.output, c.input) for c in channels if (c.bus, c.node) == (bus, node)
             ]
             self.boards[bus, node] = SimulatedBoard(node, wired, self._mouth(bus, node))
         self.lost: Callable[[str, int, Frame], bool] = lambda bus, node, frame: False  # frames of boards
@@ -236,9 +234,7 @@ class World:
     def measured(self) -> list[int]:
         """States, -1 where unknown."""
         master = self.master
-        return [
-            master.measured >> k & 1 if master.known >> k & 1 else -1 for k in range(len(self.wiring.channels))
-        ]
+        return [master.measured >> k & 1 if master.known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
 
     def tick_once(self) -> None:
         self.master.tick(self.now)

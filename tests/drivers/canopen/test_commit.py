@@ -1,0 +1,198 @@
+"""Commits: what is sent, when, and what becomes of it."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from drivers.canopen.faults import Busy
+from drivers.canopen.wiring import Channel
+from tests.drivers.canopen.world import World, bits, two_boards, two_buses
+
+
+def test_more_than_eight_outputs_on_a_board():
+    places = [(0, 1), (3, 0), (8, 13), (17, 9), (63, 63)]
+    world = World([Channel(f"{o}", "can0", 3, o, i) for o, i in places]).up()
+    world.commit(1, 0, 1, 0, 1)
+    world.run(0.1)
+    assert world.measured() == [1, 0, 1, 0, 1]
+    assert world.frames()[:2] == [(0x203, "01 01 00 80"), (0x080, "")]  # subs 1, 2, 3 and 8
+    world.commit(0, 1, 0, 1, 0)
+    world.run(0.1)
+    assert world.measured() == [0, 1, 0, 1, 0]
+    assert world.positions() == [0, 1, 0, 1, 0]
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_sixty_four_actuators_on_eight_boards(shared):
+    channels = [Channel(f"{n}.{o}", "can0", n, o, o) for n in range(1, 9) for o in range(8)]
+    random.Random(1).shuffle(channels)
+    world = World(channels, shared_rpdo=shared).up()
+    states = random.Random(2).choices((0, 1), k=64)
+    world.commit(*states)
+    world.run(0.1)
+    assert world.measured() == states
+    assert world.positions() == states
+    assert world.frames().index((0x080, "")) == (1 if shared else 8)
+
+
+def test_shared_frames_hold_eight_bytes_and_no_board_is_in_two():
+    channels = [Channel(f"{n}.{o}", "can0", n, o, o) for n in (1, 2, 3) for o in (0, 8, 16)]
+    world = World(channels, shared_rpdo=True).up()
+    world.commit(*[1] * 9)
+    assert world.frames()[:3] == [(0x201, "01 01 01 01 01 01"), (0x203, "01 01 01"), (0x080, "")]
+
+
+@pytest.mark.parametrize("room", [0, 1])
+def test_a_full_bus_gets_no_sync_and_later_the_latest_states_only(room):
+    world = World(two_boards()).up()
+    world.commit(0, 1)
+    world.run(0.1)
+    world.frames()
+    world.buses["can0"].room = room
+    world.commit(1, 0)
+    assert "not sent" in world.master.commit_failed
+    assert (0x080, "") not in world.frames()
+    world.buses["can0"].room = None
+    world.commit(1, 1)
+    assert world.master.commit_failed is None
+    world.run(0.1)
+    frames = world.frames()
+    assert (0x209, "00") not in frames
+    assert frames.count((0x080, "")) == 1
+    assert world.switches() == [1, 1]
+    assert world.master.status().buses[0].dropped > 0
+
+
+def test_a_sync_that_fails_on_one_bus_is_sent_with_the_next_commit():
+    world = World(two_buses()).up()
+    world.buses["can1"].room = 1
+    world.commit(1, 1)
+    assert "SYNC" in world.master.commit_failed
+    assert world.switched == [(0b01, world.switched[0][1])]
+    world.buses["can1"].room = None
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+    assert world.faults == []
+    for bus in ("can0", "can1"):
+        world.frames(bus)
+    world.commit(1, 1)
+    world.run(0.1)
+    assert world.frames("can0") == []
+    assert world.frames("can1") == [(0x080, ""), (0x185, "01")]
+    assert world.master.outputs == 0b11
+
+
+def test_a_commit_back_to_the_old_states_overwrites_what_is_latched():
+    world = World(two_boards()).up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.buses["can0"].room = 1
+    world.commit(0, 0)
+    assert world.master.commit_failed
+    world.buses["can0"].room = None
+    world.frames()
+    world.commit(1, 1)
+    world.run(0.01)
+    assert world.frames()[-3:] == [(0x205, "01"), (0x209, "08"), (0x080, "")]
+    assert world.switches() == [1, 1]
+
+
+def test_a_commit_during_another_is_refused():
+    world = World().up()
+    world.master.commit(1, world.now)
+    with pytest.raises(Busy, match="on their way"):
+        world.master.commit(2, world.now)
+
+
+def test_a_commit_before_boot_is_refused():
+    world = World()
+    with pytest.raises(Busy, match="booted"):
+        world.master.commit(1, world.now)
+    world.run(0.1)
+    assert world.frames() == []
+
+
+@pytest.mark.parametrize("states", [-1, 4])
+def test_wrong_states_are_refused(states):
+    with pytest.raises(ValueError, match="2 actuators"):
+        World().up().master.commit(states, 0.06)
+
+
+def test_without_an_end_stop_the_output_counts_as_measured():
+    world = World([Channel("a", "can0", 5, 0, None), Channel("b", "can0", 5, 1, 0)]).up()
+    assert world.master.sensed == 0b10
+    world.commit(1, 1)
+    assert world.measured() == [1, 0]
+    world.run(0.1)
+    assert world.measured() == [1, 1]
+
+
+def test_rpdos_that_do_not_leave_in_time_end_the_commit():
+    world = World().up()
+    world.buses["can0"].held = True
+    world.commit(1, 0)
+    assert "have not left" in world.master.commit_failed
+    world.buses["can0"].held = False
+    world.buses["can0"].next()
+    world.run(0.1)
+    assert (0x080, "") not in world.frames()
+    assert world.switches() == [0, 0]
+    world.commit(0, 1)
+    assert world.frames()[-2:] == [(0x205, "02"), (0x080, "")]
+
+
+def test_no_sync_follows_a_stall_of_the_loop():
+    world = World().up()
+    world.master.commit(1, world.now)
+    world.flush()
+    world.stall(0.2)
+    assert not world.master.committing
+    assert "halted" in world.master.commit_failed or "not left" in world.master.commit_failed
+    world.run(0.1)
+    assert (0x080, "") not in world.frames()
+    assert world.faults == []
+
+
+def test_frames_that_never_leave_make_the_bus_stuck():
+    world = World().up()
+    world.buses["can0"].held = True
+    world.run(0.5)
+    assert world.codes()[0] == "bus-busy"
+    assert world.measured() == [-1, -1]
+    assert not world.master.back
+    with pytest.raises(Busy, match="can0"):
+        world.master.commit(1, world.now)
+    world.buses["can0"].held = False
+    world.buses["can0"].next()
+
+    def back():
+        world.master.probe_silent(world.now)
+        world.flush()
+        world.run(0.1)
+        return world.master.back
+
+    world.until(back)
+    world.up()
+    world.commit(1, 0)
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+
+
+def test_a_sync_on_its_way_when_the_bus_is_lost_is_read_back():
+    world = World().up()
+    bus = world.buses["can0"]
+    world.master.commit(bits(1, 0), world.now)
+    world.flush()
+    world.until(lambda: world.master._commit.unknown)
+    assert not world.master.outputs_known
+    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    assert not world.master.committing
+    assert "lost" in world.master.commit_failed
+    assert not world.master.outputs_known
+    world.run(0.1)
+    assert bus.log
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.up()
+    assert (world.master.outputs, world.switches()) == (0b01, [1, 0])
