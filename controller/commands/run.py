@@ -1,0 +1,101 @@
+"""The command that runs an arm: run."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from controller.commands.common import ENDPOINT, ArmFile, Failed, ZenohFile, densities_of, load_wired
+from controller.strict import InputFaults
+
+SOCKET = "Of an executor that runs already, or the folder of its socket; without, this command starts one."
+POLL = 0.2  # [s] between two looks whether the executor still runs
+SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+def run(
+    file: ArmFile,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Simulated boards, inside the executor.")] = False,
+    socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
+    listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    ledger: Annotated[Path | None, typer.Option(help="Where the ledger is kept.")] = None,
+) -> None:
+    """Run the daemon: goals over Zenoh to an executor, which moves the arm, until SIGTERM."""
+    if simulate and socket is not None:
+        raise InputFaults(Path("run"), ["give --simulate to the executor at --socket, not to this command"])
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
+
+    from controller.actuators import read_wired
+    from controller.gateway.executor_process import ExecutorProcess
+    from controller.sockets import default_socket
+
+    name = read_wired(file)[0].name
+    path = default_socket(name) if socket is None else socket if socket.suffix == ".sock" else socket / f"{name}.sock"
+    with contextlib.ExitStack() as stack:
+        executor = None
+        if socket is None:  # first, so that the boards boot while the kernels load
+            executor = ExecutorProcess(file, path, simulate=simulate)
+            stack.callback(executor.close)
+        serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
+
+
+def serve(
+    file: Path,
+    path: Path,
+    ended: Callable[[], int | None],
+    listen: str,
+    zenoh_file: Path | None,
+    ledger: Path | None,
+) -> None:
+    """Serves an arm until a signal comes or the executor that this command started ends.
+
+    Args:
+        file: of the arm.
+        path: of the executor's socket.
+        ended: returns the exit code of that executor; None while it runs, or if it is not this command's.
+        listen: Zenoh endpoint.
+        zenoh_file: Zenoh configuration, in place of the endpoint.
+        ledger: path of the ledger; the default if None.
+
+    Raises:
+        Failed: the executor ended, there is no session, or another daemon serves the arm.
+        InputFaults: the arm's file or that of Zenoh is wrong.
+    """
+    import zenoh
+
+    from controller.gateway import session
+    from controller.gateway.daemon import running
+    from controller.gateway.one_daemon import AlreadyRunning
+    from controller.planning.ledger_file import default_path
+    from controller.planning.ledger_lock import LedgerInUse
+
+    arm = load_wired(file)
+    try:
+        config = session.from_file(zenoh_file) if zenoh_file else session.configuration("peer", listen=listen)
+    except ValueError as error:
+        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+    densities = densities_of(arm)
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    book, ending = ledger or default_path(arm.settings.name), threading.Event()
+    try:
+        with running(arm, densities, config, book, path, digest):
+            for number in SIGNALS:
+                signal.signal(number, lambda *_: ending.set())
+            while not ending.wait(POLL):
+                if (code := ended()) is not None:
+                    raise Failed(f"the executor ended with code {code}: see above")
+    except (AlreadyRunning, LedgerInUse) as error:
+        raise Failed(str(error)) from None
+    except zenoh.ZError as error:
+        raise Failed(f"no Zenoh session at {zenoh_file or listen}: {session.reason(error)}") from None

@@ -1,0 +1,162 @@
+"""The other side of the interface: how commands, pages and tests talk to a daemon.
+
+Imports nothing that takes long to import: `hyperbit stop` uses this.
+"""
+
+import contextlib
+import json
+import queue
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+import zenoh
+
+Message = dict[str, Any]
+
+TRIES, PAUSE = (
+    4,
+    0.1,
+)  # requests until somebody answers, and the first pause between them [s]; the last in a new session
+
+
+class Unanswered(RuntimeError):
+    """No daemon answered in time."""
+
+
+class Client:
+    """Talks to the daemon of one arm.
+
+    A get that brings no reply at all is asked again: routes may be stale though the daemon is there. Each request has
+    a number, so that a goal which the daemon has taken is not run twice.
+
+    Args:
+        session: open session; a client of the daemon's.
+        arm: name of the arm.
+        reopen: opens another session, for the last try; None: all tries use `session`.
+    """
+
+    def __init__(self, session: zenoh.Session, arm: str, reopen: Callable[[], zenoh.Session] | None = None) -> None:
+        self._session, self._arm, self._reopen = session, arm, reopen
+        self._prefix = f"hyperbit/{arm}"
+        self._opened: list[zenoh.Session] = []
+        self._on_renewal: list[Callable[[], None]] = []
+
+    def close(self) -> None:
+        """Closes the sessions that this client has opened itself."""
+        for session in self._opened:
+            session.close()  # type: ignore[no-untyped-call]
+        self._opened.clear()
+
+    def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 10.0) -> Message:
+        """Returns the daemon's answer on `key`: goal, jog, cancel, stop, reset, degrade, obstacles, plan or arm.
+
+        Raises:
+            Unanswered: no answer came within `timeout` seconds, or the daemon does not take this client's requests.
+        """
+        data, number = msgspec.json.encode(payload or {}), uuid.uuid4().hex.encode()
+        until = time.monotonic() + timeout
+        for attempt in range(TRIES):
+            if attempt > 0:
+                if (pause := PAUSE * 2 ** (attempt - 1)) > until - time.monotonic():
+                    break
+                time.sleep(pause)
+            if attempt == TRIES - 1:
+                self._renew()
+            replies = self._session.get(
+                f"{self._prefix}/{key}",
+                payload=data,
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+                attachment=number,
+                target=zenoh.QueryTarget.ALL,
+                timeout=max(until - time.monotonic(), PAUSE),
+            )
+            late = False
+            for reply in replies:
+                if reply.ok is not None:
+                    return decoded(reply.ok)
+                late = True  # the time is over, and somebody has the request
+            if late:
+                break
+        if self.alive():
+            raise Unanswered(f"the daemon of arm {self._arm!r} took no {key} of ours: not allowed, or sent too often")
+        raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key} within {timeout:g} s")
+
+    def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
+        """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""
+        return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
+
+    def alive(self, timeout: float = 1.0) -> bool:
+        """Returns whether the daemon's liveliness token is there."""
+        return any(reply.ok for reply in self._session.liveliness().get(f"{self._prefix}/alive", timeout=timeout))
+
+    def run(
+        self,
+        goal: Mapping[str, Any],
+        on_feedback: Callable[[Message], None] = lambda message: None,
+        silence: float = 10.0,
+    ) -> Message:
+        """Sends a goal and returns its result, or the daemon's answer if it was refused.
+
+        Args:
+            goal: its payload; an id is added if it has none.
+            on_feedback: called with the daemon's answer first, then with each feedback of the goal.
+            silence: longest time without a message on the goal [s].
+
+        Raises:
+            Unanswered: the daemon did not answer, or fell silent.
+        """
+        goal = {"id": uuid.uuid4().hex[:12], **goal}
+        news: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
+
+        def hand_over(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr).rpartition("/")[2]
+            if key in ("feedback", "result", "state"):
+                news.put((key, decoded(sample)))
+
+        # One subscriber for all: only within one do messages keep their order, the last feedback before the result.
+        subscribers = [self._session.declare_subscriber(f"{self._prefix}/*", hand_over)]
+
+        def move() -> None:
+            subscribers[0].undeclare()  # type: ignore[no-untyped-call]
+            subscribers[0] = self._session.declare_subscriber(f"{self._prefix}/*", hand_over)
+
+        self._on_renewal.append(move)
+        try:
+            answer = self.request("goal", goal)
+            on_feedback(answer)
+            if not answer["accepted"]:
+                return answer
+            until = time.monotonic() + silence
+            while True:
+                key, message = news.get(timeout=max(until - time.monotonic(), 0.0))
+                if goal["id"] not in (message.get("id"), message.get("goal")):
+                    continue  # of another goal; a daemon that was started anew knows nothing of this one
+                until = time.monotonic() + silence
+                if key == "result":
+                    return message
+                if key == "feedback":
+                    on_feedback(message)
+        except queue.Empty:
+            raise Unanswered(f"no word of goal {goal['id']} from arm {self._arm!r} for {silence:g} s") from None
+        finally:
+            self._on_renewal.remove(move)
+            subscribers[0].undeclare()  # type: ignore[no-untyped-call]
+
+    def _renew(self) -> None:
+        """Opens another session in place of the one there is."""
+        if self._reopen is None:
+            return
+        with contextlib.suppress(zenoh.ZError):  # then the session there is must do
+            self._session = self._reopen()
+            self._opened.append(self._session)
+            for move in self._on_renewal:
+                move()
+
+
+def decoded(sample: zenoh.Sample) -> Message:
+    """Returns a sample's JSON object."""
+    message: Message = json.loads(sample.payload.to_bytes())
+    return message

@@ -1,0 +1,92 @@
+"""The planner's process: session, ledger, link, planning and server put together, and taken apart in order."""
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import zenoh
+
+from controller.config import Arm
+from controller.gateway.notify import Notifier
+from controller.gateway.one_daemon import require_no_other
+from controller.gateway.outbox import Outbox
+from controller.gateway.repeated_goals import RepeatedGoals
+from controller.gateway.server import Server
+from controller.gateway.session import connects, reachable
+from controller.gateway.status_reporter import StatusReporter
+from controller.gateway.warnings import Warnings
+from controller.planning.ledger import Ledger
+from controller.planning.link import ExecutorLink
+from controller.planning.messages import Payload
+from controller.planning.planning import Planning
+from controller.workspace.densities import Densities
+
+log = logging.getLogger(__name__)
+
+
+@contextlib.contextmanager
+def running(
+    arm: Arm,
+    densities: Densities,
+    config: zenoh.Config,
+    ledger: Path,
+    socket: Path | Callable[[], Path],
+    digest: str,
+) -> Iterator[Planning]:
+    """Serves an arm while the context lasts.
+
+    At the end the keys go first, so that no request comes any more. Then goals end, their results are published, and
+    the connection to the executor closes.
+
+    Args:
+        arm: with wiring.
+        densities: of the arm without the states that locked actuators rule out.
+        config: of the Zenoh session.
+        ledger: path of the ledger.
+        socket: path of the executor's socket, or a function that returns it anew for each attempt to connect.
+        digest: SHA-256 of the arm's file, in hexadecimal.
+
+    Raises:
+        zenoh.ZError: the session cannot be opened.
+        AlreadyRunning: another daemon of this arm is in the network.
+        LedgerInUse: another process writes the ledger.
+    """
+    name = arm.settings.name
+    with ExitStack() as closing:
+        session = closing.enter_context(zenoh.open(config))
+        require_no_other(session, name, connects=connects(config))
+        book = Ledger(ledger, arm.manipulator.actuators)
+        closing.callback(book.close)
+        outbox = Outbox(session, f"hyperbit/{name}")
+        closing.callback(outbox.close)
+        goals, changed, notifier = RepeatedGoals(), threading.Event(), Notifier()
+
+        def publish(key: str, payload: Payload) -> None:
+            if key == "result":
+                goals.ended(payload.get("id"))
+            outbox.publish(key, payload)
+
+        planning = Planning(arm, densities, ExecutorLink(socket, name, digest), book, publish, changed.set)
+        warnings = Warnings(reachable(session, config), book.faults)
+        reporter = StatusReporter(
+            session,
+            f"hyperbit/{name}",
+            planning.state,
+            planning.diagnostics,
+            changed,
+            warnings.active,
+            outbox.waiting,
+            notifier,
+        )
+        closing.callback(reporter.close)
+        planning.start()
+        closing.callback(planning.close)
+        server = Server(session, name, planning, outbox, goals, tracker=arm.settings.tracker is not None)
+        closing.callback(server.close)
+        notifier.send("READY=1")
+        closing.callback(notifier.send, "STOPPING=1")
+        log.info("serving the arm %s", name)
+        yield planning

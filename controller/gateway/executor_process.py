@@ -1,0 +1,62 @@
+"""The executor as a child process of `hyperbit run`, for those who have no service manager."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+PATIENCE = 5.0  # [s] for the executor to end in order
+
+
+class ExecutorProcess:
+    """Runs `hyperbit execute` and ends it with this process.
+
+    The kernel sends the child SIGTERM if this process is killed. The child has a session of its own, so that Ctrl-C
+    reaches this process alone, which ends goals first. Standard input is the child's: with `simulate` it reads commands
+    for faults from there.
+
+    Args:
+        file: of the arm.
+        path: of the socket.
+        simulate: whether the executor simulates the boards.
+    """
+
+    def __init__(self, file: Path, path: Path, *, simulate: bool) -> None:
+        command = [sys.executable, "-m", "controller.cli", "execute", str(file), "--socket", str(path)]
+        parent, prctl = os.getpid(), ctypes.CDLL(None).prctl  # looked up before the fork
+
+        def die_with_parent() -> None:
+            prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+            if os.getppid() != parent:  # it was killed meanwhile
+                os._exit(1)
+
+        self._process = subprocess.Popen(
+            command + ["--simulate"] * simulate, preexec_fn=die_with_parent, start_new_session=True, env=environment()
+        )
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def ended(self) -> int | None:
+        """Returns the exit code, negative for a signal; None while it runs."""
+        return self._process.poll()
+
+    def close(self, timeout: float = PATIENCE) -> None:
+        """Ends the executor, by force after `timeout` seconds."""
+        self._process.terminate()
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def environment() -> dict[str, str]:
+    """Returns the child's environment: what systemd is to know comes from this process."""
+    private = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+    return {name: value for name, value in os.environ.items() if name not in private}

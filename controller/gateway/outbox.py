@@ -1,0 +1,108 @@
+"""Answers, feedback and results on their way out: any thread hands them over, one thread sends them."""
+
+import logging
+import threading
+from collections import deque
+
+import zenoh
+
+from controller.gateway.encoding import JSON, encode
+from controller.motion import codes
+from controller.planning.messages import Payload, Reply, refused
+
+log = logging.getLogger(__name__)
+
+MOST_WAITING = 1_000  # messages in each lane
+COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
+
+Item = tuple[zenoh.Query | str, str, Payload]
+
+
+class Outbox:
+    """A thread that makes the Zenoh calls which may wait for a slow peer.
+
+    Messages wait in two lanes. The first has results, feedback and the answers to commands that were carried out, in
+    order. The second has refusals and other answers; a flood of bad requests therefore delays no result. Results of
+    accepted goals are never dropped here. Other messages are dropped while MOST_WAITING are in their lane: requests
+    could else fill the memory, and a peer without an answer sees its request end.
+
+    Args:
+        session: open session.
+        prefix: of all keys, "hyperbit/<arm>".
+    """
+
+    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+        self._prefix = prefix
+        self._first, self._second = deque[Item](), deque[Item]()
+        self._news = threading.Condition()
+        self._full = self._closing = False
+        self._publishers = {
+            "result": session.declare_publisher(
+                f"{prefix}/result", encoding=JSON, congestion_control=zenoh.CongestionControl.BLOCK
+            ),
+            "feedback": session.declare_publisher(
+                f"{prefix}/feedback", encoding=JSON, congestion_control=zenoh.CongestionControl.DROP
+            ),
+        }
+        self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
+        self._thread.start()
+
+    def publish(self, key: str, payload: Payload) -> None:
+        """Publishes on `key`, "result" or "feedback"."""
+        refusal = key == "result" and payload["status"] == "refused"
+        lane = self._second if refusal else self._first
+        self._put(lane, (key, key, payload), needed=key == "result" and not refusal)
+
+    def answer(self, query: zenoh.Query, key: str) -> Reply:
+        """Returns the function that answers a query on `key` and ends it."""
+
+        def reply(payload: Payload) -> None:
+            carried_out = key in COMMANDS and payload.get("accepted") is True
+            self._put(self._first if carried_out else self._second, (query, key, payload), needed=False)
+
+        return reply
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Sends what is left, for `timeout` seconds at most."""
+        with self._news:
+            self._closing = True
+            self._news.notify()
+        self._thread.join(timeout)
+
+    def waiting(self) -> int:
+        """Returns how many messages are still to be sent."""
+        return len(self._first) + len(self._second)
+
+    def _put(self, lane: deque[Item], item: Item, *, needed: bool) -> None:
+        with self._news:
+            full = len(lane) >= MOST_WAITING
+            if full and not self._full:
+                log.warning("peers do not take what is sent: answers are dropped")
+            self._full = full
+            if needed or not full:
+                lane.append(item)
+                self._news.notify()
+
+    def _next(self) -> Item | None:
+        """Returns the next message, the first lane's before the second's; None at the end."""
+        with self._news:
+            self._news.wait_for(lambda: self._first or self._second or self._closing)
+            lane = self._first or self._second
+            return lane.popleft() if lane else None
+
+    def _run(self) -> None:
+        while (item := self._next()) is not None:
+            target, key, payload = item
+            try:
+                data = encode(payload)
+            except Exception:
+                log.exception("a payload has no JSON: %r", payload)
+                data = encode(refused(codes.INVALID_GOAL, "internal error, see the journal"))
+            try:
+                if isinstance(target, str):
+                    self._publishers[target].put(data)
+                else:
+                    with target:
+                        target.reply(f"{self._prefix}/{key}", data, encoding=JSON)
+            except Exception as error:  # a peer that is gone must not end the service of the others
+                log.warning("not sent on %s: %s", key, error)

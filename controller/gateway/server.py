@@ -1,0 +1,184 @@
+"""Requests over Zenoh. Callbacks only hand over; every answer leaves through the outbox."""
+
+import logging
+import os
+import socket
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import zenoh
+
+from controller.gateway.encoding import content
+from controller.gateway.outbox import Outbox
+from controller.gateway.repeated_goals import RepeatedGoals
+from controller.motion import codes
+from controller.planning.messages import Payload, Reply, refused
+
+log = logging.getLogger(__name__)
+
+MOST_REFUSALS = 50  # of puts, published in one second
+
+Take = Callable[[bytes, Reply], None]
+Receive = Callable[[], bytes | None]
+Declared = (
+    zenoh.Queryable[None]
+    | zenoh.Subscriber[None]
+    | zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
+    | zenoh.LivelinessToken
+)
+
+
+class Requests(Protocol):
+    """Who carries out requests. All methods may be called from any thread and never wait."""
+
+    def goal(self, payload: bytes, reply: Reply) -> None:
+        """Runs a goal."""
+
+    def plan(self, payload: bytes, reply: Reply) -> None:
+        """Plans a goal that is not to be run."""
+
+    def jog(self, payload: bytes, reply: Reply) -> None:
+        """Switches single actuators."""
+
+    def cancel(self, reply: Reply) -> None:
+        """Ends the running goal or stream."""
+
+    def stop(self, reply: Reply) -> None:
+        """Holds until a reset."""
+
+    def reset(self, reply: Reply) -> None:
+        """Leaves a stop or a fault."""
+
+    def degrade(self, payload: bytes, reply: Reply) -> None:
+        """Locks an actuator, or unlocks it."""
+
+    def obstacles(self, payload: bytes, reply: Reply) -> None:
+        """Replaces the regions to keep out of."""
+
+    def setpoints(self, receive: Receive) -> None:
+        """Takes the function that returns the latest set-point."""
+
+    def measured_tips(self, receive: Receive) -> None:
+        """Takes the function that returns the latest measured tip."""
+
+    def description(self) -> Payload:
+        """Returns the payload of `arm`."""
+
+
+class Server:
+    """Declares the keys under "hyperbit/<arm>".
+
+    Requests that can move an arm, or change what it may do, must name it in full. `stop` and `cancel` also reach all
+    arms that a wildcard matches, as in `hyperbit/*/stop`; queries that change nothing take any wildcard.
+
+    A put has nobody to answer: its refusal is published on `result`, at most MOST_REFUSALS in a second.
+
+    Args:
+        session: open session.
+        arm: name of the arm.
+        requests: who carries them out.
+        outbox: takes the answers.
+        goals: recognizes goals that come twice.
+        tracker: whether measured tips are taken.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        arm: str,
+        requests: Requests,
+        outbox: Outbox,
+        goals: RepeatedGoals,
+        *,
+        tracker: bool,
+    ) -> None:
+        self._session, self._outbox, self._goals = session, outbox, goals
+        self._prefix = f"hyperbit/{arm}"
+        self._second, self._refusals = 0, 0
+        self._declared: list[Declared] = []
+        described = {**requests.description(), "daemon": {"host": socket.gethostname(), "pid": os.getpid()}}
+        self._command("stop", lambda _, reply: requests.stop(reply), everywhere=True)
+        self._command("cancel", lambda _, reply: requests.cancel(reply), everywhere=True)
+        self._command("reset", lambda _, reply: requests.reset(reply))
+        self._command("goal", requests.goal)
+        self._command("jog", requests.jog)
+        self._command("degrade", requests.degrade)
+        self._command("obstacles", requests.obstacles)
+        self._query("plan", requests.plan)
+        self._query("arm", lambda _, reply: reply(described))
+        requests.setpoints(self._latest("setpoint"))
+        if tracker:
+            requests.measured_tips(self._latest("measured_tip"))
+        self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
+
+    def close(self) -> None:
+        """Takes no more requests; the liveliness token goes first."""
+        while self._declared:
+            self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
+
+    def _command(self, key: str, take: Take, *, everywhere: bool = False) -> None:
+        """Takes commands on `key`, by query and by put; `everywhere`: also those whose wildcard matches the arm."""
+
+        def on_query(query: zenoh.Query) -> None:
+            received(query.key_expr, query.payload, query.attachment, self._outbox.answer(query, key))
+
+        def on_put(sample: zenoh.Sample) -> None:
+            received(sample.key_expr, sample.payload, sample.attachment, self._publish_refusal)
+
+        def received(
+            expression: zenoh.KeyExpr, payload: zenoh.ZBytes | None, attached: zenoh.ZBytes | None, reply: Reply
+        ) -> None:
+            name = str(expression)
+            if name != f"{self._prefix}/{key}" and not (everywhere and name.rpartition("/")[2] == key):
+                needed = f"{key} must be named, as in {self._prefix}/{key}"
+                reply(refused(codes.INVALID_GOAL, f"{needed}; {name[:200]} does not name it"))
+            elif key == "goal":
+                self._goals.take(content(payload), content(attached), reply, lambda *goal: carry_out(take, *goal))
+            else:
+                carry_out(take, content(payload), reply)
+
+        self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
+        self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", on_put))
+
+    def _query(self, key: str, take: Take) -> None:
+        """Answers queries on `key`."""
+
+        def on_query(query: zenoh.Query) -> None:
+            carry_out(take, content(query.payload), self._outbox.answer(query, key))
+
+        self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
+
+    def _latest(self, key: str) -> Receive:
+        """Returns the function that returns the latest sample put on `key` itself; None if there is no new one."""
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # nothing waits for who reads
+        subscriber = self._session.declare_subscriber(f"{self._prefix}/{key}", ring)
+        self._declared.append(subscriber)
+
+        def receive() -> bytes | None:
+            sample = subscriber.try_recv()
+            named = sample is not None and str(sample.key_expr) == f"{self._prefix}/{key}"
+            return content(sample.payload) if sample is not None and named else None
+
+        return receive
+
+    def _publish_refusal(self, answer: Payload) -> None:
+        """Publishes the refusal of a put on `result`."""
+        if answer["accepted"]:
+            return
+        second = int(time.monotonic())
+        self._refusals = 1 if second != self._second else self._refusals + 1
+        self._second = second
+        if self._refusals <= MOST_REFUSALS:
+            self._outbox.publish("result", {"id": None, "status": "refused", **answer})
+        elif self._refusals == MOST_REFUSALS + 1:
+            log.warning("more than %d puts in a second are refused: %s", MOST_REFUSALS, answer["message"])
+
+
+def carry_out(take: Take, payload: bytes, reply: Reply) -> None:
+    """Hands a request on; a defect is answered in words."""
+    try:
+        take(payload, reply)
+    except Exception:
+        log.exception("a request failed")
+        reply(refused(codes.INVALID_GOAL, "internal error, see the journal"))

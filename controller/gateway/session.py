@@ -1,0 +1,78 @@
+"""Zenoh sessions: no router, no scouting, explicit endpoints."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+
+ENDPOINT = "tcp/127.0.0.1:7447"
+LEASE = 1.0  # [s] after which a frozen peer is given up, also while a message waits for room
+TLS = "transport/link/tls"
+TLS_FILES = (
+    *("root_ca_certificate", "listen_certificate", "listen_private_key"),
+    *("connect_certificate", "connect_private_key"),
+)
+
+
+def configuration(mode: str, *, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
+    """Returns a configuration with the given endpoints and without scouting.
+
+    Args:
+        mode: "peer" for the daemon, "client" for its clients.
+        listen: endpoint to accept connections at.
+        connect: endpoint to connect to.
+    """
+    settings: dict[str, object] = {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "listen": {"endpoints": [listen] if listen else []},
+        "connect": {"endpoints": [connect] if connect else []},
+        "transport": {
+            "link": {
+                "tx": {
+                    "lease": round(LEASE * 1e3),
+                    "queue": {"congestion_control": {"block": {"wait_before_close": round(LEASE * 1e6)}}},
+                }
+            }
+        },
+    }
+    return zenoh.Config.from_json5(json.dumps(settings))
+
+
+def from_file(path: Path) -> zenoh.Config:
+    """Returns the configuration in a Zenoh file; relative paths of certificates and keys start at the file's folder.
+
+    Raises:
+        ValueError: the file is missing or no Zenoh configuration, or a certificate or key cannot be read.
+    """
+    try:
+        config = zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ValueError(f"{path}: no Zenoh configuration: {error}") from None
+    for name, value in json.loads(config.get_json(TLS)).items():
+        if name in TLS_FILES and value is not None:
+            file = path.parent / value
+            try:
+                file.open().close()
+            except OSError as error:
+                raise ValueError(f"{path}: {name}: {file}: {error.strerror}") from None
+            config.insert_json5(f"{TLS}/{name}", json.dumps(str(file.absolute())))
+    return config
+
+
+def connects(config: zenoh.Config) -> bool:
+    """Returns whether a session of this configuration is to connect to somebody."""
+    return bool(json.loads(config.get_json("connect/endpoints")))
+
+
+def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
+    """Returns a function that tells whether a session is connected to an endpoint of its configuration, if any."""
+    if not connects(config):
+        return lambda: True
+    return lambda: bool(session.info.routers_zid() or session.info.peers_zid())
+
+
+def reason(error: zenoh.ZError) -> str:
+    """Returns what Zenoh says went wrong, without the places in its source."""
+    return str(error).split(" at /")[0].strip()

@@ -1,0 +1,111 @@
+"""Clients that ask again when nobody answers, and goals that run once all the same."""
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from controller.gateway.client import TRIES, Client, Unanswered
+from tests.gateway.conftest import ARM, PATIENCE, Gateway, eventually
+
+
+class Deaf:
+    """A session whose first gets bring no reply, as stale routes do; the daemon may have taken them all the same."""
+
+    def __init__(self, session: Any, deaf: int) -> None:
+        self._session, self.deaf, self.gets = session, deaf, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
+
+    def get(self, *words: Any, **options: Any) -> Iterator[Any]:
+        self.gets += 1
+        replies = self._session.get(*words, **options)
+        return iter([]) if self.gets <= self.deaf and list(replies) is not None else replies
+
+
+@pytest.mark.parametrize("deaf", [0, 1, TRIES - 2])
+def test_a_request_without_reply_is_asked_again(gateway: Gateway, deaf: int) -> None:
+    session = Deaf(gateway.other(), deaf)
+    assert Client(session, ARM).request("stop", timeout=PATIENCE)["accepted"]
+    assert session.gets == deaf + 1
+
+
+def test_the_last_try_is_in_a_new_session(gateway: Gateway) -> None:
+    session, opened = Deaf(gateway.other(), 1000), []
+    client = Client(session, ARM, lambda: opened.append(gateway.other()) or opened[-1])
+    assert client.request("stop", timeout=PATIENCE)["accepted"]
+    assert (session.gets, len(opened)) == (TRIES - 1, 1)
+    assert client.request("cancel", timeout=PATIENCE)["accepted"]
+    assert len(opened) == 1
+    client.close()
+    assert opened[0].is_closed()
+
+
+def test_tries_are_bounded(gateway: Gateway) -> None:
+    session = Deaf(gateway.other(), 1000)
+    with pytest.raises(Unanswered, match="took no stop of ours"):
+        Client(session, ARM).request("stop", timeout=PATIENCE)
+    assert session.gets == TRIES
+
+
+def test_a_name_that_nobody_serves_is_said_to_be_so(gateway: Gateway) -> None:
+    with pytest.raises(Unanswered, match="no daemon for arm 'b'"):
+        Client(gateway.other(), "b").request("stop", timeout=PATIENCE)
+
+
+def test_a_request_that_takes_too_long_is_not_asked_again(gateway: Gateway) -> None:
+    gateway.planning.holding.set()
+    with pytest.raises(Unanswered):
+        gateway.client().request("plan", timeout=0.5)
+    assert [key for key, _ in gateway.planning.heard] == ["plan"]
+
+
+@pytest.mark.parametrize("deaf", [0, 1, 1000])
+def test_a_goal_that_is_asked_again_runs_once_and_is_heard_to_its_end(gateway: Gateway, deaf: int) -> None:
+    client = Client(Deaf(gateway.other(), deaf), ARM, gateway.other)
+    gateway.planning.holding.set()
+    told: list[Any] = []
+
+    def plan() -> None:
+        reply, answer = eventually(lambda: gateway.planning.waiting)[0]
+        reply(answer)
+        eventually(lambda: told)
+        gateway.outbox.publish("feedback", {"id": answer["id"], "waypoint": 0})
+        gateway.outbox.publish("result", {"id": "another", "status": "succeeded"})
+        gateway.outbox.publish("result", {"id": answer["id"], "status": "succeeded"})
+
+    planner = threading.Thread(target=plan)
+    planner.start()
+    result = client.run({"waypoints": []}, told.append, silence=PATIENCE)
+    planner.join()
+    client.close()
+    assert result["status"] == "succeeded"
+    assert [message.get("waypoint") for message in told] == [None, 0]
+    assert [key for key, _ in gateway.planning.heard] == ["goal"]
+    assert json.loads(gateway.planning.heard[0][1])["id"] == result["id"] == told[0]["id"]
+
+
+def test_a_goal_without_a_word_is_given_up(gateway: Gateway) -> None:
+    with pytest.raises(Unanswered, match="no word of goal x"):
+        gateway.client().run({"id": "x", "waypoints": []}, silence=0.2)
+
+
+def test_a_refused_goal_is_answered_at_once(gateway: Gateway) -> None:
+    assert gateway.client().run({"id": "far", "waypoints": []})["message"] == "out of reach"
+
+
+def test_messages_are_heard(gateway: Gateway) -> None:
+    heard: list[Any] = []
+    gateway.client().subscribe("feedback", heard.append)
+
+    def published() -> bool:
+        gateway.outbox.publish("feedback", {"n": 1})
+        time.sleep(0.01)
+        return bool(heard)
+
+    eventually(published)
+    assert heard[0] == {"n": 1}

@@ -1,0 +1,101 @@
+"""Goals that come twice are run once, and answered alike."""
+
+import json
+
+import pytest
+
+from controller.gateway.repeated_goals import MOST, REMEMBERED, RepeatedGoals
+from controller.planning.messages import Payload, Reply, done, refused
+
+GOAL = b'{"id": "a", "waypoints": []}'
+ANONYMOUS = b'{"waypoints": []}'
+
+
+class Bench:
+    """A planner that answers when it is told to, and clients that remember their answers."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.goals = RepeatedGoals(lambda: self.now)
+        self.planned: list[tuple[bytes, Reply]] = []
+        self.answers: list[Payload] = []
+
+    def send(self, payload: bytes = GOAL, number: bytes = b"") -> None:
+        self.goals.take(payload, number, self.answers.append, lambda *goal: self.planned.append(goal))
+
+    def accept(self) -> None:
+        payload, reply = self.planned[-1]
+        reply({**done("accepted"), "id": json.loads(payload).get("id", "made-up")})
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.mark.parametrize(("payload", "number"), [(GOAL, b""), (GOAL, b"7"), (ANONYMOUS, b"7")])
+def test_a_goal_that_is_asked_again_is_planned_once_and_each_is_answered(
+    bench: Bench, payload: bytes, number: bytes
+) -> None:
+    bench.send(payload, number)
+    bench.send(payload, number)
+    assert bench.answers == []
+    bench.accept()
+    bench.send(payload, number)
+    assert len(bench.planned) == 1
+    assert len(bench.answers) == 3
+    assert bench.answers[0] == bench.answers[1] == bench.answers[2]
+
+
+def test_a_goal_without_id_or_number_is_always_new(bench: Bench) -> None:
+    bench.send(ANONYMOUS)
+    bench.send(ANONYMOUS)
+    bench.send(b'{"id": null, "waypoints": []}')
+    bench.send(b'{"id": null, "waypoints": []}')
+    assert len(bench.planned) == 4
+
+
+def test_another_goal_of_the_same_id_is_new(bench: Bench) -> None:
+    bench.send(GOAL)
+    bench.send(b'{"id": "a", "waypoints": [1]}')
+    bench.send(GOAL, b"7")
+    assert len(bench.planned) == 2
+
+
+def test_a_goal_that_has_ended_may_be_sent_again_but_not_repeated(bench: Bench) -> None:
+    bench.send(GOAL, b"7")
+    bench.accept()
+    bench.goals.ended("a")
+    bench.send(GOAL, b"7")
+    assert len(bench.planned) == 1
+    bench.send(GOAL)
+    bench.send(GOAL, b"8")
+    assert len(bench.planned) == 2
+
+
+def test_a_refused_goal_may_be_sent_again(bench: Bench) -> None:
+    bench.send(GOAL, b"7")
+    bench.planned[0][1](refused(-1, "busy", "a"))
+    bench.send(GOAL, b"7")
+    assert [answer["accepted"] for answer in bench.answers] == [False, False]
+    bench.send(GOAL, b"8")
+    assert len(bench.planned) == 2
+
+
+def test_old_numbers_are_forgotten_but_not_those_of_running_goals(bench: Bench) -> None:
+    bench.send(ANONYMOUS, b"1")
+    bench.accept()
+    bench.send(GOAL, b"2")
+    bench.accept()
+    bench.goals.ended("a")
+    bench.now = REMEMBERED + 1
+    bench.send(ANONYMOUS, b"1")
+    assert len(bench.planned) == 2
+    bench.send(ANONYMOUS, b"2")
+    assert len(bench.planned) == 3
+
+
+def test_memory_is_bounded(bench: Bench) -> None:
+    for k in range(3 * MOST):
+        bench.send(b'{"id": "%d"}' % k, b"%d" % k)
+    assert len(bench.goals._known) <= MOST + 2

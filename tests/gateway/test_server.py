@@ -1,0 +1,132 @@
+"""Keys and wildcards: which requests reach the planner, and who is answered."""
+
+import json
+import os
+from typing import Any
+
+import pytest
+import zenoh
+
+from controller.gateway import server as module
+from controller.gateway.encoding import content
+from tests.gateway.conftest import ARM, PATIENCE, Gateway, eventually
+
+PREFIX = f"hyperbit/{ARM}"
+NAMED_ONLY = ("goal", "jog", "reset", "degrade", "obstacles")
+EVERYWHERE = ("stop", "cancel")
+
+
+def asked(session: zenoh.Session, key: str, payload: bytes = b"{}") -> list[dict[str, Any]]:
+    """The answers to a get."""
+    replies = session.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=PATIENCE)
+    return [json.loads(content(reply.ok.payload)) for reply in replies if reply.ok is not None]
+
+
+@pytest.mark.parametrize("key", [*NAMED_ONLY, *EVERYWHERE, "plan"])
+def test_a_query_that_names_its_key_is_carried_out(gateway: Gateway, key: str) -> None:
+    (answer,) = asked(gateway.other(), f"{PREFIX}/{key}", b'{"id": "x"}')
+    assert answer["accepted"] is (key != "degrade")
+    assert [heard for heard, _ in gateway.planning.heard] == [key]
+    if key not in (*EVERYWHERE, "reset"):
+        assert gateway.planning.heard[0][1] == b'{"id": "x"}'
+
+
+@pytest.mark.parametrize("key", [*NAMED_ONLY, *EVERYWHERE])
+def test_a_put_that_names_its_key_is_carried_out_and_only_refusals_are_published(gateway: Gateway, key: str) -> None:
+    results = gateway.results()
+    gateway.other().put(f"{PREFIX}/{key}", b"{}")
+    eventually(lambda: [heard for heard, _ in gateway.planning.heard] == [key])
+    if key == "degrade":
+        eventually(lambda: results)
+    gateway.reached()
+    refusal = {"id": None, "status": "refused", "accepted": False, "code": -1, "message": "no such actuator"}
+    assert results == ([refusal] if key == "degrade" else [])
+
+
+@pytest.mark.parametrize("key", NAMED_ONLY)
+@pytest.mark.parametrize("expression", ["hyperbit/*/{}", f"{PREFIX}/*", "hyperbit/**", "**", "**/{}"])
+def test_a_wildcard_carries_out_nothing_that_can_move_an_arm(gateway: Gateway, key: str, expression: str) -> None:
+    session, results = gateway.other(), gateway.results()
+    expression = expression.format(key)
+    answers = [answer for answer in asked(session, expression) if "must be named" in answer.get("message", "")]
+    assert any(f"{key} must be named, as in {PREFIX}/{key}; {expression} does not" in a["message"] for a in answers)
+    session.put(expression, b"{}")
+    eventually(lambda: any(f"{key} must be named" in result.get("message", "") for result in results))
+    assert not {heard for heard, _ in gateway.planning.heard} & set(NAMED_ONLY)
+
+
+@pytest.mark.parametrize("key", EVERYWHERE)
+@pytest.mark.parametrize("expression", ["hyperbit/*/{}", "hyperbit/**/{}", "**/{}"])
+def test_a_wildcard_stops_and_cancels_every_arm(gateway: Gateway, key: str, expression: str) -> None:
+    session = gateway.other()
+    (answer,) = asked(session, expression.format(key))
+    assert answer["accepted"]
+    session.put(expression.format(key), b"")
+    eventually(lambda: [heard for heard, _ in gateway.planning.heard] == [key, key])
+
+
+def test_a_look_around_stops_nothing(gateway: Gateway) -> None:
+    answers = asked(gateway.other(), "hyperbit/**")
+    assert {heard for heard, _ in gateway.planning.heard} == {"plan"}
+    assert any(answer.get("name") == ARM for answer in answers)
+
+
+def test_arm_says_where_the_daemon_runs(gateway: Gateway) -> None:
+    (described,) = asked(gateway.other(), f"{PREFIX}/arm", b"")
+    assert described["dimension"] == 2
+    assert described["daemon"]["pid"] == os.getpid()
+
+
+@pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
+def test_only_the_latest_sample_waits_and_wildcards_give_none(gateway: Gateway, key: str) -> None:
+    session, receive = gateway.other(), gateway.planning.receive[key]
+    for number in range(10):
+        session.put(f"{PREFIX}/{key}", str(number))
+    latest = []
+    eventually(lambda: latest[-1:] == [b"9"] or (latest.append(receive()) and False))
+    assert receive() is None
+    session.put(f"hyperbit/*/{key}", b"x")
+    session.put(f"{PREFIX}/cancel", b"")
+    eventually(lambda: gateway.planning.heard)
+    assert receive() is None
+
+
+def test_without_a_tracker_measured_tips_are_not_declared(gateway: Gateway) -> None:
+    gateway.server.close()
+    gateway.planning.receive.clear()
+    gateway.server = gateway.serve(tracker=False)
+    assert list(gateway.planning.receive) == ["setpoint"]
+
+
+def test_a_defect_is_answered_in_words_and_the_next_request_is_served(gateway: Gateway) -> None:
+    session = gateway.other()
+    assert asked(session, f"{PREFIX}/jog", b'"a defect"')[0]["message"] == "internal error, see the journal"
+    assert asked(session, f"{PREFIX}/jog")[0]["accepted"]
+
+
+def test_a_stop_overtakes_goals_that_wait(gateway: Gateway) -> None:
+    client = gateway.client()
+    gateway.planning.holding.set()
+    session = gateway.other()
+    for number in range(50):
+        session.put(f"{PREFIX}/goal", str(number))
+    eventually(lambda: len(gateway.planning.waiting) == 50)
+    gateway.planning.holding.clear()
+    assert client.request("stop", timeout=PATIENCE)["accepted"]
+
+
+def test_a_flood_of_bad_puts_is_not_published_in_full(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
+    published: list[str] = []
+    monkeypatch.setattr(gateway.outbox, "publish", lambda key, payload: published.append(key))
+    monkeypatch.setattr(module, "time", type("Clock", (), {"monotonic": staticmethod(lambda: 1e9)}))
+    for _ in range(1000):
+        gateway.server._publish_refusal({"accepted": False, "message": "bad"})
+    assert published == ["result"] * module.MOST_REFUSALS
+
+
+def test_after_close_nobody_is_served_and_the_token_is_gone(gateway: Gateway) -> None:
+    client = gateway.client()
+    assert client.alive()
+    gateway.server.close()
+    eventually(lambda: not client.alive())
+    assert asked(gateway.other(), f"{PREFIX}/stop") == []

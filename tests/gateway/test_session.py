@@ -1,0 +1,58 @@
+"""Configurations of Zenoh sessions from files: those that are shipped, and paths in them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from controller.gateway import session
+from tests.keys import DEPLOY
+
+NAMES = ("root_ca_certificate", "connect_certificate", "connect_private_key")
+
+
+def client_file(folder: Path, **tls: str) -> Path:
+    path = folder / "zenoh.json5"
+    path.write_text(json.dumps({"mode": "client", "transport": {"link": {"tls": tls}}}))
+    return path
+
+
+def test_relative_paths_are_beside_the_file(tmp_path: Path) -> None:
+    for name in NAMES:
+        (tmp_path / f"{name}.pem").touch()
+    (absolute := tmp_path / "elsewhere" / "ca.pem").parent.mkdir()
+    absolute.touch()
+    file = client_file(tmp_path, **{name: f"{name}.pem" for name in NAMES} | {"root_ca_certificate": str(absolute)})
+    tls = json.loads(session.from_file(file).get_json("transport/link/tls"))
+    assert tls["root_ca_certificate"] == str(absolute)
+    assert tls["connect_private_key"] == str(tmp_path / "connect_private_key.pem")
+    assert tls["listen_certificate"] is None
+
+
+def test_a_key_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    file = client_file(tmp_path, connect_private_key="key.pem")
+    with pytest.raises(ValueError, match=r"zenoh.json5: connect_private_key: .*/key.pem: No such file or directory"):
+        session.from_file(file)
+
+
+def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
+    (file := tmp_path / "zenoh.json5").write_text("{ mood: 'peer' }")
+    for path in (file, tmp_path / "missing.json5"):
+        with pytest.raises(ValueError, match=f"{path}: no Zenoh configuration"):
+            session.from_file(path)
+
+
+def test_a_fresh_install_listens_on_the_robot_alone() -> None:
+    config = session.from_file(DEPLOY / "zenoh.json5")
+    assert json.loads(config.get_json("listen/endpoints")) == ["tcp/127.0.0.1:7447"]
+
+
+@pytest.mark.parametrize("name", ["zenoh.json5", "zenoh-tls.json5"])
+def test_nothing_is_found_by_itself(tmp_path: Path, name: str) -> None:
+    (copy := tmp_path / name).write_text((DEPLOY / name).read_text().replace("/run/credentials", str(tmp_path)))
+    folder = tmp_path / "hyperbit.service"
+    folder.mkdir()
+    for file in ("ca", "certificate", "key"):
+        (folder / f"hyperbit.{file}.pem").touch()
+    scouting = json.loads(session.from_file(copy).get_json("scouting"))
+    assert (scouting["multicast"]["enabled"], scouting["gossip"]["enabled"]) == (False, False)
