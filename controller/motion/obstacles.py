@@ -7,6 +7,8 @@ from controller.motion.setpoint import parse
 from controller.obstacles.notation import RegionList, build_regions
 from controller.obstacles.regions import Regions
 
+MOST_BYTES = 200_000  # 256 obstacles with long names and all digits
+
 
 class ObstaclesMessage(Struct, forbid_unknown_fields=True, frozen=True):
     """The payload of `obstacles`: all regions beside those of the arm's file, in the same notation."""
@@ -24,7 +26,7 @@ def decode(payload: bytes, dimension: int) -> Regions:
     Raises:
         Refusal: what is wrong, by field; nothing else, whatever the bytes.
     """
-    message = parse(payload, ObstaclesMessage, "obstacles")
+    message = parse(payload, ObstaclesMessage, "obstacles", MOST_BYTES)
     faults = list[str]()
     regions = build_regions(message.regions, dimension, "regions", faults)
     if faults:

@@ -64,14 +64,14 @@ def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
     )
 
 
-def parse(payload: bytes, kind: type[S], name: str) -> S:
-    """Returns the message of a kind in a payload; `name` is what a refusal calls it.
+def parse(payload: bytes, kind: type[S], name: str, most: int = MOST_BYTES) -> S:
+    """Returns the message of a kind in a payload of at most so many bytes; `name` is what a refusal calls it.
 
     Raises:
         Refusal: too large, not UTF-8, not JSON, or not such a message.
     """
-    if len(payload) > MOST_BYTES:
-        raise refusal(f"{name} of {len(payload)} bytes, at most {MOST_BYTES} are taken")
+    if len(payload) > most:
+        raise refusal(f"{name} of {len(payload)} bytes, at most {most} are taken")
     try:
         value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:

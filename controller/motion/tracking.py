@@ -1,7 +1,6 @@
 """Tracking of a moving goal: a Kalman filter over a stream of setpoints, and where the goal will be."""
 
 import math
-from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -9,45 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.motion.codes import OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.goal import refusal
+from controller.motion.goal_motion import Tracking
 
 Vector = NDArray[np.float64]
 
 GATES = {2: 13.816, 3: 16.266}  # chi-square, 99.9 %, by dimension
 FARTHEST = 1e6  # as of goals; what lies beyond would overflow when squared
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """How goals move and streams behave; lengths in the arm's unit, the defaults in metres.
-
-    Attributes:
-        acceleration: standard deviation of the goal's acceleration between two setpoints [m/s^2].
-        noise: standard deviation of a setpoint's coordinate [m].
-        speed: standard deviation of a coordinate's velocity at the start [m/s]; one four times as fast is not caught.
-        timeout: the stream has stopped when it has been quiet for so long [s]; no prediction looks further ahead.
-        validity: a setpoint older on arrival is stale [s].
-        slack: how far the sender's clock may run ahead of ours [s].
-        agreeing: outliers in a row that agree on a new track make it the goal's.
-    """
-
-    acceleration: float = 0.5
-    noise: float = 0.002
-    speed: float = 0.5
-    timeout: float = 0.25
-    validity: float = 0.2
-    slack: float = 0.02
-    agreeing: int = 3
-
-    def __post_init__(self) -> None:
-        """Raises ValueError where a value is out of bounds, or setpoints are valid for longer than the time-out."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 1e-9 <= value <= 1e6:  # beyond, its square or another's is lost to rounding
-                raise ValueError(f"{field.name}: {value} given, a number from 1e-9 to 1e6 is needed")
-        if self.validity + self.slack > self.timeout:  # else, after a time-out, one could be older than the last
-            raise ValueError(
-                f"validity: {self.validity:g} s and slack {self.slack:g} s exceed timeout {self.timeout:g} s"
-            )
 
 
 class Prediction(NamedTuple):

@@ -83,6 +83,11 @@ class Admission:
 
     # --- the executor
 
+    def unsent(self) -> None:
+        """Notes that a cancel, stop or reset could not be sent: there is no executor, and no epoch."""
+        with self._changed:
+            self._answered = self._passed = self._sent
+
     def answered(self) -> None:
         """Notes that the executor answered a cancel, stop or reset: its epoch has grown."""
         with self._changed:

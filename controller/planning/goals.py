@@ -3,7 +3,6 @@
 import contextlib
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 
 from controller.manipulator.manipulator import Manipulator
@@ -11,11 +10,10 @@ from controller.motion import codes
 from controller.motion.plan import Plan
 from controller.planning.arm_state import Measured, measured_states
 from controller.planning.connection import NotConnected
-from controller.planning.context import decode_context
 from controller.planning.goal_check import Verdict
 from controller.planning.link import ExecutorLink
-from controller.planning.messages import Payload
-from controller.planning.reports import foreign_result, result, verdict_of
+from controller.planning.reports import verdict_of
+from controller.planning.results import Publish, Results
 from controller.planning.running_goal import GoalLedger, RunningGoal
 from controller.program import (
     Accepted,
@@ -32,13 +30,14 @@ from controller.program import (
 
 log = logging.getLogger(__name__)
 
-REMEMBERED = 1_000  # results that were told, which the executor may send again
-
-Publish = Callable[[str, Payload], None]
+GAVE_UP = "the planner gave up waiting for the executor"
 
 
 class RunningGoals:
     """The programs that are sent, run, or wait for their results. For any thread.
+
+    Attributes:
+        taken: number of the latest program that the executor has taken.
 
     Args:
         manipulator: the whole arm.
@@ -58,11 +57,12 @@ class RunningGoals:
         measured: Callable[[], Measured],
         ended: Callable[[str], None],
     ) -> None:
-        self._manipulator, self._link, self._ledger, self._publish = manipulator, link, ledger, publish
-        self._measured, self._ended = measured, ended
+        self._actuators, self._link, self._ledger, self._publish = len(manipulator.actuators), link, ledger, publish
+        self._measured, self._results = measured, Results(manipulator, ledger, publish, ended)
         self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._goals: dict[int, RunningGoal] = {}
-        self._told: deque[int] = deque(maxlen=REMEMBERED)  # programs whose result was published
+        self.taken = 0
 
     # --- from the planner's threads
 
@@ -84,9 +84,9 @@ class RunningGoals:
         """Gives up a program that the executor does not answer; returns whether it was taken meanwhile."""
         with self._lock:
             if not goal.answered.is_set():
-                self._told.append(goal.program.program)
+                self._results.waive(goal.program.program)
                 self._goals.pop(goal.program.program, None)
-                self._cancel(goal.program.program, "the planner gave up waiting for the executor")
+                self._cancel(goal.program.program, GAVE_UP)
             return goal.accepted
 
     @property
@@ -121,6 +121,11 @@ class RunningGoals:
                 goal.verdict = verdict
                 self._cancel(goal.program.program, verdict.message)
 
+    def wait_ended(self, timeout: float) -> None:
+        """Waits until no program runs, for a time [s]."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._goals, timeout)
+
     def rest(self, goal: RunningGoal) -> Sequence[Stage]:
         """Returns the stages of a program that have not begun."""
         with self._lock:
@@ -142,17 +147,9 @@ class RunningGoals:
                 case Accepted():
                     self._accepted(message)
                 case Declined():
-                    if (goal := self._goals.pop(message.program, None)) is not None:
-                        goal.declined = message
-                        goal.answered.set()
-                case Replaced():
-                    if (goal := self._goals.get(message.program)) is not None and goal.feed is not None:
-                        goal.feed.answered(message.generation, message.accepted)
-                        self._send_more(goal)
-                case Begun():
-                    if (goal := self._goals.get(message.program)) is not None and goal.feed is not None:
-                        goal.report.begun(goal.feed.begin(message.stage))
-                        self._send_more(goal)
+                    self._declined(message)
+                case Replaced() | Begun():
+                    self._went_on(message)
                 case Settled():
                     self._settled(message)
                 case Ended():
@@ -168,26 +165,41 @@ class RunningGoals:
                 if goal.accepted:
                     message = f"{reason}; the arm holds"
                     verdict = goal.verdict or Verdict("aborted", codes.PATH_TOLERANCE_VIOLATED, message, "")
-                    self._tell(goal, verdict, goal.switches, self._measured())
+                    self._results.tell(goal, verdict, goal.switches, self._measured())
                 goal.answered.set()
 
     def _accepted(self, message: Accepted) -> None:
         goal = self._goals.get(message.program)
         if goal is None:  # it was given up meanwhile
-            self._cancel(message.program, "the planner gave up waiting for the executor")
+            self._cancel(message.program, GAVE_UP)
             return
-        goal.accepted, goal.begin = True, message.begin
+        goal.accepted, goal.begin, self.taken = True, message.begin, message.program
         self._ledger.accepted(message.program, goal.report.id, goal.waypoints)
         goal.on_accepted()
         goal.answered.set()
+
+    def _declined(self, message: Declined) -> None:
+        if (goal := self._goals.pop(message.program, None)) is not None:
+            goal.declined = message
+            goal.answered.set()
+
+    def _went_on(self, message: Replaced | Begun) -> None:
+        """Sends what follows when a replacement was answered, or a stage has begun."""
+        goal = self._goals.get(message.program)
+        if goal is None or goal.feed is None:
+            return
+        if isinstance(message, Begun):
+            goal.report.begun(goal.feed.begin(message.stage))
+        else:
+            goal.feed.answered(message.generation, message.accepted)
+        self._send_more(goal)
 
     def _settled(self, message: Settled) -> None:
         goal = self._goals.get(message.program)
         if goal is None:
             return
         goal.switches = message.switches
-        known = message.planned and goal.feed is not None
-        excursion = goal.feed.excursion(message.mark) if known and goal.feed is not None else None
+        excursion = goal.feed.excursion(message.mark) if goal.feed is not None and message.planned else None
         measured = self._states(message.measured, message.known)
         told, verdict = goal.report.settled(message.mark, measured, message.switches, message.stages, excursion)
         if told is not None:
@@ -202,32 +214,12 @@ class RunningGoals:
             goal.answered.set()
             done = message.status == "done"
             verdict = goal.verdict or (goal.report.judged(measured) if done else verdict_of(message))
-            self._tell(goal, verdict, message.switches, measured)
-        elif message.program not in self._told:
-            self._tell_foreign(message, measured)
+            self._results.tell(goal, verdict, message.switches, measured)
+        else:
+            self._results.foreign(message, measured)
         with contextlib.suppress(NotConnected):
             self._link.send(Acknowledge(message.result))
-
-    def _tell(self, goal: RunningGoal, verdict: Verdict, switches: int, measured: Measured) -> None:
-        """Publishes the result of a program."""
-        number = goal.program.program
-        self._told.append(number)
-        self._publish("result", result(goal.report.id, verdict, switches, goal.report.where(measured)))
-        self._ledger.ended(number, verdict.status, verdict.code, verdict.message, switches)
-        if verdict.sentence:
-            self._ended(verdict.sentence)
-
-    def _tell_foreign(self, message: Ended, measured: Measured) -> None:
-        """Publishes the result of a program that another run of the planner sent."""
-        self._told.append(message.program)
-        context = decode_context(message.context)
-        if context is None:
-            log.warning("the result of program %d is not for this planner: %s", message.program, message.message)
-            return
-        payload = foreign_result(self._manipulator, message, measured, context)
-        self._publish("result", payload)
-        told = payload["status"], payload["code"], payload["message"]
-        self._ledger.ended(message.program, *told, message.switches)
+        self._changed.notify_all()
 
     def _send_more(self, goal: RunningGoal) -> None:
         if goal.accepted and goal.feed is not None and (message := goal.feed.message()) is not None:
@@ -239,4 +231,4 @@ class RunningGoals:
             self._link.ask(lambda request: Cancel(request, program, reason[:1_000]), lambda answer: None)
 
     def _states(self, measured: bytes, known: bytes) -> Measured:
-        return measured_states(measured, known, len(self._manipulator.actuators))
+        return measured_states(measured, known, self._actuators)

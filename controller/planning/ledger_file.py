@@ -147,26 +147,6 @@ def default_path(arm: str) -> Path:
     return Path(base) / "hyperbit" / f"{arm}.sqlite"
 
 
-SERVICE_FOLDER = Path("/var/lib/hyperbit")  # the StateDirectory of the installed service
-
-
-def found_path(arm: str) -> Path:
-    """Returns where to read an arm's ledger: the newer of the user's and the installed service's.
-
-    Raises:
-        PermissionError: the service has a state folder that this user may not read.
-    """
-    own, service = default_path(arm), SERVICE_FOLDER / f"{arm}.sqlite"
-    times = {path: newest for path in (own, service) if (newest := changed_at(path)) is not None}
-    return max(times, key=lambda path: times[path]) if times else own
-
-
-def changed_at(path: Path) -> float | None:
-    """Returns when a ledger was last written [UNIX s]; None if there is none."""
-    files = [part for suffix in ("", "-wal") if (part := Path(f"{path}{suffix}")).exists()]
-    return max((part.stat().st_mtime for part in files), default=None)
-
-
 def counted(path: Path) -> dict[str, int]:
     """Returns the switches of each actuator so far; none if the ledger is missing or cannot be read."""
     try:

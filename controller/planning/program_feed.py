@@ -73,6 +73,7 @@ class ProgramFeed:
         self._pending: Part | None = None
         self._better: Plan | None = None
         self._tighten = False
+        self._refused = False  # then nothing is sent until the next stage has begun
         self._next = 0
         self._keep(self._part(0, plan, 0, None, -np.inf))
 
@@ -88,7 +89,7 @@ class ProgramFeed:
 
     def begin(self, stage: int) -> int:
         """Notes that a stage has begun; returns the point that it leads to."""
-        self._begun = max(stage, self._begun)
+        self._begun, self._refused = max(stage, self._begun), False
         return self._points[self._index(self._begun)].point
 
     def excursion(self, point: int) -> float | None:
@@ -107,7 +108,7 @@ class ProgramFeed:
 
     def improve(self, plan: Plan) -> None:
         """Takes a better plan for what has not begun."""
-        self._better = plan
+        self._better, self._refused = plan, False
 
     def tighten(self) -> None:
         """Makes the program strict from now on: obstacles have come."""
@@ -115,7 +116,7 @@ class ProgramFeed:
 
     def message(self) -> Replacement | None:
         """Returns the next replacement to send; None if there is none for now."""
-        if self._pending is not None:
+        if self._pending is not None or self._refused:
             return None
         if self._better is not None:
             plan, self._better = self._better, None
@@ -135,6 +136,10 @@ class ProgramFeed:
         if accepted:
             self._keep(part)
             self._tighten = self._tighten and not part.strict
+            return
+        self._refused = True
+        if part.plan is not self._plan and self._better is None:
+            self._better = part.plan
 
     def _improvement(self, plan: Plan) -> Replacement | None:
         """Returns the replacement by a better plan from the first point that differs and has not begun."""

@@ -1,0 +1,90 @@
+"""What becomes of each message of the executor; runs in the link's thread, and never waits."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from controller.motion.program import unpack_states
+from controller.planning.admission import Admission
+from controller.planning.clearance_worker import ClearanceWorker
+from controller.planning.connection import NotConnected
+from controller.planning.goals import RunningGoals
+from controller.planning.link import ExecutorLink
+from controller.planning.locked import LockedActuators
+from controller.planning.monitor import ArmMonitor
+from controller.planning.sending import ProgramNumbers
+from controller.program import Counts, Diagnostics, Question, Snapshot, Up, Welcome
+
+
+class CountLedger(Protocol):
+    """Where switches are entered; must not wait."""
+
+    def counts(self, counts: Sequence[int]) -> None:
+        """Takes the executor's counts, one for each actuator."""
+
+    def known(self) -> Sequence[int]:
+        """Returns the switches of each actuator so far."""
+
+
+class ExecutorListener:
+    """Hands each message to the part of the planner that it is for.
+
+    Args:
+        link: to the executor.
+        monitor: takes snapshots.
+        admission: takes epochs.
+        goals: take what concerns programs.
+        locked: takes the locked actuators.
+        clearance: answers questions.
+        numbers: of programs.
+        ledger: of switches.
+        on_change: called after each message that may change `state`.
+    """
+
+    def __init__(
+        self,
+        link: ExecutorLink,
+        monitor: ArmMonitor,
+        admission: Admission,
+        goals: RunningGoals,
+        locked: LockedActuators,
+        clearance: ClearanceWorker,
+        numbers: ProgramNumbers,
+        ledger: CountLedger,
+        on_change: Callable[[], None],
+    ) -> None:
+        self._link, self._monitor, self._admission, self._goals = link, monitor, admission, goals
+        self._locked, self._clearance, self._numbers = locked, clearance, numbers
+        self._ledger, self._on_change = ledger, on_change
+
+    def welcomed(self, welcome: Welcome) -> None:
+        """Counts on from the executor's numbers, and tells it the ledger's counts."""
+        self._numbers.at_least(welcome.program)
+        with contextlib.suppress(NotConnected):
+            self._link.send(Counts(tuple(self._ledger.known())))
+        self._on_change()
+
+    def heard(self, message: Up) -> None:
+        """Hands on a message."""
+        match message:
+            case Snapshot():
+                self._admission.snapshot(message.epoch)
+                self._locked.update(self._monitor.take(message))
+            case Diagnostics():
+                self._ledger.counts(message.counts)
+                return
+            case Question():
+                actuators = len(self._monitor.manipulator.actuators)
+                start, stage = (unpack_states(packed, actuators) for packed in (message.start, message.stage))
+                self._clearance.ask(message, start, stage)
+                return
+            case _:
+                self._goals.heard(message)
+        self._on_change()
+
+    def lost(self, reason: str) -> None:
+        """Ends all that the executor was to do."""
+        self._admission.lost()
+        self._goals.lost(reason)
+        self._monitor.lost()
+        self._on_change()

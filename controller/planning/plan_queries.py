@@ -1,0 +1,107 @@
+"""Answers to `plan` queries, in a thread of their own with a solver of their own: never in the way of goals."""
+
+import logging
+import queue
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from controller.motion import codes
+from controller.motion.codes import Refusal
+from controller.motion.goal import check_size, parse
+from controller.planning.goal_planning import GoalPlanning
+from controller.planning.improvement import Improvement
+from controller.planning.messages import CLOSING, Reply, refused
+from controller.planning.plan_answers import described
+
+log = logging.getLogger(__name__)
+
+MOST_WAITING = 4
+DEADLINE = 10.0  # [s] for one query, its wait excluded
+
+
+@dataclass(frozen=True, eq=False)
+class PlanQuery:
+    """A goal that is only asked about; `received` in UNIX seconds."""
+
+    reply: Reply
+    payload: bytes
+    received: float
+
+
+class PlanQueries:
+    """Answers every query once. All methods but `close` never wait.
+
+    Args:
+        planning: makes the plans; used by nobody else.
+        busy: whether a goal waits to be planned: then a query is answered with what there is.
+    """
+
+    def __init__(self, planning: GoalPlanning, busy: Callable[[], bool]) -> None:
+        self._planning, self._busy, self._closing = planning, busy, False
+        self._queue: queue.Queue[PlanQuery | None] = queue.Queue()
+        self._thread = threading.Thread(target=self._run, name="plan-queries", daemon=True)
+
+    def start(self) -> None:
+        """Starts the thread."""
+        self._thread.start()
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Refuses what waits or is being planned, and ends the thread."""
+        self._closing = True
+        self._queue.put(None)
+        self._thread.join(timeout)
+
+    def waiting(self) -> int:
+        """Returns how many queries wait."""
+        return self._queue.qsize()
+
+    def submit(self, payload: bytes, reply: Reply) -> None:
+        """Takes a query, or refuses it at once when it is too large or too many wait."""
+        try:
+            check_size(len(payload))
+            if self._closing:
+                raise Refusal(codes.INVALID_GOAL, CLOSING)
+            if self._queue.qsize() >= MOST_WAITING:
+                raise Refusal(codes.INVALID_GOAL, f"busy: {MOST_WAITING} plan queries are waiting already")
+        except Refusal as refusal:
+            reply(refused(refusal.code, str(refusal)))
+        else:
+            self._queue.put(PlanQuery(reply, payload, time.time()))
+
+    def _run(self) -> None:
+        while (query := self._queue.get()) is not None:
+            goal = None
+            try:
+                message = parse(query.payload)
+                goal = message.id or uuid.uuid4().hex[:12]
+                self._serve(query)
+            except Refusal as refusal:
+                query.reply(refused(refusal.code, str(refusal), goal))
+            except Exception:
+                log.exception("planning failed")
+                words = "internal error while planning, see the journal"
+                query.reply(refused(codes.INVALID_GOAL, words, goal))
+
+    def _serve(self, query: PlanQuery) -> None:
+        until = time.monotonic() + DEADLINE
+
+        def proceed() -> None:
+            if self._closing:
+                raise Refusal(codes.INVALID_GOAL, CLOSING)
+            if time.monotonic() > until:
+                raise Refusal(codes.INVALID_GOAL, f"planning took longer than {DEADLINE:g} s: ask for fewer waypoints")
+
+        def hurry() -> bool:
+            return self._closing or self._busy() or not self._queue.empty()
+
+        proceed()
+        trajectory = self._planning.trajectory(parse(query.payload), query.received)
+        found = self._planning.plan(trajectory, proceed, run=False)
+        plan = found.plan
+        if self._planning.arm.settings.method == "minimum-switch":
+            plan = Improvement(found.solver, plan, self._planning.pace).whole(hurry)
+        reduced = found.solver.manipulator
+        query.reply(described(self._planning.arm.manipulator, reduced, found.previous, plan))

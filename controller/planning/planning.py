@@ -1,0 +1,232 @@
+"""The planner's room put together, as the gateway sees it."""
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.manipulator.held import Held, hold
+from controller.motion import degrade, obstacles
+from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
+from controller.planning.admission import Admission, Receive
+from controller.planning.clearance_worker import ClearanceWorker
+from controller.planning.executor_listener import ExecutorListener
+from controller.planning.follower import Follower
+from controller.planning.goal_check import Verdict
+from controller.planning.goal_planning import GoalPlanning, pace_of
+from controller.planning.goals import RunningGoals
+from controller.planning.jogging import Jogging
+from controller.planning.keep_out import CollisionAwareSolver, KeepOut
+from controller.planning.link import ExecutorLink
+from controller.planning.locked import LockedActuators
+from controller.planning.messages import CLOSING, Payload, Reply, done, refused
+from controller.planning.monitor import ArmMonitor
+from controller.planning.plan_queries import PlanQueries
+from controller.planning.planner import Planner
+from controller.planning.requests import Requests
+from controller.planning.rest_check import RestCheck
+from controller.planning.results import Publish
+from controller.planning.running_goal import GoalLedger
+from controller.planning.sending import ProgramNumbers, ProgramSender
+from controller.planning.status_report import DiagnosticsReport, StatusReport, description
+from controller.planning.tip_bias import TipBiasWorker
+from controller.search.solver import Solver
+from controller.workspace.densities import Densities
+from controller.workspace.mapping import map_densities
+
+log = logging.getLogger(__name__)
+
+LAST_RESULTS_WITHIN = 1.0  # [s] at the end, for the executor to end the running goal
+
+
+class Ledger(GoalLedger, Protocol):
+    """Where goals, results and switches are entered; must not wait."""
+
+    fault: str | None
+
+    def counts(self, counts: Sequence[int]) -> None:
+        """Takes the executor's counts, one for each actuator."""
+
+    def known(self) -> Sequence[int]:
+        """Returns the switches of each actuator so far."""
+
+
+class Planning:
+    """The planner's room as the gateway sees it. Methods may be called from any thread and never wait, but for `close`.
+
+    Args:
+        arm: with wiring.
+        densities: of the arm reduced by the actuators that its file declares stuck.
+        link: to the executor; started and closed with this.
+        ledger: of goals and switches.
+        publish: sends a payload on "feedback" or "result"; must not wait.
+        on_change: called when `state` has changed, and 20 times a second; must not wait.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        densities: Densities,
+        link: ExecutorLink,
+        ledger: Ledger,
+        publish: Publish,
+        on_change: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._arm, self._link, manipulator = arm, link, arm.manipulator
+        self._weights = arm.weights(dict(zip(manipulator.actuators, ledger.known(), strict=False)))
+        self._keep_out, self._admission, numbers = KeepOut(arm), Admission(), ProgramNumbers()
+        self._solvers = [
+            CollisionAwareSolver(arm, solver, self._keep_out) for solver in self._tables(arm.held, densities)
+        ]
+        self._monitor = ArmMonitor(manipulator, link, arm.settings.travel_time, pace_of(arm))
+        self._locked = LockedActuators(manipulator, arm.held, self._rebuild, on_change)
+        self._monitor.go_by(self._locked)
+        self._tip_bias = TipBiasWorker(self._monitor, arm.settings.tracker) if arm.settings.tracker else None
+        self._goals = RunningGoals(
+            manipulator, link, ledger, publish, lambda: self._monitor.measured, self._monitor.ended
+        )
+        self._clearance = ClearanceWorker(self._keep_out, link.send)
+        for_goals, for_queries, for_setpoints = self._solvers
+        self._planner = Planner(
+            GoalPlanning(arm, for_goals, self._monitor, self._bias),
+            self._monitor,
+            self._admission,
+            self._goals,
+            ProgramSender(self._monitor, self._admission, self._goals, numbers),
+            Jogging(arm, self._keep_out),
+        )
+        queries = GoalPlanning(arm, for_queries, self._monitor, self._bias)
+        self._queries = PlanQueries(queries, lambda: self._planner.waiting() > 0)
+        self._follower = Follower(
+            arm, for_setpoints, self._monitor, self._admission, self._goals, numbers, link.send, self._bias
+        )
+        self._requests = Requests(link, self._monitor, self._admission, self._goals, self._locked)
+        self._listener = ExecutorListener(
+            link, self._monitor, self._admission, self._goals, self._locked, self._clearance, numbers, ledger, on_change
+        )
+        self._rest = RestCheck(manipulator, self._monitor, self._goals, self._keep_out, self._clearance)
+        told, tracker = (self._tip_bias.told, self._tracker) if self._tip_bias else (dict, dict)
+        self._status = StatusReport(self._monitor, link, self._goals, self._locked, self._keep_out, told)
+        self._diagnostics = DiagnosticsReport(link, self._queues, self._follower.status, lambda: ledger.fault, tracker)
+        self._description = description(arm)
+        self._on_change = on_change
+
+    def start(self) -> None:
+        """Starts all threads, the link to the executor at last."""
+        for part in (self._clearance, self._planner, self._queries, self._follower):
+            part.start()
+        if self._tip_bias is not None:
+            self._tip_bias.start()
+        self._link.start(self._listener)
+
+    def close(self) -> None:
+        """Refuses what waits, ends the running goal and publishes its result, and ends all threads."""
+        for part in (self._follower, self._planner, self._queries):
+            part.close()
+        if (running := self._goals.current) is not None:
+            self._goals.end(running, Verdict("aborted", PATH_TOLERANCE_VIOLATED, CLOSING, ""))
+            self._goals.wait_ended(LAST_RESULTS_WITHIN)
+        self._link.close()
+        self._clearance.close()
+        if self._tip_bias is not None:
+            self._tip_bias.close()
+
+    # --- requests
+
+    def goal(self, payload: bytes, reply: Reply) -> None:
+        """Plans and runs a goal."""
+        self._planner.submit(payload, reply)
+
+    def plan(self, payload: bytes, reply: Reply) -> None:
+        """Answers what a goal would do."""
+        self._queries.submit(payload, reply)
+
+    def jog(self, payload: bytes, reply: Reply) -> None:
+        """Switches single actuators."""
+        self._planner.submit(payload, reply, jog=True)
+
+    def cancel(self, reply: Reply) -> None:
+        """Has the arm hold now."""
+        self._requests.cancel(reply)
+
+    def stop(self, reply: Reply) -> None:
+        """Stops the arm until a reset."""
+        self._requests.stop(reply)
+
+    def reset(self, reply: Reply) -> None:
+        """Leaves a fault or a stop."""
+        self._requests.reset(reply)
+
+    def degrade(self, payload: bytes, reply: Reply) -> None:
+        """Locks or unlocks an actuator."""
+        try:
+            self._requests.lock(degrade.decode(payload), reply)
+        except Refusal as refusal:
+            reply(refused(refusal.code, str(refusal)))
+
+    def obstacles(self, payload: bytes, reply: Reply) -> None:
+        """Keeps clear of other obstacles from now on; nothing moves by that."""
+        try:
+            sent = obstacles.decode(payload, self._arm.manipulator.dimension)
+        except Refusal as refusal:
+            reply(refused(refusal.code, str(refusal)))
+            return
+        if self._keep_out.change(sent):
+            self._rest.check()
+            self._on_change()
+        state = self._monitor.state
+        reply(done(self._keep_out.current.sentence(None if state is None else state.measured)))
+
+    def setpoints(self, receive: Receive) -> None:
+        """Takes set-points from a mailbox; `receive` returns the latest, None if there is none, and never waits."""
+        self._admission.read_setpoints(receive)
+
+    def measured_tips(self, receive: Receive) -> None:
+        """Takes measured tips from a mailbox, see `setpoints`."""
+        if self._tip_bias is not None:
+            self._tip_bias.read(receive)
+
+    # --- reports
+
+    def state(self) -> Payload:
+        """Returns the payload of `state`."""
+        return self._status.state()
+
+    def diagnostics(self) -> Payload:
+        """Returns the payload of `diagnostics`."""
+        return self._diagnostics.diagnostics()
+
+    def description(self) -> Payload:
+        """Returns the payload of `arm`."""
+        return self._description
+
+    def _queues(self) -> dict[str, int]:
+        waiting = self._link.waiting + self._clearance.waiting()
+        return {"inbox": waiting, "planning": self._planner.waiting() + self._queries.waiting()}
+
+    def _tracker(self) -> Payload:
+        return {} if self._tip_bias is None else {"tracker": self._tip_bias.status()}
+
+    def _bias(self) -> NDArray[np.float64] | None:
+        return None if self._tip_bias is None else self._tip_bias.bias()
+
+    # --- changes
+
+    def _tables(self, held: Held, densities: Densities | None = None) -> list[Solver]:
+        """Returns the solvers for goals, plan queries and set-points of the arm reduced by locked states (A,)."""
+        reduced = hold(self._arm.manipulator, held)
+        if densities is None:
+            densities = map_densities(reduced, self._arm.pixel, self._arm.level_pixels)
+        else:
+            reduced = self._arm.left
+        solvers = [Solver(reduced, densities, self._weights) for _ in range(3)]
+        solvers[0].prepare()
+        return solvers
+
+    def _rebuild(self, held: Held) -> None:
+        """Has all searches go by other locked states (A,)."""
+        for part, solver in zip(self._solvers, self._tables(held), strict=True):
+            part.use(solver)

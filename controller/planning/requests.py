@@ -1,0 +1,104 @@
+"""Requests that go straight to the executor: cancel, stop, reset, and locking an actuator. None waits for anything."""
+
+from collections.abc import Callable
+
+from controller.motion.codes import INVALID_GOAL
+from controller.motion.degrade import DegradeMessage
+from controller.planning.admission import Admission
+from controller.planning.connection import NotConnected
+from controller.planning.goals import RunningGoals
+from controller.planning.link import ExecutorLink
+from controller.planning.locked import LockedActuators
+from controller.planning.messages import Payload, Reply, done, refused
+from controller.planning.monitor import ArmMonitor
+from controller.program import Answer, Cancel, Down, Halt, Lock, Reset
+
+CANCELED = "canceled; the arm holds"
+
+
+class Requests:
+    """Sends requests to the executor, and answers them with its answer. For any thread.
+
+    Args:
+        link: to the executor.
+        monitor: of the arm.
+        admission: bars what came before a cancel, stop or reset.
+        goals: that run.
+        locked: actuators.
+    """
+
+    def __init__(
+        self,
+        link: ExecutorLink,
+        monitor: ArmMonitor,
+        admission: Admission,
+        goals: RunningGoals,
+        locked: LockedActuators,
+    ) -> None:
+        self._link, self._monitor, self._admission = link, monitor, admission
+        self._goals, self._locked = goals, locked
+
+    def cancel(self, reply: Reply) -> None:
+        """Has the arm hold now, and bars all that came before."""
+        self._bar(lambda request: Cancel(request, None, CANCELED), reply)
+
+    def stop(self, reply: Reply) -> None:
+        """Stops the arm until a reset."""
+        self._bar(Halt, reply)
+
+    def reset(self, reply: Reply) -> None:
+        """Leaves a fault or a stop; tables that could not be rebuilt are tried once more."""
+        if self._locked.problem is not None:
+            self._locked.retry()
+        if self._monitor.mode()[0] in ("fault", "stopped"):
+            self._bar(Reset, reply)
+        else:  # nothing to reset: what came before may go on
+            self._ask(Reset, reply)
+
+    def lock(self, wish: DegradeMessage, reply: Reply) -> None:
+        """Locks an actuator in a state, or unlocks it; what was planned before does not go by that and is barred."""
+        state = self._monitor.state
+        if state is None:
+            mode, reason = self._monitor.mode()
+            reply(refused(INVALID_GOAL, f"the arm is {mode}: {reason}"))
+            return
+        refusal = self._locked.refusal(wish, state.measured, state.sensed)
+        if state.snapshot.mode == "executing" or state.snapshot.moving:
+            mode = state.snapshot.mode
+            refusal = f"the arm is {mode}, and may not be while what is held changes: cancel, then try again"
+        if refusal is not None:
+            reply(refused(INVALID_GOAL, refusal))
+            return
+        sentence = self._locked.sentence(self._locked.declare(wish))
+        waits = state.snapshot.mode in ("fault", "stopped")
+        words = f"{sentence}{', from the reset on' if waits else ''}"
+        actuator = self._monitor.manipulator.actuators.index(wish.actuator)
+        to = -1 if wish.state is None else wish.state
+
+        def told(answer: Payload) -> None:
+            reply({**answer, "message": words} if answer["accepted"] else answer)
+
+        self._bar(lambda request: Lock(request, actuator, to), told)
+
+    def _bar(self, make: Callable[[int], Down], reply: Reply) -> None:
+        """Bars all that came before, and sends a request that ends the executor's epoch."""
+        self._admission.bar()
+        if not self._ask(make, reply, self._admission.answered):
+            self._admission.unsent()
+
+    def _ask(self, make: Callable[[int], Down], reply: Reply, heard: Callable[[], None] = lambda: None) -> bool:
+        """Sends a request and replies with its answer; returns whether it could be sent."""
+
+        def on_answer(answer: Answer | None) -> None:
+            if answer is None:
+                reply(refused(INVALID_GOAL, f"the executor was lost before it answered: {self._link.problem}"))
+                return
+            heard()
+            reply(done(answer.message) if answer.accepted else refused(INVALID_GOAL, answer.message))
+
+        try:
+            self._link.ask(make, on_answer)
+        except NotConnected as error:
+            reply(refused(INVALID_GOAL, f"the executor is not connected: {error}"))
+            return False
+        return True

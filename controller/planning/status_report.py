@@ -1,0 +1,191 @@
+"""What the planner tells of the arm: the payloads of `state`, `diagnostics` and `arm`."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from controller.config import Arm
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.notation import format_configuration, pose
+from controller.planning.arm_state import ArmState
+from controller.planning.goal_check import measured_tip
+from controller.planning.goals import RunningGoals
+from controller.planning.keep_out import KeepOut
+from controller.planning.link import ExecutorLink
+from controller.planning.locked import LockedActuators
+from controller.planning.messages import Payload
+from controller.planning.monitor import ArmMonitor
+from controller.program import Fault
+
+IN_OBSTACLE, UNKNOWN_STATE, EXECUTOR_LOST = "in-obstacle", "unknown-state", "executor-lost"  # codes
+
+
+class StatusReport:
+    """Makes the payload of `state`. For any thread.
+
+    Args:
+        monitor: of the arm.
+        link: to the executor.
+        goals: that run.
+        locked: actuators.
+        keep_out: the obstacles.
+        bias: returns what `state` tells of the tip's bias; nothing without a tracker.
+        wall: UNIX time [s].
+    """
+
+    def __init__(
+        self,
+        monitor: ArmMonitor,
+        link: ExecutorLink,
+        goals: RunningGoals,
+        locked: LockedActuators,
+        keep_out: KeepOut,
+        bias: Callable[[], Payload],
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self._monitor, self._link, self._goals, self._locked = monitor, link, goals, locked
+        self._keep_out, self._bias, self._wall = keep_out, bias, wall
+        self._where: tuple[tuple[int, bytes, bytes], str | None] | None = None  # the last answer, and its question
+
+    def state(self) -> Payload:
+        """Returns the payload of `state`; the tip is that of the measured actuator states."""
+        manipulator, state = self._monitor.manipulator, self._monitor.state
+        (mode, reason), measured, goal = self._monitor.mode(), self._monitor.measured, self._goals.current
+        tip = measured_tip(manipulator, measured)
+        age = 0.0 if state is None else max(self._monitor.clock() - state.snapshot.at, 0.0)
+        held = self._locked.states
+        return {
+            "stamp": self._wall() - age,
+            "mode": mode,
+            "reason": reason,
+            "configuration": None if tip is None else written(manipulator, measured),
+            "commanded": None if state is None or not state.known else state.outputs.tolist(),
+            "measured": [None if s < 0 else s for s in measured.tolist()],
+            "tip": None if tip is None else pose(manipulator, tip),
+            "goal": None if goal is None else goal.report.id,
+            "waypoint": None if goal is None else goal.report.waypoint,
+            "faults": [
+                {"code": f.code, "source": f.source, "message": f.message} for f in distinct(self._faults(state))
+            ],
+            "degraded": [
+                {"actuator": label, "state": at}
+                for label, at in zip(manipulator.actuators, held.tolist(), strict=True)
+                if at >= 0
+            ],
+            **self._bias(),
+        }
+
+    def _faults(self, state: ArmState | None) -> Iterable[Fault]:
+        """Yields the executor's faults and the planner's own."""
+        if state is None:
+            mode, reason = self._monitor.mode()
+            if mode == "fault":
+                yield Fault(EXECUTOR_LOST, "daemon", f"{reason}: the arm holds or does what `on_loss` says")
+            return
+        yield from (fault for fault in state.snapshot.faults if fault.code != "degraded")
+        yield from self._locked.faults()
+        if (unknown := state.unknown_state) is not None:
+            words = f"{unknown}: goals are refused; switch single actuators with `jog` until the arm is in one"
+            yield Fault(UNKNOWN_STATE, "arm", words)
+        if (words_where := self._touched(state)) is not None:
+            words = f"{words_where}: the arm holds, and goals are refused until that is changed"
+            yield Fault(IN_OBSTACLE, "arm", words)
+
+    def _touched(self, state: ArmState) -> str | None:
+        """Returns what the arm touches where it stands; reckoned anew only if that may have changed."""
+        current = self._keep_out.current
+        question = current.generation, state.snapshot.measured, state.snapshot.known
+        if self._where is None or self._where[0] != question:
+            self._where = question, current.where(state.measured)
+        return self._where[1]
+
+
+class DiagnosticsReport:
+    """Makes the payload of `diagnostics`. For any thread.
+
+    Args:
+        link: to the executor.
+        queues: returns how many requests wait in each queue.
+        setpoint: returns how the stream of set-points fares.
+        ledger: returns why the ledger cannot be written; None if it can.
+        tracker: returns what is told of the tip's bias; nothing without a tracker.
+        clock: monotonic time [s].
+        wall: UNIX time [s].
+    """
+
+    def __init__(
+        self,
+        link: ExecutorLink,
+        queues: Callable[[], Mapping[str, int]],
+        setpoint: Callable[[], Payload],
+        ledger: Callable[[], str | None],
+        tracker: Callable[[], Payload],
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self._link, self._queues, self._setpoint, self._ledger = link, queues, setpoint, ledger
+        self._tracker, self._clock, self._wall = tracker, clock, wall
+
+    def diagnostics(self) -> Payload:
+        """Returns the payload of `diagnostics`; what the executor has not told is empty."""
+        told, welcome = self._link.diagnostics, self._link.welcome
+        age = 0.0 if told is None else max(self._clock() - told.at, 0.0)
+        switches = 0
+        if told is not None and welcome is not None:
+            switches = max(sum(told.counts) - sum(welcome.counts), 0)
+        return {
+            "stamp": self._wall() - age,
+            "loop": {} if told is None else told.loop,
+            "buses": [] if told is None else told.buses,
+            "boards": [] if told is None else told.boards,
+            "queues": dict(self._queues()),
+            "setpoint": self._setpoint(),
+            "switches": switches,
+            "waits": 0 if told is None else told.waits,
+            "dropped": 0 if told is None else told.dropped,
+            "ledger": self._ledger() or "ok",
+            "real_time": "off" if told is None else told.real_time,
+            "executor": "connected" if told is not None else self._link.problem,
+            **self._tracker(),
+        }
+
+
+def written(manipulator: Manipulator, measured: np.ndarray[Any, np.dtype[np.int8]]) -> str:
+    """Returns the configuration of actuator states (A,) as text."""
+    return format_configuration(manipulator, manipulator.configuration(measured))
+
+
+def distinct(faults: Iterable[Fault]) -> Iterable[Fault]:
+    """Yields faults, the first of each code and source only."""
+    seen = set[tuple[str, str]]()
+    for fault in faults:
+        if (key := (fault.code, fault.source)) not in seen:
+            seen.add(key)
+            yield fault
+
+
+def description(arm: Arm) -> Payload:
+    """Returns the payload of `arm`."""
+    manipulator = arm.manipulator
+    return {
+        "name": arm.settings.name,
+        "dimension": manipulator.dimension,
+        "length": manipulator.length,
+        "states": manipulator.states.tolist(),
+        "frames": [module.frames.tolist() for module in manipulator.modules],
+        "base": manipulator.base.tolist(),
+        "actuators": list(manipulator.actuators),
+        "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
+        "tolerance": {"position": arm.tolerance, "orientation": arm.turn},
+        "travel_time": arm.settings.travel_time,
+        "inrush": arm.settings.inrush,
+        "rest_time": arm.settings.rest_time,
+        "method": arm.settings.method,
+        "obstacles": [msgspec.to_builtins(entry) for entry in arm.settings.obstacles],
+        "body_radius": arm.settings.body_radius,
+        "self_collision": arm.settings.self_collision,
+        "boards": [msgspec.to_builtins(entry) for entry in arm.wiring],
+    }
