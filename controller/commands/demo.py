@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import queue
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,10 +31,10 @@ from controller.manipulator.notation import parse_configuration
 from controller.workspace.densities import Densities
 
 if TYPE_CHECKING:
-    from controller.daemon.client import Client, Message
+    from controller.gateway.client import Client, Message
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
-CURVE_WAYPOINTS = 48
+CURVE_WAYPOINTS = 36
 MANY = 100.0  # configurations expected within the tolerance of each point of the curve
 MOST = 100.0  # natural logarithm of the largest number of configurations worth telling apart
 DRAWN = 1000  # configurations among which targets are chosen
@@ -49,6 +51,8 @@ def demo(
     densities = densities_of(arm)
     targets = PAPER_TARGETS if file is None else sample(arm, 3)
     curve = closed_curve(arm, densities)
+    # The picture needs matplotlib, which is imported while the daemon starts.
+    threading.Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()
     rows: list[tuple[str, Message, float]] = []
     reached: dict[str, Configuration] = {}
     with (

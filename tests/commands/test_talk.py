@@ -118,5 +118,5 @@ def test_the_demo_runs_and_draws(hyperbit, tmp_path):
     picture = tmp_path / "demo.png"
     code, out, err = hyperbit("demo", "--picture", str(picture))
     assert (code, err) == (0, "")
-    assert "closed curve, 48 waypoints" in out
+    assert f"closed curve, {demo.CURVE_WAYPOINTS} waypoints" in out
     assert picture.read_bytes().startswith(b"\x89PNG")
