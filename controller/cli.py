@@ -43,10 +43,19 @@ COMMANDS = {
         "stop",
         "Have the arm hold and take nothing until reset. No substitute for a switch that cuts the power.",
     ),
+    "halt": Entry(
+        "halt",
+        "halt",
+        "Have the arm hold and take nothing until reset, as `stop`. No substitute for a switch that cuts the power.",
+    ),
     "reset": Entry("tell", "reset", "Leave a stop or a fault; nothing moves by that."),
     "degrade": Entry(
         "tell", "degrade", "Go on without actuators that are stuck, or use them again; nothing moves by that."
     ),
+    "lock": Entry(
+        "tell", "lock", "Lock actuators in a state, or unlock them with `free`, as `degrade`; nothing moves by that."
+    ),
+    "jog": Entry("jog", "jog", "Switch single actuators, also where the arm is in no configuration; the arm moves."),
     "obstacles": Entry(
         "tell",
         "obstacles",

@@ -21,7 +21,7 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.commands.searching import Goals, Orientation, follow_lines, search
+from controller.commands.searching import Goals, Orientation, follow_lines, given, search
 from controller.config import Arm, load
 from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
@@ -40,6 +40,7 @@ def plan(
     file: ArmFile,
     goal: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
     goals: Annotated[Path | None, typer.Option(metavar="FILE.csv", help=MANY_GOALS)] = None,
+    to: Annotated[str | None, typer.Option("--configuration", help="Configuration to go to, without a search.")] = None,
     previous: Annotated[str | None, typer.Option(help="Configuration to start from; contracted if absent.")] = None,
     tolerance: Annotated[float | None, typer.Option(help="Of the position; the arm's if absent.")] = None,
     turn: Annotated[float | None, typer.Option(help="Tolerance of the orientation [rad]; the arm's if absent.")] = None,
@@ -51,8 +52,8 @@ def plan(
     from controller.search.solver import Solver
 
     arm = load(file)
-    if (goal is None) == (goals is None):
-        raise InputFaults(Path("plan"), ["give either --goal or --goals"])
+    if [goal, goals, to].count(None) != 2:
+        raise InputFaults(Path("plan"), ["give one of --goal, --goals and --configuration"])
     for name, length in (("--tolerance", tolerance), ("--turn", turn), ("--path-tolerance", path_tolerance)):
         if length is not None and not 1e-9 <= length <= 1e6:
             kind = "angle" if name == "--turn" else "length"
@@ -61,15 +62,19 @@ def plan(
         raise InputFaults(Path("--path-tolerance"), ["lines run between --goals, one goal has none"])
     home = np.zeros(len(arm.left.modules), dtype=np.int64)
     start = home if previous is None else unstuck(arm, previous, "--previous")
+    end = None if to is None else unstuck(arm, to, "--configuration")
+    wanted: Goals = []
     if goal is not None:
-        wanted: Goals = [(*parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
-    else:
-        wanted = read_goals(arm, goals or Path())
+        wanted = [(*parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
+    elif goals is not None:
+        wanted = read_goals(arm, goals)
     corners = [] if path_tolerance is None else on_lines(wanted, goals or Path())
     solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.left))
     solver.prepare()
     own, chosen = tolerance or arm.tolerance, method or arm.settings.method
-    if path_tolerance is None:
+    if end is not None:
+        answers = iter([given(solver, end, start, own)])
+    elif path_tolerance is None:
         answers = search(solver, wanted, start, own, turn or arm.turn, chosen)
     else:
         answers = follow_lines(arm, solver, corners, start, own, path_tolerance, chosen)
@@ -95,6 +100,8 @@ def plan(
     if goal is not None and not found.within_tolerance:
         away = f"{found.error:.4f} away" + ("" if orientation is None else f" and turned {found.angle:.4f} rad")
         raise Failed(f"goal {goal} is out of reach: nearest point found {shown(line['position'])}, {away}")
+    if solver.clearance is not None and end is not None and (where := solver.clearance.where(end)) is not None:
+        raise Failed(f"configuration {to}: {where}")
 
 
 def answer(arm: Arm, position: list[float], orientation: Orientation, found: Solution) -> dict[str, Any]:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:  # its kernels take a second to import: only those who search 
 
 Orientation = float | list[float] | None
 Goals = list[tuple[list[float], Orientation, Configuration | None]]
-Answers = Iterator[tuple[list[float], Orientation, "Solution", bool]]
+Answer = tuple[list[float], Orientation, "Solution", bool]
+Answers = Iterator[Answer]
 
 
 def search(
@@ -33,6 +34,12 @@ def search(
         found = solver.solve(goal, own, tolerance, method, turn=np.inf if orientation is None else turn)
         start = found.configuration
         yield position, orientation, found, False
+
+
+def given(solver: Solver, configuration: Configuration, start: Configuration, tolerance: float) -> Answer:
+    """Returns a configuration as the solution for the position of its own tip; no search."""
+    position = solver.manipulator.tip(configuration)[: solver.manipulator.dimension, 3]
+    return position.tolist(), None, solver.described(configuration, position, start, tolerance), False
 
 
 def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:

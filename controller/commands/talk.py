@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
+from controller.commands import common
 from controller.commands.common import (
     ENDPOINT,
     ArmName,
@@ -20,15 +21,13 @@ from controller.commands.common import (
     Failed,
     ZenohFile,
     arm_name,
-    console,
-    errors,
     parse_goal,
     print_json,
 )
 from controller.strict import InputFaults, read_yaml
 
 if TYPE_CHECKING:
-    from controller.daemon.client import Client
+    from controller.gateway.client import Client
 
 ONE_GOAL = "Where to go now, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
 
@@ -42,8 +41,8 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     """
     import zenoh
 
-    from controller.daemon import session
-    from controller.daemon.client import Client, Unanswered
+    from controller.gateway import session
+    from controller.gateway.client import Client, Unanswered
 
     name = arm_name(arm)
     zenoh.init_log_from_env_or("error")
@@ -54,11 +53,10 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     try:
         opened = zenoh.open(config)
     except zenoh.ZError as error:
-        reason = str(error).split(" at /")[0].strip()  # the rest is where in Zenoh's source
-        raise Failed(f"no daemon at {zenoh_file or connect}: {reason}") from None
-    with opened as live:
+        raise Failed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}") from None
+    with opened as live, contextlib.closing(Client(live, name, lambda: zenoh.open(config))) as client:
         try:
-            yield Client(live, name)
+            yield client
         except Unanswered as error:
             raise Failed(str(error)) from None
 
@@ -83,15 +81,18 @@ def send(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
     to: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
+    configuration: Annotated[str | None, typer.Option(help="Module states to go to, as `fk` takes them.")] = None,
     path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between waypoints.")] = None,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Send a goal and follow it to its result; Ctrl-C cancels the goal."""
-    if (file is None) == (to is None):
-        raise InputFaults(Path("send"), ["give either a goal's file or --to"])
+    if [file, to, configuration].count(None) != 2:
+        raise InputFaults(Path("send"), ["give one of a goal's file, --to and --configuration"])
     goal = {} if file is None else read_payload(file, "goal", "waypoints")
+    if configuration is not None:
+        goal["waypoints"] = [{"configuration": configuration}]
     if path_tolerance is not None:
         goal["path_tolerance"] = path_tolerance
     numbers = 0 if to is None else to.count(",") + 1
@@ -103,12 +104,12 @@ def send(
             print_json(message)
         elif "waypoint" in message:
             error = "unknown" if message["error"] is None else missed(message)
-            console.print(
+            common.console.print(
                 f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
                 f" {message['switches']} switches so far"
             )
         elif message["accepted"]:
-            console.print(message["message"])
+            common.console.print(message["message"])
 
     goal.setdefault("id", uuid.uuid4().hex[:12])
     with connected(arm, connect, zenoh_file) as client:
@@ -125,7 +126,7 @@ def send(
         raise Failed(f"{result.get('status', 'refused')} (code {result['code']}): {result['message']}")
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
-        console.print(f"reached ({position}), error {missed(result)}, {result['switches']} switches")
+        common.console.print(f"reached ({position}), error {missed(result)}, {result['switches']} switches")
 
 
 def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
@@ -134,12 +135,12 @@ def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
     Raises:
         Unanswered: the daemon did not answer; `connected` makes this a Failed.
     """
-    errors.print(f"interrupted: canceling goal {goal}", markup=False)
+    common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
     answer = client.request("cancel")
     if as_json:
         print_json(answer)
     else:
-        console.print(f"goal {goal}: {answer['message']}", markup=False)
+        common.console.print(f"goal {goal}: {answer['message']}", markup=False)
 
 
 def missed(message: dict[str, Any]) -> str:
@@ -173,7 +174,7 @@ def watch(
         ]
         view = View(arm_name(arm))
         with contextlib.ExitStack() as stack:
-            live = None if as_json else stack.enter_context(Live(view, console=console, auto_refresh=False))
+            live = None if as_json else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
             while True:
                 try:
                     key, message = news.get(timeout=2.0)

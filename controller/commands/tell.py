@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from controller.commands import common
 from controller.commands.common import (
     ENDPOINT,
     ArmName,
@@ -15,14 +16,13 @@ from controller.commands.common import (
     Connect,
     Failed,
     ZenohFile,
-    console,
     print_json,
 )
 from controller.commands.talk import connected, read_payload
 from controller.strict import InputFaults
 
 if TYPE_CHECKING:
-    from controller.daemon.client import Client
+    from controller.gateway.client import Client
 
 STATES = ("contracted", "extended")  # as controller.manipulator.held has them, without its import of NumPy
 PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
@@ -61,6 +61,17 @@ def degrade(
         for payload in wishes:
             ask(client, "degrade", payload, as_json)
             time.sleep(PAUSE)
+
+
+def lock(
+    arm: ArmName,
+    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=CHANGES, show_default=False)],
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Lock actuators in a state, or unlock them with `free`, as `degrade`; nothing moves by that."""
+    degrade(arm, changes, connect, zenoh_file, as_json)
 
 
 def obstacles(
@@ -106,4 +117,4 @@ def ask(client: Client, key: str, payload: dict[str, Any], as_json: bool) -> Non
     if not answer["accepted"]:
         raise Failed(f"refused (code {answer['code']}): {answer['message']}")
     if not as_json:
-        console.print(answer["message"])
+        common.console.print(answer["message"])

@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 
 STATE_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 LEAST_GAP = 0.002  # [s] between two states, however often something changes
+SILENCE = 1.2 * STATE_EVERY  # [s] without a change; each snapshot of the executor counts as one
 
 
 class StatusReporter:
@@ -69,7 +70,7 @@ class StatusReporter:
                 due = now + DIAGNOSTICS_EVERY
                 self._diagnose()
             self._closing.wait(LEAST_GAP)
-            self._changed.wait(STATE_EVERY - LEAST_GAP)
+            self._changed.wait(SILENCE)
             self._changed.clear()
         self._report()
 

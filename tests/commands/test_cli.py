@@ -60,6 +60,9 @@ def test_help_and_version_import_no_command(words):
         ("watch", str(ARM), *NOWHERE),
         ("send", str(ARM), "--to", "1,2", *NOWHERE),
         ("degrade", str(ARM), "5.left=free", *NOWHERE),
+        ("lock", str(ARM), "5.left=free", *NOWHERE),
+        ("jog", str(ARM), "5.left=extended", *NOWHERE),
+        ("halt", str(ARM), *NOWHERE),
         ("obstacles", str(ARM), "--none", *NOWHERE),
     ],
 )

@@ -13,7 +13,7 @@ import pytest
 
 from controller.planning import ledger_file
 from controller.planning.ledger import Ledger
-from controller.planning.ledger_file import counted, default_path, found_path, read
+from controller.planning.ledger_file import counted, default_path, read
 from controller.planning.ledger_lock import LedgerInUse
 
 NAMES = ("1.left", "1.diagonal", "1.right")
@@ -272,16 +272,6 @@ def test_the_folder_is_that_of_systemd_or_of_the_user(monkeypatch: pytest.Monkey
     assert default_path("a") == tmp_path / "hyperbit" / "a.sqlite"
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hyperbit")
     assert default_path("a") == Path("/var/lib/hyperbit/a.sqlite")
-
-
-def test_wear_finds_the_ledger_of_the_service(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "own"))
-    monkeypatch.setattr(ledger_file, "SERVICE_FOLDER", tmp_path / "service")
-    own, service = tmp_path / "own" / "hyperbit" / "a.sqlite", tmp_path / "service" / "a.sqlite"
-    assert found_path("a") == own
-    Ledger(service, NAMES).close()
-    assert found_path("a") == service
 
 
 def test_a_missing_ledger_is_an_error_and_not_made(path: Path) -> None:
