@@ -29,3 +29,10 @@ def found_sockets() -> list[Path]:
     folders = [Path(service.split(":")[0])] if service else []
     paths = [path for folder in [*folders, SYSTEM, user_folder()] for path in folder.glob("*.sock")]
     return sorted({path for path in paths if path.is_socket()})
+
+
+def socket_path(path: Path | None, arm: str) -> Path:
+    """Returns the path of an arm's socket where a user gave a path: of a socket, or of a folder; None: the default."""
+    if path is None:
+        return default_socket(arm)
+    return path if path.suffix == ".sock" else path / f"{arm}.sock"

@@ -33,6 +33,11 @@ class Clients:
         if self.planner is not None:
             self._send(self.planner, message)
 
+    def to_all(self, message: Up) -> None:
+        """Sends a message to all clients."""
+        for client in self.roles:
+            self._send(client, message)
+
     def greet(self, client: Client, hello: Hello, clock: float) -> bool:
         """Returns whether a client is served; if not, says why."""
         reason = self._refusal(client, hello)

@@ -11,6 +11,7 @@ from controller.executor.events import (
     Action,
     Client,
     ClientGone,
+    Defect,
     Event,
     FromClient,
     Log,
@@ -109,11 +110,15 @@ class Executor:
         try:
             work(*arguments, **more)
         except Exception:
-            self._healthy = False
-            if self.modes.faults.add(DEFECT):  # not a hundred times a second
-                self._act(Log(logging.ERROR, f"internal error\n{traceback.format_exc()}"))
             now = arguments[-1]
-            self.modes.fail(DEFECT, now)  # type: ignore[arg-type]
+            self._fail(traceback.format_exc(), now)  # type: ignore[arg-type]
+
+    def _fail(self, text: str, now: float) -> None:
+        """Holds after a defect."""
+        self._healthy = False
+        if self.modes.faults.add(DEFECT):  # not a hundred times a second
+            self._act(Log(logging.ERROR, f"internal error\n{text}"))
+        self.modes.fail(DEFECT, now)
 
     def _look_back(self, now: float) -> None:
         """Looks, before anything is acted on, whether the process was halted: then what waited for it is stale."""
@@ -130,6 +135,8 @@ class Executor:
             case ClientGone():
                 if self._clients.remove(event.client):
                     self._hold("the planner is gone")
+            case Defect():
+                self._fail(event.text, now)
             case Quit():
                 self._quit()
             case _:
@@ -175,18 +182,14 @@ class Executor:
         if self.reports.snapshot_due(now):
             self._show(now)
         if self.reports.diagnostics_due(now):
-            diagnostics = self.reports.diagnostics(now)
-            for client in self._clients.roles:
-                self._to_client(client, diagnostics)
+            self._clients.to_all(self.reports.diagnostics(now))
         if self._watchdog and self._healthy and now >= self._next_beat:
             self._act(Notify("WATCHDOG=1"))
             self._next_beat = now + self._watchdog / 4
 
     def _show(self, now: float) -> None:
         modes = self.modes
-        snapshot = self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, modes.faults.all())
-        for client in self._clients.roles:
-            self._to_client(client, snapshot)
+        self._clients.to_all(self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, modes.faults.all()))
 
     def _clock(self, now: float) -> float:
         """Returns the time that the executor was awake: it does not grow while ticks are late [s]."""
@@ -212,10 +215,8 @@ class Executor:
 
     def _greet(self, client: Client, hello: Hello) -> None:
         if self._clients.greet(client, hello, self.motion.clock):
-            counts, greatest = tuple(self._journal.counts), self._requests.greatest
-            self._to_client(
-                client, Welcome(VERSION, self._arm.name, self._arm.digest, self._instance, counts, greatest)
-            )
+            arm, counts, greatest = self._arm, tuple(self._journal.counts), self._requests.greatest
+            self._to_client(client, Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest))
             if hello.role == "planner":
                 self._results.send_again()
             self.reports.changed = True

@@ -36,11 +36,21 @@ class ClientGone(NamedTuple):
     client: Client
 
 
+class Defect(NamedTuple):
+    """The event loop itself has failed.
+
+    Attributes:
+        text: the traceback.
+    """
+
+    text: str
+
+
 class Quit(NamedTuple):
     """The process is asked to end."""
 
 
-Event = CanEvent | Tick | FromClient | ClientGone | Quit
+Event = CanEvent | Tick | FromClient | ClientGone | Defect | Quit
 
 
 class Send(NamedTuple):

@@ -1,0 +1,84 @@
+"""The executor's process: `python -m controller.executor ARM.yaml --socket PATH`; see `hyperbit execute`."""
+
+import argparse
+import secrets
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from controller.executor.arm import read_arm
+from controller.executor.buses import CanBuses, EmbeddedBoards
+from controller.executor.core import Executor
+from controller.executor.fault_lines import FaultLines
+from controller.executor.log_output import start_logging
+from controller.executor.notify import Notifier
+from controller.executor.real_time import enter_real_time
+from controller.executor.run import EventLoop
+from controller.executor.server import Server, Taken
+from controller.executor.switch_journal import FileJournal, Held, default_path
+from controller.sockets import socket_path
+from controller.strict import InputFaults
+
+PATIENCE = 1.0  # [s] more for simulated boards: they stall with this process, as boards do not
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the executor until SIGTERM; returns the exit code: 0 done, 1 failed, 2 unusable input."""
+    parser = argparse.ArgumentParser(prog="hyperbit execute", description="Runs the executor of an arm until SIGTERM.")
+    parser.add_argument("file", metavar="ARM.yaml", type=Path, help="the arm's file")
+    parser.add_argument("--socket", type=Path, help="the socket, or its folder")
+    parser.add_argument("--simulate", action="store_true", help="simulated boards in this process")
+    parser.add_argument("--journal", type=Path, help="where switches are counted")
+    parser.add_argument("--list-modules", action="store_true", help="print the names of the loaded modules at the end")
+    options = parser.parse_args(arguments)
+    try:
+        execute(options.file, options.socket, options.simulate, options.journal)
+    except InputFaults as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (Taken, Held, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    if options.list_modules:
+        print("\n".join(sorted(sys.modules)))
+    return 0
+
+
+def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | None) -> None:
+    """Runs the executor until SIGTERM.
+
+    Args:
+        file: of the arm.
+        socket: of the executor, or its folder; the default one if None.
+        simulate: whether simulated boards take the place of the buses.
+        journal: where switches are counted; the default one if None.
+
+    Raises:
+        InputFaults: the arm's file is wrong.
+        Taken: another executor has the socket.
+        Held: another executor has the journal.
+        OSError: socket or journal cannot be made.
+    """
+    arm = read_arm(file)
+    if simulate:
+        arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + PATIENCE))
+    listener = start_logging()
+    try:
+        server = Server(socket_path(socket, arm.name))
+        counts = FileJournal(journal or default_path(arm.name), arm.actuators)
+        notifier = Notifier()
+        core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
+        core.reports.real_time = enter_real_time(arm.real_time)
+        if simulate:
+            boards = EmbeddedBoards(arm.wiring, arm.timing)
+            loop = EventLoop(core, boards, server, notifier, FaultLines(boards.boards))
+        else:
+            loop = EventLoop(core, CanBuses(arm.wiring.buses), server, notifier)
+        loop.run_until_signal()
+        counts.close()
+    finally:
+        listener.stop()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""The buses of the event loop: real ones, or simulated boards in this process. None of their methods waits."""
+
+import logging
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Protocol
+
+from drivers.canopen.bus import CanBus
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.events import Changed, Echoed, Event, Received, SendFailed
+from drivers.canopen.faults import BusError
+from drivers.canopen.wiring import BusSettings, Timing, Wiring
+from drivers.simulation.buses import SimulatedBuses
+
+log = logging.getLogger(__name__)
+
+OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
+POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
+LONGEST = 0.02  # [s] that pass on simulated boards between two calls: a stall of the process stalls them as well
+
+
+class Buses(Protocol):
+    """All buses of an arm."""
+
+    def filenos(self) -> list[int]:
+        """Returns the file descriptors to wait on."""
+
+    def wait(self, now: float) -> float:
+        """Returns how long to wait at most until `poll` [s]."""
+
+    def poll(self, now: float) -> Sequence[Event]:
+        """Returns what has happened since the last call."""
+
+    def send(self, bus: str, frame: Frame, now: float) -> None:
+        """Sends a frame; what becomes of it is an event."""
+
+    def close(self) -> None:
+        """Closes all; sends nothing, so that the boards do what they do on loss of the master."""
+
+
+class CanBuses:
+    """Buses over python-can. See `Buses`. A bus that does not exist is opened as soon as it does."""
+
+    def __init__(self, settings: Sequence[BusSettings]) -> None:
+        """Takes the settings of each bus."""
+        self._buses = {one.name: CanBus(one) for one in settings}
+        self._unopened = set(self._buses)
+        self._next_try = 0.0
+        self._failed: deque[Event] = deque()
+
+    def filenos(self) -> list[int]:
+        """See `Buses`."""
+        numbers = [bus.fileno() for bus in self._buses.values()]
+        return [number for number in numbers if number is not None]
+
+    def wait(self, now: float) -> float:
+        """See `Buses`."""
+        if self._failed:
+            return 0.0
+        return math.inf if all(bus.fileno() is not None for bus in self._buses.values()) else POLL_EVERY
+
+    def poll(self, now: float) -> Sequence[Event]:
+        """See `Buses`."""
+        if self._unopened and now >= self._next_try:
+            self._open(now)
+        events = list(self._failed)
+        self._failed.clear()
+        for bus in self._buses.values():
+            events += bus.poll()
+        return events
+
+    def send(self, bus: str, frame: Frame, now: float) -> None:
+        """See `Buses`."""
+        why = self._buses[bus].send(frame)
+        if why is not None:
+            self._failed.append(SendFailed(bus, frame, why))
+
+    def close(self) -> None:
+        """See `Buses`."""
+        for bus in self._buses.values():
+            bus.close()
+
+    def _open(self, now: float) -> None:
+        first, self._next_try = self._next_try == 0.0, now + OPEN_EVERY
+        for name in sorted(self._unopened):
+            try:
+                self._buses[name].open()
+                self._unopened.discard(name)
+            except BusError as error:
+                if first:
+                    log.error("%s; it is tried again every %g s", error, OPEN_EVERY)
+
+
+class EmbeddedBoards:
+    """Simulated boards. See `Buses`.
+
+    Attributes:
+        boards: to make faults.
+    """
+
+    def __init__(self, wiring: Wiring, timing: Timing) -> None:
+        """Takes the wiring and the times of the arm."""
+        self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
+        self.boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame)))
+        self._clock = self._last = -math.inf
+
+    def filenos(self) -> list[int]:
+        """See `Buses`."""
+        return []
+
+    def wait(self, now: float) -> float:
+        """See `Buses`."""
+        return 0.0 if self._events else max(self.boards.next_due() - self._clock, 0.0)
+
+    def poll(self, now: float) -> Sequence[Event]:
+        """See `Buses`."""
+        self.boards.step(self._time(now))
+        events = list(self._events)
+        self._events.clear()
+        return events
+
+    def send(self, bus: str, frame: Frame, now: float) -> None:
+        """See `Buses`."""
+        self._events.append(Echoed(bus, frame))
+        self.boards.receive(bus, frame, self._time(now))
+
+    def close(self) -> None:
+        """See `Buses`."""
+
+    def _time(self, now: float) -> float:
+        """Returns the boards' time [s]."""
+        self._clock = now if self._last == -math.inf else self._clock + min(max(now - self._last, 0.0), LONGEST)
+        self._last = now
+        return self._clock

@@ -1,0 +1,146 @@
+"""The event loop: CAN, socket, ticks and signals around the core. One thread; nothing in it waits but `select`."""
+
+import logging
+import os
+import select
+import signal
+import time
+import traceback
+from collections.abc import Callable
+
+from controller.executor.buses import Buses
+from controller.executor.core import PERIOD, Executor
+from controller.executor.events import Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
+from controller.executor.fault_lines import INPUT, FaultLines
+from controller.executor.garbage import Garbage
+from controller.executor.notify import Notifier
+from controller.executor.server import Server
+from controller.executor.timekeeping import Timekeeper
+
+log = logging.getLogger("executor")
+
+MOST_ROUNDS = 32  # of events that the handling of others brings, before the tick is looked at
+CLOSING = 0.25  # [s] for the stage under way at the end
+FLUSHING = 0.5  # [s] for what waits to be sent at the end
+
+
+class EventLoop:
+    """Brings events to the core, and does what it says.
+
+    Args:
+        core: of the executor.
+        buses: of its arm.
+        server: of its clients.
+        notifier: to systemd.
+        lines: faults of simulated boards, if there are such.
+        clock: CLOCK_MONOTONIC [s].
+    """
+
+    def __init__(
+        self,
+        core: Executor,
+        buses: Buses,
+        server: Server,
+        notifier: Notifier,
+        lines: FaultLines | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
+        self._lines, self._clock = lines, clock
+        self._time = Timekeeper(PERIOD)
+        self._garbage = Garbage()
+        self._quitting = False
+        self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        core.reports.loop_status = self._time.take
+        core.reports.dropped = lambda: server.dropped
+
+    def quit(self) -> None:
+        """Asks the loop to end; from any thread or signal handler."""
+        self._quitting = True
+        os.write(self._woken, b"q")
+
+    def run(self) -> None:
+        """Runs until `quit`; ends with a result for the running program, and all closed."""
+        with self._garbage:
+            self._time.start(self._clock())
+            while not self._quitting:
+                self._round()
+            self._end()
+
+    def run_until_signal(self) -> None:
+        """Runs until SIGTERM or SIGINT."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self.quit())
+        self.run()
+
+    def _round(self) -> None:
+        """Waits for the next event, and acts on all there are."""
+        try:
+            self._wait()
+            self._take_frames()
+            for event in self._server.poll():
+                self._step(event)
+                self._take_frames()
+            began = self._clock()
+            if self._time.left(began) <= 0:
+                self._tick(began)
+        except Exception:  # the arm holds, and the boards are not let go
+            self._step(Defect(traceback.format_exc()))
+
+    def _wait(self) -> None:
+        """Waits until something can be read or written, or the tick is due."""
+        now = self._clock()
+        patience = max(min(self._time.left(now), self._buses.wait(now)), 0.0)
+        readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
+        if self._lines is not None and self._lines.open:
+            readable.append(INPUT)
+        writable = self._server.writable()
+        read, written, _ = select.select(readable, writable, [], patience)
+        if written:
+            self._server.flush()
+        if self._lines is not None and INPUT in read:
+            self._lines.read()
+
+    def _take_frames(self) -> None:
+        """Acts on what happens on the buses, also because of that, until nothing does or the tick is due."""
+        for _ in range(MOST_ROUNDS):
+            events = self._buses.poll(self._clock())
+            for event in events:
+                self._step(event)
+            if not events or self._time.left(self._clock()) <= 0:
+                return
+
+    def _tick(self, began: float) -> None:
+        self._step(Tick())
+        self._take_frames()
+        self._time.ticked(began, self._clock())
+        self._garbage.collect(self._core.modes.mode != "executing")
+
+    def _step(self, event: Event) -> None:
+        """Brings an event to the core, and does what it says."""
+        for action in self._core.step(event, self._clock()):
+            match action:
+                case Send():
+                    self._buses.send(action.bus, action.frame, self._clock())
+                case ToClient():
+                    self._server.send(action.client, action.message)
+                case Notify():
+                    self._notifier.send(action.text)
+                case Log():
+                    log.log(action.level, "%s", action.text)
+
+    def _end(self) -> None:
+        """Ends the program with a result, and closes all."""
+        self._step(Quit())
+        until = self._clock() + CLOSING
+        while not self._core.ended and self._clock() < until:
+            self._round()
+        self._step(Quit())
+        until = self._clock() + FLUSHING
+        while self._server.waiting and self._clock() < until:
+            select.select([], self._server.writable(), [], max(until - self._clock(), 0.0))
+            self._server.flush()
+        self._server.close()
+        self._buses.close()
+        os.close(self._wake)
+        os.close(self._woken)

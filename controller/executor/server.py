@@ -1,0 +1,194 @@
+"""The executor's socket: clients, their messages, and what is sent to them. Nothing here waits."""
+
+import contextlib
+import fcntl
+import logging
+import os
+import socket
+import struct
+from collections import deque
+from pathlib import Path
+
+from controller.executor.events import Client, ClientGone, FromClient
+from controller.program import MOST_BYTES, Diagnostics, Goodbye, Malformed, Snapshot, Up, decode_down, encode
+
+log = logging.getLogger(__name__)
+
+MOST_CLIENTS = 16
+MOST_MESSAGES = 64  # of one client in one poll, so that a flood does not stop the caller
+MOST_QUEUED = 1_000  # messages for a client that does not read; then it is disconnected
+CREDENTIALS = struct.Struct("3i")  # of SO_PEERCRED: pid, uid, gid
+
+
+class Taken(Exception):
+    """Another executor has the socket."""
+
+
+class Connection:
+    """One client: its socket, and what waits to be sent."""
+
+    def __init__(self, number: int, connected: socket.socket) -> None:
+        """Takes the number of the connection."""
+        connected.setblocking(False)
+        options = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+        self.client = Client(number, CREDENTIALS.unpack(options)[0])
+        self.socket = connected
+        self.waiting: deque[bytes] = deque()
+        self.leaving = False  # after a Goodbye
+
+    def flush(self) -> bool:
+        """Sends what waits, as far as the client reads; returns whether the connection is open still."""
+        try:
+            while self.waiting:
+                self.socket.send(self.waiting[0])
+                self.waiting.popleft()
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return not self.leaving
+
+
+class Server:
+    """Listens on a Unix socket of the type SOCK_SEQPACKET.
+
+    Snapshots and diagnostics are dropped for a client that does not read; other messages wait for it.
+
+    Attributes:
+        dropped: snapshots and diagnostics so far.
+
+    Args:
+        path: of the socket. A file beside it, with the suffix ".lock", keeps a second executor away.
+
+    Raises:
+        Taken: another executor listens there; the text names its process.
+        OSError: the socket cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.dropped = 0
+        self._path, self._number = path, 0
+        self._connections: dict[Client, Connection] = {}
+        self._gone: list[Client] = []
+        self._buffer = memoryview(bytearray(MOST_BYTES + 1))
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._lock = lock(path.with_name(path.name + ".lock"))
+        path.unlink(missing_ok=True)
+        self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._listening.bind(str(path))
+        path.chmod(0o660)  # the folder decides who may connect
+        self._listening.listen(MOST_CLIENTS)
+
+    def readable(self) -> list[int]:
+        """Returns the file descriptors to wait on for `poll`."""
+        return [self._listening.fileno(), *(c.socket.fileno() for c in self._connections.values())]
+
+    def writable(self) -> list[int]:
+        """Returns the file descriptors to wait on until they can be written, for `flush`."""
+        return [c.socket.fileno() for c in self._connections.values() if c.waiting]
+
+    def poll(self) -> list[FromClient | ClientGone]:
+        """Returns what the clients sent since the last call."""
+        self._accept()
+        events: list[FromClient | ClientGone] = []
+        for connection in list(self._connections.values()):
+            if not self._read(connection, events):
+                self._drop(connection)
+        events += [ClientGone(client) for client in self._gone]
+        self._gone = []
+        return events
+
+    def send(self, client: Client, message: Up) -> None:
+        """Sends a message to a client, or has it wait."""
+        connection = self._connections.get(client)
+        if connection is None or connection.leaving:
+            return
+        data = encode(message)
+        telemetry = isinstance(message, Snapshot | Diagnostics)
+        if len(data) > MOST_BYTES or (telemetry and connection.waiting):
+            self.dropped += 1
+            return
+        connection.waiting.append(data)
+        connection.leaving = isinstance(message, Goodbye)
+        if not connection.flush() or len(connection.waiting) > MOST_QUEUED:
+            self._drop(connection)
+
+    def flush(self) -> None:
+        """Sends what waits."""
+        for connection in list(self._connections.values()):
+            if connection.waiting and not connection.flush():
+                self._drop(connection)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether anything waits to be sent."""
+        return any(connection.waiting for connection in self._connections.values())
+
+    def close(self) -> None:
+        """Closes all connections and removes the socket."""
+        for connection in list(self._connections.values()):
+            self._drop(connection)
+        self._listening.close()
+        self._path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                try:
+                    connected, _ = self._listening.accept()
+                except BlockingIOError:
+                    raise
+                except OSError as error:  # no file descriptor is left
+                    log.warning("a client cannot connect: %s", error)
+                    return
+                if len(self._connections) >= MOST_CLIENTS:
+                    connected.close()
+                    continue
+                self._number += 1
+                connection = Connection(self._number, connected)
+                self._connections[connection.client] = connection
+
+    def _read(self, connection: Connection, events: list[FromClient | ClientGone]) -> bool:
+        """Reads what a client sent; returns whether the connection is open still."""
+        for _ in range(MOST_MESSAGES):
+            try:
+                size = connection.socket.recv_into(self._buffer)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+            if size == 0:
+                return False
+            try:
+                message = decode_down(bytes(self._buffer[:size]))
+            except Malformed as error:
+                log.warning("process %d: %s", connection.client.pid, error)
+                self.send(connection.client, Goodbye(str(error)[:1_000]))
+                return not connection.leaving
+            if not connection.leaving:
+                events.append(FromClient(connection.client, message))
+        return True
+
+    def _drop(self, connection: Connection) -> None:
+        if self._connections.pop(connection.client, None) is not None:
+            connection.socket.close()
+            self._gone.append(connection.client)
+
+
+def lock(path: Path) -> int:
+    """Returns the file descriptor of a file that names this process and is locked by it.
+
+    Raises:
+        Taken: another process has locked it.
+    """
+    number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        pid = os.pread(number, 32, 0).decode(errors="replace").strip() or "unknown"
+        os.close(number)
+        raise Taken(f"an executor is running on {path.with_suffix('')}, process {pid}") from None
+    os.ftruncate(number, 0)
+    os.pwrite(number, b"%d\n" % os.getpid(), 0)
+    return number
