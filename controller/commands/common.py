@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from msgspec import Meta, Struct
-from rich.console import Console
-from rich.table import Table
 
 from controller.strict import UNIT, InputFaults, check, read_yaml
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
     from controller.config import Arm
     from controller.manipulator.manipulator import Configuration
     from controller.workspace.densities import Densities
@@ -32,8 +33,19 @@ ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configura
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 
-console = Console(highlight=False, soft_wrap=True)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+if TYPE_CHECKING:
+    console: Console
+    errors: Console
+
+
+def __getattr__(name: str) -> Console:
+    """Returns `console` or `errors`, created at their first use: a request must not wait for the import of rich."""
+    if name not in ("console", "errors"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from rich.console import Console
+
+    globals()[name] = created = Console(stderr=name == "errors", highlight=False, soft_wrap=True)
+    return created
 
 
 class Failed(Exception):
@@ -61,13 +73,14 @@ def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> De
     """Returns the densities of an arm from the cache, or maps them with a progress bar on stderr."""
     from rich.progress import Progress
 
+    from controller.commands import common
     from controller.workspace.cache import default_directory, key, load_or_map
 
     directory = default_directory()
     if rebuild:
         wanted = key(arm.left, arm.pixel, arm.level_pixels)
         (directory / f"{wanted[:24]}.npz").unlink(missing_ok=True)
-    with Progress(console=errors, transient=True, disable=silent or not errors.is_terminal) as progress:
+    with Progress(console=common.errors, transient=True, disable=silent or not common.errors.is_terminal) as progress:
         task = progress.add_task("mapping the intermediate workspaces", total=len(arm.manipulator.modules) + 1)
         return load_or_map(
             arm.left,
@@ -151,6 +164,8 @@ def shown(values: Any) -> str:
 
 def results_table(*columns: str) -> Table:
     """Returns an empty table that leaves configurations whole on a narrow terminal."""
+    from rich.table import Table
+
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold underline")
     for column in columns:
         table.add_column(column, no_wrap=True)
