@@ -156,7 +156,10 @@ class Server:
         self._declared.append(subscriber)
 
         def receive() -> bytes | None:
-            sample = subscriber.try_recv()
+            try:
+                sample = subscriber.try_recv()
+            except zenoh.ZError:  # undeclared: the keys go before those who read them
+                return None
             named = sample is not None and str(sample.key_expr) == f"{self._prefix}/{key}"
             return content(sample.payload) if sample is not None and named else None
 

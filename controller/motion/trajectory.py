@@ -81,7 +81,8 @@ class Trajectory:
         away = np.linalg.norm(tips[:, None, : self.positions.shape[1], 3] - self.positions[points], axis=2)
         served = away <= self.tolerances[points]
         if self.fixed:
-            served &= [k not in self.fixed for k in range(*points.indices(len(self.times)))]
+            free = [k not in self.fixed for k in range(*points.indices(len(self.times)))]
+            served &= np.array(free, dtype=np.bool_)  # also of no points
         turns = self.turns[points]
         if np.isfinite(turns).any():
             chords = np.linalg.norm(tips[:, None, :3, :3] - self.rotations[points], axis=(2, 3)) / math.sqrt(2.0)

@@ -130,3 +130,8 @@ def test_after_close_nobody_is_served_and_the_token_is_gone(gateway: Gateway) ->
     gateway.server.close()
     eventually(lambda: not client.alive())
     assert asked(gateway.other(), f"{PREFIX}/stop") == []
+
+
+def test_after_the_end_no_setpoint_comes(gateway: Gateway) -> None:
+    gateway.server.close()
+    assert [receive() for receive in gateway.planning.receive.values()] == [None, None]

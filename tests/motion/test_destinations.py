@@ -99,3 +99,8 @@ def test_a_configuration_that_a_locked_actuator_rules_out_is_refused(arm: Arm, d
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
     found = plan(reduced, goal, start, "minimum-switch")
     assert reduced.manipulator.actuator_states(found.solutions[0].configuration).tolist() == states.tolist()
+
+
+def test_no_points_after_a_configuration_that_is_the_last(manipulator: Manipulator) -> None:
+    goal = scheduled(manipulator, {"position": [0.55, 2.9]}, {"configuration": FIRST})
+    assert goal.serve(np.eye(4)[None], slice(2, 9)).shape == (1, 0)
