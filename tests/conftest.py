@@ -13,7 +13,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver
 from controller.workspace.cache import load_or_map
 from controller.workspace.densities import Densities
-from tests.daemon.waiting import SLOWNESS
+from tests.waiting import SLOWNESS
 
 # The same examples on every run, and no deadline, which a busy machine would miss.
 settings.register_profile("hyperbit", derandomize=True, deadline=None)

@@ -1,0 +1,81 @@
+"""The arms that the tests run: the paper's, and a small one of other modules."""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests.waiting import SLOWNESS
+
+PLANAR = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
+
+# Two actuators of each motor have codes that are no position of it.
+MOTOR = {
+    "type": "revolute",
+    "count": 4,
+    "axis": [1, 0, 0],
+    "angles": [-0.5, -0.3, -0.1, 0.1, 0.3],
+    "link": {"position": [0, 0, 0.15], "orientation": [0, 0, 0.70710678, 0.70710678]},
+}
+SLIDE = {"type": "prismatic", "axis": [0, 0, 1], "lengths": [0.1, 0.15, 0.2, 0.25]}
+GRIPPER = {"type": "transforms", "table": "gripper.csv"}
+TABLE = "x,y,z,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0.02,0,0.045,0,0.1,0,0.995\n"
+BITS, BOARDS = [3, 3, 3, 3, 2, 6, 1], [[1, 2], [3, 4, 5], [6], [7]]  # of the modules; the modules of each board
+
+
+def planar() -> dict[str, Any]:
+    """The arm of the paper, with fewer boards where the machine is slow."""
+    document: dict[str, Any] = yaml.safe_load(PLANAR.read_text())
+    document["workspace"] = {"pixel": 0.02}
+    if SLOWNESS > 1:
+        for k, channel in enumerate(document["actuators"]):
+            channel["node"], channel["output"] = 1 + k // 6, k % 6
+            channel["input"] = channel["output"]
+    return document
+
+
+def mixed() -> dict[str, Any]:
+    """Four motors of five positions, a slide, a platform and a measured gripper, on boards of twelve bits at most."""
+    from tests.test_chain import PLATFORM
+
+    actuators: list[dict[str, Any]] = []
+    for node, modules in enumerate(BOARDS, 1):
+        wired = [(m, str(k + 1)) for m in modules for k in range(BITS[m - 1])]
+        actuators += [
+            {"module": m, "actuator": name, "bus": "can0", "node": node, "output": bit, "input": bit}
+            for bit, (m, name) in enumerate(wired)
+        ]
+    return {
+        "name": "mixed",
+        "modules": [MOTOR, SLIDE, PLATFORM, GRIPPER],
+        "tolerance": {"position": 0.01},
+        "workspace": {"pixel": 0.025, "memory": 8},
+        "buses": [{"name": "can0", "channel": "can0"}],
+        "actuators": actuators,
+    }
+
+
+KINDS = {"planar": planar, "mixed": mixed}
+
+
+def write(folder: Path, kind: str, name: str, bus: dict[str, str], fields: dict[str, Any]) -> Path:
+    """Writes the file of an arm, in a folder.
+
+    The boards are patient: here they run beside tests, in a process without real-time priority on a busy machine.
+
+    Args:
+        folder: of the file and its tables.
+        kind: of KINDS.
+        name: of the arm.
+        bus: interface and channel of the one bus.
+        fields: replace fields of the file; those of `boards` one by one.
+    """
+    document = KINDS[kind]()
+    boards = {"heartbeat": 0.1, "heartbeat_timeout": 2.0, "boot_timeout": 20.0, "settle_margin": 1.0}
+    boards = {name: time * SLOWNESS for name, time in boards.items()} | fields.get("boards", {})
+    document |= {"name": name, "travel_time": 0.05 * SLOWNESS, **fields, "boards": boards}
+    document["buses"] = [{"name": "can0", **bus}]
+    (folder / "gripper.csv").write_text(TABLE)
+    path = folder / "arm.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path

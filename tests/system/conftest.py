@@ -1,0 +1,199 @@
+"""Arms that run, shared by the tests that need the same one; what is left in disorder is thrown away."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from controller.config import Arm
+from drivers.simulation.simulation import Simulation
+from tests import vcan
+from tests.emulated import Interface
+from tests.system import arms
+from tests.system.motions import Motions
+from tests.system.observer import Observer
+from tests.system.processes import Nursery
+from tests.system.system import System, settled
+
+KINDS = ("emulated", "socketcan")  # of buses
+FAILED = pytest.StashKey[bool]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "arm(kind, **fields): the arm that a test runs, and fields of its file")
+    config.addinivalue_line("markers", "fresh: the test starts the parts of its arm itself, and may leave disorder")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(600))
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Runs a test on each kind of bus."""
+    if "kind" in metafunc.fixturenames:
+        only = {"virtual": "emulated"}.get(metafunc.config.getoption("bus"), metafunc.config.getoption("bus"))
+        kinds = [kind for kind in KINDS if only in (None, kind)]
+        metafunc.parametrize("kind", kinds, indirect=True, scope="session")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    report = yield
+    if report.failed:
+        item.stash[FAILED] = True
+        if "system" in getattr(item, "funcargs", {}):
+            report.sections.append(("logs", item.funcargs["system"].logs()))
+    return report
+
+
+@pytest.fixture(scope="session")
+def kind(request: pytest.FixtureRequest) -> str:
+    """The kind of bus."""
+    if request.param == "socketcan" and (reason := vcan.missing()):
+        (pytest.fail if request.config.getoption("bus") else pytest.skip)(reason)
+    return str(request.param)
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where densities are kept."""
+    return tmp_path_factory.mktemp("cache") / "hyperbit"
+
+
+@pytest.fixture(scope="session")
+def nurseries(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Nursery]]:
+    """Where executors and planners come from; the planners' is started by the first test that needs it."""
+    nurseries = Nurseries(cache, tmp_path_factory.mktemp("arm"))
+    yield nurseries
+    nurseries.close()
+
+
+class Nurseries(dict[str, Nursery]):
+    """Nurseries by kind, each started when it is first asked for."""
+
+    def __init__(self, cache: Path, folder: Path) -> None:
+        self._cache, self._folder = cache, folder
+
+    def __missing__(self, kind: str) -> Nursery:
+        environment = {"XDG_CACHE_HOME": str(self._cache.parent)}
+        bus = {"interface": "virtual", "channel": "none"}
+        files = [arms.write(self._folder, "planar", "none", bus, {})] if kind == "planner" else []
+        self[kind] = nursery = Nursery(kind, environment, *files)
+        return nursery
+
+    def close(self) -> None:
+        for nursery in self.values():
+            nursery.close()
+
+
+class Shared:
+    """The arm that ran last, for the next test that needs the same."""
+
+    def __init__(self) -> None:
+        self.wanted = ""
+        self.system: System | None = None
+
+    def take(self, wanted: str, make: Callable[[], System]) -> System:
+        """Returns the arm that is wanted, in order."""
+        if self.wanted != wanted or self.system is None or not self._in_order(self.system):
+            self.drop()
+            self.wanted, self.system = wanted, make()
+        return self.system
+
+    def drop(self) -> None:
+        if self.system is not None:
+            self.system.close()
+            self.system = None
+
+    def _in_order(self, system: System) -> bool:
+        with system.client() as client:
+            return settled(client)
+
+
+@pytest.fixture(scope="session")
+def shared() -> Iterator[Shared]:
+    shared = Shared()
+    yield shared
+    shared.drop()
+
+
+@pytest.fixture
+def system(
+    request: pytest.FixtureRequest, kind: str, nurseries: dict[str, Nursery], cache: Path, shared: Shared
+) -> Iterator[System]:
+    """The arm of the test's mark, which runs unless the test is marked as fresh."""
+    mark = request.node.get_closest_marker("arm")
+    base, fields = (mark.args or ("planar",))[0] if mark else "planar", mark.kwargs if mark else {}
+
+    def make() -> System:
+        return System(kind, base, fields, nurseries, cache)
+
+    if request.node.get_closest_marker("fresh"):
+        shared.drop()  # or it would take time from this one
+        system = make()
+        yield system
+        system.close()
+        return
+    yield shared.take(json.dumps([kind, base, fields]), lambda: started(make()))
+    if request.node.stash.get(FAILED, False):
+        shared.drop()
+
+
+def started(system: System) -> System:
+    try:
+        return system.start()
+    except BaseException:
+        system.close()
+        raise
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    """Ends what a test begins."""
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture
+def arm(system: System) -> Arm:
+    return system.arm
+
+
+@pytest.fixture
+def boards(system: System) -> Simulation:
+    return system.boards
+
+
+@pytest.fixture
+def interface(system: System) -> Interface | vcan.Interface:
+    return system.interface
+
+
+@pytest.fixture
+def listener(system: System) -> Iterator[can.BusABC]:
+    with system.listener() as listening:
+        yield listening
+
+
+@pytest.fixture
+def motions(system: System, listener: can.BusABC) -> Motions:
+    """What moves from now on."""
+    motions = Motions(system.wiring, listener, system.drives())
+    motions.begin(system.boards)
+    return motions
+
+
+@pytest.fixture
+def client(system: System, motions: Motions, request: pytest.FixtureRequest) -> Iterator[Observer]:
+    """A client of an arm that is ready; at the end nothing has moved but for goals, each with one result."""
+    with system.client() as client:
+        client.wait_for("ready")
+        yield client
+        if not request.node.stash.get(FAILED, False):
+            motions.check(client, system.boards)

@@ -1,0 +1,139 @@
+"""What moved, read from the frames on the bus alone, and whether somebody asked for it."""
+
+from collections.abc import Sequence
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Command, State
+from drivers.canopen.layout import lay_out
+from drivers.canopen.wiring import Wiring
+from drivers.simulation.simulation import Simulation
+from tests.system.observer import Observer
+from tests.waiting import eventually
+
+MASTER_LOST = bytes([0x30, 0x81])  # of an emergency
+
+
+class Motions:
+    """Follows the outputs of all boards as the frames on one bus switch them.
+
+    Attributes:
+        outputs: (A,) the actuators' outputs.
+        switched: (A,) how often each was switched by RPDO and SYNC.
+        fell: (A,) how often each fell off with its board.
+        moved_at: when a SYNC switched any [UNIX s].
+        syncs: when there was a SYNC [UNIX s].
+        rows: (A,) outputs after each SYNC that switched any.
+    """
+
+    def __init__(self, wiring: Wiring, listener: can.BusABC, outputs: Sequence[int] = ()) -> None:
+        self._listener, self._layout = listener, lay_out(wiring)
+        count = len(wiring.channels)
+        self.outputs = np.array(outputs or [0] * count, dtype=np.uint8)
+        self.switched, self.fell = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
+        self.moved_at: list[float] = []
+        self.syncs: list[float] = []
+        self.rows: list[NDArray[np.uint8]] = []
+        self.identifiers: list[int] = []
+        self._before = np.zeros(count, dtype=int)
+        self._latched: dict[int, dict[int, int]] = {}  # states by actuator, of boards by their index
+        self._operational = [True] * len(self._layout.boards)
+
+    def begin(self, boards: Simulation) -> None:
+        """Counts switches of the boards from now on."""
+        self._before = boards.switches()
+
+    def read(self) -> None:
+        """Takes in what was on the bus since the last call."""
+        while (frame := self._listener.recv(0)) is not None:
+            if not frame.is_error_frame:
+                self.identifiers.append(frame.arbitration_id)
+                self._take(frame.arbitration_id, bytes(frame.data), frame.timestamp)
+
+    def clear(self) -> None:
+        """Forgets which frames came, and when."""
+        self.read()
+        for it in (self.moved_at, self.syncs, self.rows, self.identifiers):
+            it.clear()
+
+    def still(self) -> bool:
+        """Whether there was no SYNC since `clear`."""
+        self.read()
+        return not self.syncs
+
+    def agree(self, boards: Simulation) -> None:
+        """Waits until the boards have switched what was on the bus, which they may take in a moment later."""
+
+        def same() -> bool:
+            self.read()
+            return (self.switched + self.fell).tolist() == (boards.switches() - self._before).tolist()
+
+        eventually(same, told=lambda: f"{self.switched + self.fell} on the bus, {boards.switches()} of the boards")
+
+    def check(self, client: Observer, boards: Simulation) -> None:
+        """Asserts that all motion was switched on the bus for accepted goals, which have one result each."""
+        for goal in client.accepted:
+            client.result(goal)
+        self.agree(boards)
+        results = [result for goal in client.accepted for result in client.results(goal)]
+        assert len(results) == len(client.accepted), "each accepted goal has one result"
+        spans = [*(client.span(goal) for goal in client.accepted), *client.streams]
+        unasked = [stamp for stamp in self.moved_at if not any(a <= stamp <= b for a, b in spans)]
+        assert not unasked, f"the arm moved at {unasked} with no goal, those were at {spans}"
+        if not client.streams:
+            asked = sum(result["switches"] for result in results)
+            assert self.switched.sum() == asked, "the results report as many switches as there were on the bus"
+
+    def _take(self, cob_id: int, data: bytes, stamp: float) -> None:
+        function, node = cia301.split(cob_id)
+        if cob_id == cia301.NMT and len(data) == 2:
+            for k, board in enumerate(self._layout.boards):
+                if data[1] in (0, board.node):
+                    self._set(k, data[0] == Command.START)
+        elif cob_id == cia301.SYNC:
+            self._sync(stamp)
+        elif function == cia301.RPDO1:
+            self._latch(cob_id, data)
+        else:
+            for k, board in enumerate(self._layout.boards):
+                if board.node == node and function == cia301.HEARTBEAT:
+                    self._set(k, data[0] == State.OPERATIONAL)
+                    if data[0] == State.BOOT_UP:
+                        mine = self._of(board.actuators)
+                        self.fell[mine] += self.outputs[mine]
+                        self.outputs[mine] = 0
+                elif board.node == node and function == cia301.EMERGENCY and data[:2] == MASTER_LOST:
+                    self._set(k, False)
+
+    def _set(self, board: int, operational: bool) -> None:
+        if operational != self._operational[board]:
+            self._latched.pop(board, None)
+        self._operational[board] = operational
+
+    def _latch(self, cob_id: int, data: bytes) -> None:
+        number = int.from_bytes(data, "little")
+        for frame in self._layout.frames:
+            if frame.cob_id != cob_id:
+                continue
+            for k, board in enumerate(self._layout.boards):
+                if board.rpdo.cob_id == cob_id and self._operational[k]:
+                    bits = [bit for bit in frame.bits if bit.actuator & board.actuators]
+                    self._latched[k] = {bit.actuator.bit_length() - 1: int(number & bit.place > 0) for bit in bits}
+
+    def _sync(self, stamp: float) -> None:
+        self.syncs.append(stamp)
+        after = self.outputs.copy()
+        for states in self._latched.values():
+            after[list(states)] = list(states.values())
+        self._latched.clear()
+        if (after != self.outputs).any():
+            self.moved_at.append(stamp)
+            self.rows.append(after)
+        self.switched += after != self.outputs
+        self.outputs = after
+
+    def _of(self, actuators: int) -> list[int]:
+        return [k for k in range(len(self.outputs)) if actuators >> k & 1]

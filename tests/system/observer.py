@@ -1,0 +1,127 @@
+"""A client that remembers everything it hears, and waits for what is to come."""
+
+import time
+from typing import Any
+
+from controller.gateway.client import Client, Message
+from tests.waiting import PATIENCE, SLOWNESS, eventually
+
+KEYS = ("feedback", "result", "diagnostics", "state")  # state last: who hears that hears all
+
+
+class Observer:
+    """Hears everything that an arm's daemon publishes.
+
+    Attributes:
+        client: to ask the daemon with.
+        heard: messages of each key, oldest first.
+        times: when they came [UNIX s].
+        accepted: ids of the goals it sent that were accepted.
+        sent: when each was sent, by id [UNIX s].
+        streams: spans in which set-points were followed [UNIX s].
+    """
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self.heard: dict[str, list[Message]] = {key: [] for key in KEYS}
+        self.times: dict[str, list[float]] = {key: [] for key in KEYS}
+        self.accepted: list[str] = []
+        self.sent: dict[str, float] = {}
+        self.streams: list[tuple[float, float]] = []
+        self._subscribers = [client.subscribe(key, self._remember(key)) for key in KEYS]
+
+    def _remember(self, key: str) -> Any:
+        def remember(message: Message) -> None:
+            self.times[key].append(time.time())
+            self.heard[key].append(message)
+
+        return remember
+
+    # --- requests
+
+    def ask(self, key: str, **payload: Any) -> Message:
+        return self.client.request(key, payload, timeout=PATIENCE)
+
+    def goal(self, *positions: tuple[float, ...], times: list[float] | None = None, **fields: Any) -> Message:
+        """Sends a goal; without times a single waypoint now, or one every 0.2 s; on a slow machine slower."""
+        times = times or [0.2 * k for k in range(len(positions))]
+        points = [{"t": t * SLOWNESS, "position": list(position)} for t, position in zip(times, positions, strict=True)]
+        return self.send("goal", waypoints=points, **fields)
+
+    def send(self, key: str, **payload: Any) -> Message:
+        """Sends a goal or a jog; notes it if it is accepted."""
+        sent = time.time()
+        answer = self.ask(key, **payload)
+        if answer["accepted"]:
+            self.sent[answer["id"]] = sent
+            self.accepted.append(answer["id"])
+        return answer
+
+    def move(self, *positions: tuple[float, ...], goal: str = "move", times: list[float] | None = None) -> Message:
+        """Sends a goal that must succeed; returns its result."""
+        answer = self.goal(*positions, times=times, id=goal)
+        assert answer["accepted"], answer
+        result = self.result(goal)
+        assert result["status"] == "succeeded", result
+        return result
+
+    def reset(self) -> None:
+        """Resets, and waits until the arm is ready."""
+        assert self.ask("reset")["accepted"]
+        self.wait_now("ready")
+
+    # --- waiting
+
+    @property
+    def state(self) -> Message:
+        """The latest state."""
+        return self.heard["state"][-1]
+
+    @property
+    def codes(self) -> list[str]:
+        """Codes of the faults in the latest state."""
+        return [fault["code"] for fault in self.state["faults"]]
+
+    def wait_for(self, mode: str, reason: str = "", after: int = 0) -> Message:
+        """Waits until a state heard from index `after` on is in a mode; returns that state."""
+
+        def found() -> Message | None:
+            states = self.heard["state"][after:]
+            return next((s for s in states if s["mode"] == mode and reason in s["reason"]), None)
+
+        return eventually(found, told=lambda: f"among {len(self.heard['state'])} states: {self.heard['state'][-1:]}")
+
+    def wait_now(self, mode: str, reason: str = "") -> Message:
+        """Waits until a state that is published from now on is in a mode."""
+        return self.wait_for(mode, reason, after=len(self.heard["state"]))
+
+    def wait_fault(self, code: str, since: float) -> Message:
+        """Waits for a state of `since` [UNIX s] or later that names a fault."""
+
+        def found() -> Message | None:
+            states = [s for s in self.heard["state"] if s["stamp"] >= since]
+            return next((s for s in states if code in [fault["code"] for fault in s["faults"]]), None)
+
+        return eventually(found, told=lambda: f"(a fault {code}): {self.heard['state'][-1:]}")
+
+    def result(self, goal: str) -> Message:
+        """Waits for the result of a goal; it must be the only one so far."""
+        eventually(lambda: self.results(goal), told=lambda: f"(result of {goal}): {self.heard['state'][-1:]}")
+        (result,) = self.results(goal)
+        return result
+
+    def results(self, goal: str | None) -> list[Message]:
+        return [result for result in self.heard["result"] if result["id"] == goal]
+
+    def span(self, goal: str) -> tuple[float, float]:
+        """From sending a goal to hearing its result: only then may it move the arm [UNIX s]."""
+        heard = [time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if it["id"] == goal]
+        return self.sent[goal], heard[-1]
+
+    def feedback(self, goal: str) -> list[Message]:
+        return [feedback for feedback in self.heard["feedback"] if feedback["id"] == goal]
+
+    def diagnosed(self) -> Message:
+        """Returns the next diagnostics."""
+        before = len(self.heard["diagnostics"])
+        return eventually(lambda: self.heard["diagnostics"][before:])[0]

@@ -1,0 +1,212 @@
+"""One arm as it runs: simulated boards on a bus, an executor's process, a planner, and clients of it."""
+
+import hashlib
+import itertools
+import os
+import shutil
+import signal
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import can
+import zenoh
+
+from controller.config import Arm, load
+from controller.executor.arm import read_arm
+from controller.gateway import daemon, session
+from controller.gateway.client import Client
+from controller.planning.ledger_file import read
+from controller.planning.planning import Planning
+from controller.workspace.cache import load_or_map
+from drivers.canopen.wiring import BusSettings, Wiring
+from drivers.simulation.simulation import Simulation
+from tests import emulated, vcan
+from tests.system import arms
+from tests.system.observer import Observer
+from tests.system.processes import Nursery, Process, tail
+from tests.waiting import PATIENCE, eventually
+
+NUMBERS = itertools.count()
+
+
+class System:
+    """Starts and ends the parts of one arm. They run until `close`.
+
+    Attributes:
+        kind: of bus, "emulated" or "socketcan".
+        arm: what its file says.
+        file: of the arm.
+        interface: the bus, to be taken down and brought back.
+        wiring: of the boards, on the bus as this process opens it.
+        boards: the simulated boards, in threads of this process.
+        executor: its process, once started.
+        planner: its process, if it is not in a thread of this process.
+        planning: the planner, if it is in this process.
+        ledger: the planner's.
+
+    Args:
+        kind: of bus.
+        base: of `arms.KINDS`.
+        fields: of the arm's file.
+        nurseries: of executors and planners.
+        cache: the folder of densities.
+    """
+
+    def __init__(
+        self, kind: str, base: str, fields: dict[str, Any], nurseries: dict[str, Nursery], cache: Path
+    ) -> None:
+        self.kind, self._nurseries, self._cache = kind, nurseries, cache
+        self.folder = Path(tempfile.mkdtemp(prefix="hb"))  # of a short name, for the sockets in it
+        self._closing = ExitStack()
+        self._closing.callback(shutil.rmtree, self.folder, ignore_errors=True)
+        self.interface = self._make_interface()
+        channel = self.interface.channel if isinstance(self.interface, emulated.Interface) else self.interface.name
+        named = {"interface": "virtual" if kind == "emulated" else kind, "channel": channel}
+        self.name = f"{base}-{os.getpid()}-{next(NUMBERS)}"
+        self.file = arms.write(self.folder, base, self.name, named, fields)
+        self.arm: Arm = load(self.file)
+        executed = read_arm(self.file)
+        self.bus = BusSettings("can0", kind, channel, executed.wiring.buses[0].bitrate)
+        self.wiring: Wiring = replace(executed.wiring, buses=(self.bus,))
+        self.timing = executed.timing
+        self.socket, self.ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.config: zenoh.Config | None = None  # of the planner, in place of listening at the endpoint
+        self.executor: Process | None = None
+        self.planner: Process | None = None
+        self.planning: Planning | None = None
+        self._planner_end = ExitStack()
+        self.boards = self._start_boards()
+
+    def start(self) -> "System":
+        """Starts executor and planner, and waits until the arm is ready."""
+        self.start_executor()
+        self.start_planner()
+        with self.client() as client:
+            client.wait_for("ready")
+        return self
+
+    def close(self) -> None:
+        """Ends everything, the planner first."""
+        self.end_planner()
+        if self.executor is not None:
+            self.executor.kill()
+        self._closing.close()
+
+    # --- parts
+
+    def _make_interface(self) -> emulated.Interface | vcan.Interface:
+        if self.kind == "socketcan":
+            return self._closing.enter_context(vcan.made())
+        folder = self.folder / "can"
+        folder.mkdir()
+        interface = emulated.Interface(folder)
+        self._closing.callback(interface.close)
+        return interface
+
+    def _start_boards(self) -> Simulation:
+        boards = Simulation(self.wiring, self.timing)
+        for port in boards._ports.values():
+            assert port._bus
+            vcan.give_way(port._bus, vcan.FIRST)  # in the queues of an interface, which theirs would not be in
+        boards.start()
+        self._closing.callback(boards.stop)
+        return boards
+
+    def start_executor(self) -> Process:
+        """Starts an executor in a process of its own."""
+        arguments = [str(self.file), "--socket", str(self.socket)]
+        self.executor = self._nurseries["executor"].start(arguments, self.folder / "executor.log", self._environment)
+        return self.executor
+
+    def start_planner(self) -> Planning:
+        """Starts a planner in threads of this process."""
+        arm, config = self.arm, self.config or session.configuration("peer", listen=self.endpoint)
+        densities = load_or_map(arm.left, arm.pixel, arm.level_pixels, self._cache)
+        digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
+        served = daemon.running(arm, densities, config, self.ledger, self.socket, digest)
+        self.planning = self._planner_end.enter_context(served)
+        return self.planning
+
+    def start_planner_process(self) -> Process:
+        """Starts a planner in a process of its own."""
+        arguments = [str(self.file), "--socket", str(self.socket), "--listen", self.endpoint]
+        arguments += ["--ledger", str(self.ledger)]
+        self.planner = self._nurseries["planner"].start(arguments, self.folder / "planner.log", self._environment)
+        return self.planner
+
+    def end_planner(self) -> None:
+        """Ends the planner in order."""
+        self._planner_end.close()
+        self._planner_end, self.planning = ExitStack(), None
+        if self.planner is not None and self.planner.alive:
+            self.planner.thaw()
+            self.planner.end(signal.SIGTERM)
+
+    @property
+    def _environment(self) -> dict[str, str]:
+        return {"STATE_DIRECTORY": str(self.folder), "XDG_CACHE_HOME": str(self._cache.parent), "NOTIFY_SOCKET": ""}
+
+    # --- what a test looks at
+
+    def session(self) -> zenoh.Session:
+        """A client's session; who asks for it closes it."""
+        return zenoh.open(session.configuration("client", connect=self.endpoint))
+
+    @contextmanager
+    def client(self) -> Iterator[Observer]:
+        """A client that has heard a state."""
+
+        def connect() -> zenoh.Session | None:
+            try:
+                return self.session()
+            except zenoh.ZError:
+                return None
+
+        with eventually(connect, told=self.logs) as opened:
+            observer = Observer(Client(opened, self.name))
+            eventually(lambda: observer.heard["state"], told=self.logs)
+            yield observer
+
+    @contextmanager
+    def listener(self) -> Iterator[can.BusABC]:
+        """Hears all frames on the bus from now on."""
+        with can.Bus(interface=self.bus.interface, channel=self.bus.channel, ignore_config=True) as listening:
+            vcan.make_room(listening)
+            yield listening
+
+    def drives(self) -> list[int]:
+        """What each actuator's output is, 0 or 1."""
+        with self.boards._lock:
+            return self.boards._boards.drives()
+
+    def counts(self) -> list[int]:
+        """What the ledger counts of each actuator."""
+        switches = read(self.ledger)[0]
+        return [switches.get(label, 0) for label in self.arm.manipulator.actuators]
+
+    def logs(self) -> str:
+        """The ends of the processes' logs."""
+        names = ("executor", "planner")
+        return "\n".join(f"--- {name}\n{tail(self.folder / f'{name}.log')}" for name in names)
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def settled(observer: Observer) -> bool:
+    """Whether the arm is as a test expects to find it: ready, with nothing left of a test before."""
+    state = observer.wait_now("ready") if observer.state["mode"] == "ready" else observer.state
+    clean = not state["faults"] and not state["degraded"] and state["goal"] is None
+    return state["mode"] == "ready" and clean and observer.ask("obstacles", regions=[])["accepted"]
+
+
+__all__ = ["PATIENCE", "System", "settled"]

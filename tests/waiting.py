@@ -1,0 +1,21 @@
+"""The one way in which tests wait: for a condition, with an end."""
+
+import os
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+# How many times slower than usual this machine is: in an emulated one all times of tests and boards are longer by it.
+SLOWNESS = float(os.environ.get("HYPERBIT_SLOWNESS", "1"))
+PATIENCE = 60.0 * SLOWNESS  # [s]; a busy machine is slow
+
+
+def eventually(what: Callable[[], T], patience: float = PATIENCE, told: Callable[[], str] = lambda: "") -> T:
+    """Returns the first true value of `what`; if none comes, the failure says what `told` returns then."""
+    until = time.monotonic() + patience
+    while not (value := what()):
+        assert time.monotonic() < until, f"the awaited condition did not come {told()}"
+        time.sleep(0.005 * SLOWNESS)
+    return value
