@@ -1,0 +1,217 @@
+"""An executor that a test plays by hand, on a real socket; and what else the planner's room needs."""
+
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from controller.program import (
+    Accepted,
+    Alive,
+    Answer,
+    Begun,
+    Cancel,
+    Counts,
+    Declined,
+    Down,
+    Ended,
+    Hello,
+    Program,
+    Settled,
+    Snapshot,
+    Up,
+    Welcome,
+    decode_down,
+    encode,
+    pack,
+)
+from tests.daemon.waiting import PATIENCE
+
+T = TypeVar("T", bound=Down)
+
+DIGEST = "d" * 64
+
+
+class ScriptedExecutor:
+    """Listens on a socket. The test takes each message with `expect`, and answers it.
+
+    Attributes:
+        state: the snapshot to come; `show` changes and sends it.
+        greets: whether a planner that says hello is welcomed.
+    """
+
+    def __init__(self, path: Path, actuators: int, name: str = "small") -> None:
+        self.actuators, self.name, self.greets = actuators, name, True
+        self.instance, self.greatest = 1, 0
+        full, none = (1 << actuators) - 1, bytes((actuators + 7) // 8)
+        known = pack(full, actuators)
+        self.state = Snapshot(
+            time.monotonic(), "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
+        )  # fmt: skip
+        self._results = 0
+        self._messages: queue.Queue[Down] = queue.Queue()
+        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._server.bind(str(path))
+        self._server.listen()
+        self._client: socket.socket | None = None
+        self._closing = False
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    # --- what the planner sends
+
+    def expect(self, kind: type[T], *passing: type[Any]) -> T:
+        """Returns the next message, which is of a kind; others than `passing` before it are wrong."""
+        while True:
+            message = self._messages.get(timeout=PATIENCE)
+            if isinstance(message, kind):
+                return message
+            assert isinstance(message, passing), f"{message} came where {kind.__name__} was expected"
+
+    def nothing(self, kind: type[Any]) -> bool:
+        """Whether no message of a kind has come."""
+        return not any(isinstance(message, kind) for message in list(self._messages.queue))
+
+    # --- what it sends
+
+    def send(self, message: Up) -> None:
+        assert self._client is not None
+        self._client.send(encode(message))
+
+    def show(self, **changes: Any) -> None:
+        """Sends a snapshot; `outputs` may be an integer, and is then measured, too."""
+        if isinstance(bits := changes.get("outputs"), int):
+            changes["outputs"] = pack(bits, self.actuators)
+        if "outputs" in changes and "measured" not in changes:
+            changes["measured"] = changes["outputs"]
+        self.state = msgspec.structs.replace(self.state, at=time.monotonic(), **changes)
+        self.send(self.state)
+
+    def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
+        """Answers a request as the executor does: a new epoch for what ends one, and a snapshot."""
+        ends = not isinstance(message, Cancel) or message.program is None
+        self.send(Answer(message.request, accepted, text))
+        self.show(epoch=self.state.epoch + ends, **changes)
+
+    def accept(self, program: Program) -> None:
+        begin = program.begin or time.monotonic()
+        self.send(Accepted(program.program, begin))
+        self.show(mode="executing", reason=program.name, program=program.program)
+
+    def decline(self, program: Program, cause: Any, reason: str = "because") -> None:
+        self.send(Declined(program.program, cause, reason))
+
+    def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
+        """Takes a stage of a program, and settles its mark if it has one."""
+        states = program.stages[stage]
+        self.send(Begun(program.program, stage, switches))
+        self.show(outputs=states.states, measured=measured or states.states)
+        if states.mark >= 0:
+            known = self.state.known
+            at = measured or states.states
+            self.send(Settled(program.program, states.mark, at, known, switches, 1, True))
+
+    def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
+        """Sends the result of a program."""
+        self._results += 1
+        last = program.stages[-1]
+        ended = Ended(
+            self._results, program.program, program.context, status, message, fields.get("mark", last.mark),
+            fields.get("switches", 1), fields.get("measured", self.state.measured), self.state.known,
+        )  # fmt: skip
+        self.send(ended)
+        self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
+        return ended
+
+    # --- the connection
+
+    def drop(self) -> None:
+        """Closes the connection, as an executor that dies."""
+        assert self._client is not None
+        self._client.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._closing = True
+        self._server.close()
+        if self._client is not None:
+            self._client.close()
+
+    def _serve(self) -> None:
+        while not self._closing:
+            try:
+                self._client, _ = self._server.accept()
+                self._listen(self._client)
+            except OSError:
+                continue
+
+    def _listen(self, client: socket.socket) -> None:
+        while data := client.recv(70_000):
+            match message := decode_down(data):
+                case Hello():
+                    if self.greets:
+                        size = (0,) * self.actuators
+                        self.send(Welcome(1, self.name, DIGEST, self.instance, size, self.greatest))
+                        self.send(self.state)
+                    self._messages.put(message)
+                case Alive() | Counts():
+                    pass
+                case _:
+                    self._messages.put(message)
+
+
+class FakeLedger:
+    """Keeps what is entered."""
+
+    fault: str | None = None
+
+    def __init__(self, actuators: int) -> None:
+        self.entries: list[tuple[Any, ...]] = []
+        self._known = (0,) * actuators
+
+    def accepted(self, number: int, goal: str, waypoints: int) -> None:
+        self.entries.append(("accepted", goal, waypoints))
+
+    def ended(self, number: int, status: str, code: int, message: str, switches: int) -> None:
+        self.entries.append(("ended", status, code, switches))
+
+    def counts(self, counts: Any) -> None:
+        self._known = tuple(counts)
+
+    def known(self) -> tuple[int, ...]:
+        return self._known
+
+
+class Inbox:
+    """Payloads that are told to the outside, in order; each is waited for."""
+
+    def __init__(self) -> None:
+        self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
+
+    def put(self, key: str, payload: Any) -> None:
+        self._queue.put((key, dict(payload)))
+
+    def replying(self, name: str = "reply") -> Callable[[Any], None]:
+        return lambda payload: self.put(name, payload)
+
+    def next(self, key: str) -> dict[str, Any]:
+        """Returns the next payload, which is of a key."""
+        came, payload = self._queue.get(timeout=PATIENCE)
+        assert came == key, f"{came} {payload} came where {key} was expected"
+        return payload
+
+    @property
+    def empty(self) -> bool:
+        return self._queue.empty()
+
+
+@contextmanager
+def closing(thing: Any) -> Iterator[Any]:
+    try:
+        yield thing
+    finally:
+        thing.close()

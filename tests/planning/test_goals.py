@@ -1,0 +1,256 @@
+"""Goals on an executor that the test plays: what is sent, answered, fed back, and told as the one result."""
+
+import json
+import threading
+
+import pytest
+
+from controller.motion import codes
+from controller.planning.messages import BARRED
+from controller.program import Acknowledge, Cancel, Halt, Hello, Program, Replacement, Reset
+from tests.daemon.waiting import eventually
+from tests.planning.conftest import Desk
+
+A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
+
+
+def taken(desk: Desk, *configurations: tuple[int, ...], **fields: object) -> Program:
+    """Has a goal taken; returns its program."""
+    desk.goal(*configurations, **fields)  # type: ignore[arg-type]
+    program = desk.executor.expect(Program)
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+    return program
+
+
+def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> None:
+    desk.goal(A, B)
+    program = desk.executor.expect(Program)
+    assert (program.start, program.epoch, program.begin, program.name) == (bytes(2), 1, 0.0, "goal a")
+    assert (program.final, program.strict) == (True, False)
+    assert [stage.mark for stage in program.stages] == [0, 1]
+    first, second = program.stages
+    assert (first.at, second.at) == (pytest.approx(0.0), pytest.approx(0.2))
+    assert (first.settled, second.settled) == (pytest.approx(0.06), pytest.approx(0.26))
+    desk.executor.accept(program)
+    reply = desk.inbox.next("reply")
+    assert (reply["id"], reply["accepted"], reply["message"][:22]) == ("a", True, "accepted, 2 waypoints,")
+    desk.executor.run(program, 0)
+    told = desk.inbox.next("feedback")
+    assert (told["id"], told["waypoint"], told["waypoints"], told["stages"]) == ("a", 0, 2, 1)
+    assert told["error"] <= 0.002
+    assert told["excursion"] >= 0
+    assert told["orientation_error"] is None
+    desk.settle()
+    assert (desk.planning.state()["goal"], desk.planning.state()["waypoint"]) == ("a", 0)
+    desk.executor.run(program, 1, switches=5)
+    assert desk.inbox.next("feedback")["waypoint"] == 1
+    ended = desk.executor.end(program, switches=5)
+    result = desk.inbox.next("result")
+    assert (result["id"], result["status"], result["code"], result["switches"]) == ("a", "succeeded", 0, 5)
+    assert result["message"] == "reached"
+    assert desk.executor.expect(Acknowledge, Replacement).result == ended.result
+    desk.executor.send(ended)  # once more, as to a planner that connects anew
+    assert desk.executor.expect(Acknowledge).result == ended.result
+    desk.settle()
+    assert desk.inbox.empty
+    assert (desk.planning.state()["mode"], desk.planning.state()["reason"]) == ("ready", "holding; goal a was reached")
+    assert desk.ledger.entries == [("accepted", "a", 2), ("ended", "succeeded", 0, 5)]
+
+
+def test_a_tip_measured_elsewhere_misses_the_goal(desk: Desk) -> None:
+    program = taken(desk, A)
+    away = (desk.bits(*B)).to_bytes(2, "little")
+    desk.executor.run(program, 0, measured=away)
+    desk.inbox.next("feedback")
+    desk.executor.end(program)
+    result = desk.inbox.next("result")
+    assert (result["status"], result["code"]) == ("aborted", codes.GOAL_TOLERANCE_VIOLATED)
+    assert "from the last waypoint" in result["message"]
+
+
+def test_a_goal_is_sent_again_from_where_the_arm_has_moved_to(desk: Desk) -> None:
+    desk.goal(A)
+    first = desk.executor.expect(Program)
+    desk.executor.decline(first, "moved")
+    desk.executor.show(outputs=desk.bits(*C))
+    second = desk.executor.expect(Program)
+    assert second.program > first.program
+    assert second.start == desk.bits(*C).to_bytes(2, "little")
+    assert second.stages[-1].states == first.stages[-1].states
+    desk.executor.accept(second)
+    assert desk.inbox.next("reply")["accepted"]
+
+
+def test_a_goal_that_never_catches_up_is_refused(desk: Desk) -> None:
+    desk.goal(A)
+    for k in range(10):
+        desk.executor.decline(desk.executor.expect(Program), "moved")
+        desk.executor.show(outputs=desk.bits(k % 8, 0, 0, 0))
+    assert "moved on each time" in desk.inbox.next("reply")["message"]
+
+
+@pytest.mark.parametrize(
+    ("cause", "words"), [("epoch", BARRED), ("mode", "because"), ("locked", "because"), ("malformed", "because")]
+)
+def test_a_goal_that_is_declined_is_refused_in_words(desk: Desk, cause: str, words: str) -> None:
+    desk.goal(A)
+    desk.executor.decline(desk.executor.expect(Program), cause)
+    reply = desk.inbox.next("reply")
+    assert (reply["accepted"], reply["code"], reply["message"]) == (False, codes.INVALID_GOAL, words)
+
+
+@pytest.mark.parametrize("mode", ["starting", "fault", "stopped"])
+def test_a_mode_that_takes_no_goal_refuses_it_with_its_reason(desk: Desk, mode: str) -> None:
+    desk.show(mode=mode, reason="because")
+    desk.goal(A)
+    assert desk.inbox.next("reply")["message"] == f"the arm is {mode}: because"
+
+
+def test_a_cancel_bars_what_came_before_it_and_nothing_that_comes_after(desk: Desk) -> None:
+    desk.goal(A, name="before")
+    program = desk.executor.expect(Program)
+    desk.planning.cancel(desk.inbox.replying("canceled"))
+    desk.goal(B, name="after")
+    cancel = desk.executor.expect(Cancel)
+    assert (cancel.program, cancel.reason) == (None, "canceled; the arm holds")
+    desk.executor.decline(program, "epoch")
+    assert desk.inbox.next("reply")["message"] == BARRED
+    desk.executor.answer(cancel, "there was no goal to cancel; the arm holds")
+    assert desk.inbox.next("canceled")["message"] == "there was no goal to cancel; the arm holds"
+    after = desk.executor.expect(Program)
+    assert (after.epoch, after.name) == (2, "goal after")
+
+
+def test_a_cancel_ends_the_running_goal(desk: Desk) -> None:
+    program = taken(desk, A, B)
+    desk.planning.cancel(desk.inbox.replying("canceled"))
+    cancel = desk.executor.expect(Cancel, Replacement)
+    desk.executor.end(program, "canceled", cancel.reason, mark=0)
+    result = desk.inbox.next("result")
+    assert (result["status"], result["code"], result["message"]) == ("canceled", -1, "canceled; the arm holds")
+    desk.executor.answer(cancel, "canceled")
+    assert desk.inbox.next("canceled") == {"accepted": True, "code": 0, "message": "canceled"}
+
+
+@pytest.mark.parametrize(("status", "code"), [("aborted", -4), ("replaced", -1), ("canceled", -1)])
+def test_an_end_before_the_last_waypoint_is_told_with_its_reason(desk: Desk, status: str, code: int) -> None:
+    program = taken(desk, A, B)
+    desk.executor.end(program, status, "words", mark=-1)
+    result = desk.inbox.next("result")
+    assert (result["status"], result["code"], result["message"]) == (status, code, "words")
+    assert result["configuration"] == "0000"
+
+
+def test_stop_and_reset_go_straight_to_the_executor(desk: Desk) -> None:
+    desk.planning.stop(desk.inbox.replying("stop"))
+    halt = desk.executor.expect(Halt)
+    desk.executor.answer(halt, "stopped; the arm holds until reset", mode="stopped", reason="emergency stop")
+    assert desk.inbox.next("stop")["message"] == "stopped; the arm holds until reset"
+    desk.settle()
+    desk.planning.reset(desk.inbox.replying("reset"))
+    reset = desk.executor.expect(Reset)
+    desk.executor.answer(reset, "resetting", mode="starting", reason="booting")
+    assert desk.inbox.next("reset")["accepted"]
+
+
+def test_a_second_goal_of_the_running_id_is_refused(desk: Desk) -> None:
+    taken(desk, A, B, step=10)
+    desk.goal(C)
+    assert "is running already" in desk.inbox.next("reply")["message"]
+
+
+def test_an_executor_that_dies_aborts_the_goal_once_and_its_late_result_is_acknowledged(desk: Desk) -> None:
+    program = taken(desk, A, B, step=10)
+    desk.executor.drop()
+    result = desk.inbox.next("result")
+    assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
+    assert result["message"] == "the executor closed the connection; the arm holds"
+    eventually(lambda: desk.link.connected and desk.link.snapshot)
+    ended = desk.executor.end(program, "aborted", "the planner is gone", mark=-1)
+    assert desk.executor.expect(Acknowledge, Hello, Replacement).result == ended.result
+    assert desk.inbox.empty
+
+
+def test_the_result_of_another_run_of_the_planner_is_published(desk: Desk) -> None:
+    program = taken(desk, A)
+    desk.planning._goals._goals.clear()  # as if it had been sent by a planner that is gone
+    desk.executor.show(outputs=program.stages[-1].states)
+    ended = desk.executor.end(program)
+    result = desk.inbox.next("result")
+    assert (result["id"], result["status"], result["error"] <= 0.002) == ("a", "succeeded", True)
+    assert desk.executor.expect(Acknowledge).result == ended.result
+
+
+def test_a_tip_off_its_path_ends_the_goal(desk: Desk) -> None:
+    points = [desk.tip(0, 0, 0, 0), desk.tip(0, 0, 0, 7)]
+    waypoints = [{"t": 2.0 * k, "position": p} for k, p in enumerate(points)]
+    desk.raw({"id": "p", "waypoints": waypoints, "path_tolerance": 0.15, "tolerance": {"position": 0.05}})
+    program = desk.executor.expect(Program)
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+    away = desk.bits(3, 3, 3, 3).to_bytes(2, "little")
+    desk.executor.run(program, 0, measured=away)
+    desk.inbox.next("feedback")
+    cancel = desk.executor.expect(Cancel, Replacement)
+    assert cancel.program == program.program
+    desk.executor.end(program, "canceled", cancel.reason, mark=0, measured=away)
+    result = desk.inbox.next("result")
+    assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
+    assert result["message"].startswith("after waypoints[0] the measured tip is ")
+    desk.settle()
+    assert "left its path" in desk.planning.state()["reason"]
+
+
+def test_a_goal_of_a_configuration_is_reached_by_that_one_only(desk: Desk) -> None:
+    for name, status in (("1200", "succeeded"), ("1201", "aborted")):
+        desk.raw({"id": name, "waypoints": [{"configuration": "1200"}]})
+        program = desk.executor.expect(Program, Replacement, Acknowledge)
+        assert program.stages[-1].states == desk.bits(1, 2, 0, 0).to_bytes(2, "little")
+        desk.executor.accept(program)
+        assert desk.inbox.next("reply")["accepted"]
+        at = desk.bits(*map(int, name)).to_bytes(2, "little")
+        desk.executor.run(program, 0, measured=at)
+        desk.inbox.next("feedback")
+        desk.executor.end(program)
+        assert desk.inbox.next("result")["status"] == status
+        desk.show(outputs=0)
+
+
+def test_a_plan_query_is_answered_while_goals_wait(desk: Desk) -> None:
+    desk.goal(A)
+    program = desk.executor.expect(Program)  # the planner waits for the executor's answer
+    payload = json.dumps({"waypoints": [{"position": desk.tip(*B)}]}).encode()
+    desk.planning.plan(payload, desk.inbox.replying("plan"))
+    answer = desk.inbox.next("plan")
+    assert answer["accepted"]
+    assert [w["t"] for w in answer["waypoints"]] == [0]
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+
+
+def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
+    desk.goal(A)
+    program = desk.executor.expect(Program)
+    for _ in range(16):
+        desk.goal(B)
+    desk.planning.goal(b"{}", desk.inbox.replying("flood"))
+    assert desk.inbox.next("flood")["message"] == "busy: 16 goals are waiting to be planned already"
+    desk.planning.goal(b" " * 2_000_000, desk.inbox.replying("flood"))
+    assert "2000000 bytes" in desk.inbox.next("flood")["message"]
+    desk.planning.cancel(desk.inbox.replying("canceled"))
+    desk.executor.decline(program, "epoch")
+    cancel = desk.executor.expect(Cancel)
+    assert [desk.inbox.next("reply")["message"] for _ in range(17)] == [BARRED] * 17
+    desk.executor.answer(cancel, "canceled")
+
+
+def test_closing_ends_the_running_goal_with_a_result(desk: Desk) -> None:
+    program = taken(desk, A, B, step=10)
+    closing = threading.Thread(target=desk.planning.close)
+    closing.start()
+    cancel = desk.executor.expect(Cancel, Replacement)
+    desk.executor.end(program, "canceled", cancel.reason, mark=-1)
+    result = desk.inbox.next("result")
+    closing.join()
+    assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
