@@ -20,12 +20,12 @@ class Commit:
 
     Attributes:
         failed: why the last commit failed; None if it did not.
+        switched: masks of actuators, with the real time when their SYNC was known to have left [s].
 
     Args:
         links: by name of the bus.
         outputs: of all boards; they change when a SYNC has left.
         refusal: returns why nothing may be switched, or None.
-        switched: called with a mask of actuators and the time when their SYNC has left.
         longest: a commit that takes longer is given up [s, real time]: its SYNC would come too late.
     """
 
@@ -34,12 +34,12 @@ class Commit:
         links: Mapping[str, Link],
         outputs: Outputs,
         refusal: Callable[[], str | None],
-        switched: Callable[[int, float], None],
         longest: float,
     ) -> None:
         self.failed: str | None = None
+        self.switched: list[tuple[int, float]] = []
         self._links, self._outputs, self._longest = links, outputs, longest
-        self._refusal, self._switched = refusal, switched
+        self._refusal = refusal
         self._states = 0
         self._began = 0.0
         self._rpdos: dict[str, dict[Frame, int]] = {}  # of each bus, frames that have not left, with their index
@@ -134,7 +134,7 @@ class Commit:
         if bus in self._syncs:
             self._syncs.remove(bus)
             if mask := self._outputs.switched(bus, self._states):
-                self._switched(mask, clock)
+                self.switched.append((mask, clock))
 
     def _give_up(self, why: str) -> None:
         self._rpdos = {}

@@ -14,10 +14,7 @@ from drivers.canopen.wiring import BusSettings
 
 _MOST_UNSENT = 4  # queued frames that are on their way at once; a SocketCAN interface holds 10 by default
 _UNUSABLE = ("closed", "down", "bus-off")
-_WHY = {
-    "bus-off": "the controller is bus-off after too many errors; check cable, termination, bit rate",
-    "down": "the interface is down; it is opened again until it works",
-}
+_BUS_OFF = "the controller is bus-off after too many errors; check cable, termination, bit rate"
 
 
 class Outgoing:
@@ -123,18 +120,15 @@ class Link:
         self._queue.append(outgoing)
         self._pump(now)
 
-    def received(self, size: int) -> None:
-        """Counts a received frame of so many bytes of data."""
-        self._meter.received(size)
+    def received(self, bits: int) -> None:
+        """Counts a received frame of so many bits."""
+        self._meter.received(bits)
         if self.state == "bus-off":  # the error frame of its restart was lost
             self.state = "active"
 
-    def ignored(self, bits: int | None = None) -> None:
-        """Counts a frame without a meaning, of so many bits if it was not counted as received."""
+    def ignored(self) -> None:
+        """Counts a received frame without a meaning."""
         self._ignored += 1
-        if bits is not None:
-            self.received(0)
-            self._meter.received_bits(bits)
 
     def echoed(self, frame: Frame, now: float) -> bool:
         """Takes a frame that left this computer; returns whether it was ours."""
@@ -173,7 +167,7 @@ class Link:
         if state is None:
             return None
         if state in ("down", "bus-off"):
-            return self._lose(state, why or _WHY[state], now)
+            return self._lose(state, why or (_BUS_OFF if state == "bus-off" else "the interface is down"), now)
         if self.state in ("down", "closed"):  # it was opened again
             self.pending.forget()
             self.clear()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.canopen import cia301
 
-_BITS = tuple(cia301.wire_bits(size) for size in range(9))
+BITS = tuple(cia301.wire_bits(size) for size in range(9))  # of a frame with so many bytes of data
 
 
 class Meter:
@@ -26,20 +26,15 @@ class Meter:
     def sent(self, size: int) -> None:
         """Counts a frame of ours of so many bytes of data."""
         self.tx_frames += 1
-        self._bits += _BITS[min(size, 8)]
+        self._bits += BITS[min(size, 8)]
 
     def unsent(self, size: int) -> None:
         """Takes back a frame of ours that could not be sent."""
         self.tx_frames -= 1
-        self._bits -= _BITS[min(size, 8)]
+        self._bits -= BITS[min(size, 8)]
 
-    def received(self, size: int) -> None:
-        """Counts a received frame of so many bytes of data."""
-        self.rx_frames += 1
-        self._bits += _BITS[min(size, 8)]
-
-    def received_bits(self, bits: int) -> None:
-        """Counts a received frame of another kind, of so many bits."""
+    def received(self, bits: int) -> None:
+        """Counts a received frame of so many bits."""
         self.rx_frames += 1
         self._bits += bits
 

@@ -18,6 +18,7 @@ class Outputs:
     def __init__(self, layout: Layout) -> None:
         self.states = 0
         self._frames = layout.frames
+        self._actuators = sum(frame.actuators for frame in layout.frames)
         self._image = [0] * len(layout.frames)
         # What the boards take over with the next SYNC. None: unknown, so the frame is sent before any SYNC.
         self._latched: list[int | None] = [None] * len(layout.frames)
@@ -38,7 +39,12 @@ class Outputs:
 
         A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames whose
         latched bytes are unknown or others are sent, for the SYNC switches them as well.
+
+        Raises:
+            ValueError: a bit of `states` is no actuator's.
         """
+        if states & ~self._actuators or states < 0:
+            raise ValueError(f"states {states:#x}: there are {self._actuators.bit_count()} actuators")
         buses: set[str] = set()
         stale: list[int] = []
         for i, frame in enumerate(self._frames):

@@ -8,8 +8,15 @@ from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Fault
 from drivers.canopen.layout import RpdoFrame
+from drivers.canopen.network import Network
 from drivers.canopen.station import Station
 from drivers.canopen.wiring import MASTER
+
+
+def receptions(network: Network, rebooted: Callable[[Station, float], None]) -> dict[str, Reception]:
+    """Returns a reception for each bus, by its name; `rebooted` is called with a board that has started anew."""
+    frames, stations, report = network.layout.frames, network.stations, network.log.report
+    return {bus: Reception(bus, frames, stations, rebooted, report) for bus in network.links}
 
 
 class Reception:

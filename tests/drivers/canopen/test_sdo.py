@@ -1,0 +1,152 @@
+"""The SDO client against answers that a test makes up."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen import objects
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.faults import Fault
+from drivers.canopen.link import Link
+from drivers.canopen.objects import Entry
+from drivers.canopen.procedure import Runner
+from drivers.canopen.wiring import BusSettings
+
+TYPE = b"\x43\x00\x10\x00\x91\x01\x02\x00"
+OTHER = b"\x4f\x00\x62\x01\x01\x00\x00\x00"
+ABORT_OF_OTHER = b"\x80\x29\x10\x01\x00\x00\x02\x06"
+
+
+class Line:
+    """A bus whose answers to each request are given beforehand; None: it takes no frame."""
+
+    def __init__(self, *answers: list[bytes] | None) -> None:
+        self.sent: list[Frame] = []
+        self.link = Link(BusSettings("can0", "none", ""), lambda bus, frame: self.sent.append(frame), 10.0)
+        self.link.changed("active", "", None, 0.0)
+        self.runner = Runner(5, self.link)
+        self.answers, self.now, self.requests = list(answers), 0.0, list[str]()
+        self.value: object = None
+        self.fault: Fault | None = None
+
+    def run(self, steps) -> object:
+        """Runs a part of a procedure to its end; returns its value, or its fault."""
+
+        def procedure():
+            self.value = yield from steps
+
+        def ended(fault: Fault | None, now: float) -> None:
+            self.fault = fault
+
+        self.runner.start(procedure(), ended, self.now)
+        while self.runner.running:
+            self.hand_over()
+            self.now += 0.01
+            self.link.tick(self.now, self.now)
+            self.runner.tick(self.now)
+            assert self.now < 100
+        return self.fault or self.value
+
+    def hand_over(self) -> None:
+        while self.sent:
+            frame = self.sent.pop(0)
+            self.requests.append(frame.data.hex(" "))
+            if frame.data[0] == 0x80:
+                continue  # an abort wants no answer
+            answers = self.answers.pop(0) if self.answers else []
+            if answers is None:
+                self.link.send_failed(frame, self.now)
+                continue
+            for answer in answers:
+                self.runner.receive_sdo(answer, self.now)
+                self.runner.check(self.now)
+
+
+@pytest.mark.parametrize("first", [[], [OTHER], [ABORT_OF_OTHER], [OTHER, TYPE], None])
+def test_asks_again_if_the_answer_is_late_or_missing_or_the_bus_full(first):
+    assert Line(first, [TYPE]).run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+
+
+def test_late_answers_to_another_object_are_dropped():
+    late = [b"\x60\x17\x10\x00\0\0\0\0", ABORT_OF_OTHER, OTHER, b"\x4f\x00\x10\x01\0\0\0\0"]
+    line = Line([*late, TYPE])
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+    assert line.now < 0.1
+
+
+def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another_no_confirmation():
+    entry = Entry(0x1017, 0, 600, size=2)
+    fault = Line([ABORT_OF_OTHER], [ABORT_OF_OTHER]).run(objects.write("can0/5", entry))
+    assert fault.code == "board-missing"
+    fault = Line([b"\x60\x16\x10\x01\0\0\0\0", b"\x80\x17\x10\x00\x30\x00\x09\x06"]).run(objects.write("can0/5", entry))
+    assert fault.code == "sdo-refused"
+    assert fault.message == "board can0/5 refuses 0258h in 1017h sub 0: value out of range (abort 06090030h)"
+
+
+def test_an_answer_to_a_read_is_none_to_a_write():
+    entry = Entry(0x6200, 1, 7)
+    fault = Line([OTHER], [OTHER]).run(objects.write("can0/5", entry))
+    assert fault.code == "board-missing"
+
+
+def test_gives_up_after_two_attempts():
+    line = Line()
+    fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
+    assert fault.code == "board-missing"
+    assert "can0/5 does not answer to 1000h sub 0: no SDO answer within 0.5 s, asked 2 times" in fault.message
+    assert line.requests == ["40 00 10 00 00 00 00 00"] * 2
+    assert 0.9 < line.now < 1.2
+
+
+def test_gives_up_if_the_bus_takes_no_frame():
+    line = Line(*[None] * 1000)
+    fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
+    assert fault.code == "board-missing"
+    assert 0.9 < line.now < 1.2
+
+
+@pytest.mark.parametrize("absent", [0x06020000, 0x06090011])
+def test_an_absent_optional_object_counts_as_written_and_as_right(absent):
+    abort = b"\x80\x06\x10\x00" + absent.to_bytes(4, "little")
+    entry = Entry(0x1006, 0, 0, size=4, optional=True)
+    assert Line([abort]).run(objects.write("can0/5", entry)) is None
+    assert Line([abort]).run(objects.holds("can0/5", entry)) is True
+
+
+def test_a_value_without_its_size_is_cut():
+    assert Line([b"\x42\x00\x62\x01\x07\xff\xff\xff"]).run(objects.read("can0/5", 0x6200, 1)) == 7
+
+
+def test_a_number_in_segments_is_read():
+    answers = [[b"\x41\x00\x10\x00\x04\x00\x00\x00"], [b"\x07\x91\x01\x02\x00\x00\x00\x00"]]
+    line = Line(*answers)
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+    assert line.requests == ["40 00 10 00 00 00 00 00", "60 00 00 00 00 00 00 00"]
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        [b"\x4b\x00\x62\x01\x07\x01\x00\x00"],
+        [b"\x41\x00\x62\x01\x06\x00\x00\x00", b"\x03\x01\x02\x03\x04\x05\x06\x00"],
+    ],
+    ids=["two bytes", "six bytes in a segment"],
+)
+def test_a_value_of_another_size_is_another_device(answers):
+    fault = Line(*([answer] for answer in answers)).run(objects.read("can0/5", 0x6200, 1))
+    assert fault.code == "wrong-device"
+    assert "bytes to 6200h sub 1; 1 are needed" in fault.message
+
+
+def test_segments_without_end_are_given_up():
+    segments = [[bytes([0x10 * (k % 2), *range(7)])] for k in range(1000)]
+    line = Line([b"\x40\x00\x62\x01\0\0\0\0"], *segments)
+    fault = line.run(objects.read("can0/5", 0x6200, 1))
+    assert "longer than 8 segments" in fault.message
+    assert line.requests[-1] == "80 00 62 01 05 00 04 05"
+
+
+def test_a_segment_that_does_not_come_is_aborted_and_all_is_asked_again():
+    line = Line([b"\x40\x00\x62\x01\0\0\0\0"], [], [OTHER])
+    assert line.run(objects.read("can0/5", 0x6200, 1)) == 1
+    assert line.requests[2:] == ["80 00 62 01 00 00 04 05", "40 00 62 01 00 00 00 00"]
