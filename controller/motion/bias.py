@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from controller.motion.codes import OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.goal import Coordinate, Time, refusal
+from controller.motion.kalman import kalman_filter
 from controller.motion.setpoint import parse
 from controller.motion.tracking import GATES
 
@@ -68,11 +69,9 @@ class Walk:
     """A bias that walks at random: a Kalman filter without any motion but that."""
 
     def __init__(self, dimension: int, tracker: Tracker) -> None:
-        """Builds the matrices, and imports filterpy, which takes most of a second."""
-        from filterpy.kalman import KalmanFilter
-
+        """Builds the matrices, and imports filterpy."""
         self._dimension, self._tracker = dimension, tracker
-        self._kalman = KalmanFilter(dimension, dimension)
+        self._kalman = kalman_filter(dimension, dimension)
         self._kalman.F = self._kalman.H = np.eye(dimension)
         self._kalman.R = tracker.noise**2 * np.eye(dimension)
         self.time, self.updates = -math.inf, 0

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from controller.motion.codes import OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.goal import refusal
 from controller.motion.goal_motion import Tracking
+from controller.motion.kalman import kalman_filter, white_noise
 
 Vector = NDArray[np.float64]
 
@@ -39,13 +40,10 @@ class ConstantVelocity:
     """
 
     def __init__(self, dimension: int, tracking: Tracking) -> None:
-        """Builds the matrices, and imports filterpy, which takes most of a second."""
-        from filterpy.common import Q_discrete_white_noise
-        from filterpy.kalman import KalmanFilter
-
+        """Builds the matrices, and imports filterpy."""
         self.time, self.updates = 0.0, 0
-        self._dimension, self._tracking, self._white_noise = dimension, tracking, Q_discrete_white_noise
-        self._kalman = KalmanFilter(2 * dimension, dimension)
+        self._dimension, self._tracking = dimension, tracking
+        self._kalman = kalman_filter(2 * dimension, dimension)
         self._kalman.H = np.eye(dimension, 2 * dimension)
         self._kalman.R = tracking.noise**2 * np.eye(dimension)
         self._start = np.diag(np.repeat([tracking.noise**2, tracking.speed**2], dimension))
@@ -81,7 +79,7 @@ class ConstantVelocity:
         """Returns F and Q from the last update to `time`."""
         d, elapsed = self._dimension, time - self.time
         transition = np.eye(2 * d) + elapsed * np.eye(2 * d, k=d)
-        noise = self._white_noise(2, elapsed, self._tracking.acceleration**2, d, order_by_dim=False)
+        noise = white_noise(d, elapsed, self._tracking.acceleration**2)
         return transition, noise
 
 
