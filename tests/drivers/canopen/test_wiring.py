@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.layout import lay_out
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+
+CAN0 = BusSettings("can0", "virtual", "x")
+
+
+@pytest.mark.parametrize(
+    ("channel", "words"),
+    [
+        (("a", "can0", 0, 0, 0), "node 0 is not in 1..126"),
+        (("a", "can0", 127, 0, 0), "127 is the master"),
+        (("a", "can0", 1, 64, 0), "output 64 is not in 0..63"),
+        (("a", "can0", 1, 0, -1), "input -1 is not in 0..63"),
+    ],
+)
+def test_a_channel_out_of_range_is_refused(channel, words):
+    with pytest.raises(ValueError, match=words):
+        Channel(*channel)
+
+
+@pytest.mark.parametrize(
+    ("channels", "words"),
+    [
+        ([("a", "can1", 1, 0, 0)], "bus can1 is not one of can0"),
+        ([("a", "can0", 1, 0, 0), ("a", "can0", 1, 1, 1)], "actuator a is there twice"),
+        ([("a", "can0", 1, 0, 0), ("b", "can0", 1, 0, 1)], "output can0/1 output 0 is there twice"),
+        ([("a", "can0", 1, 0, 0), ("b", "can0", 1, 1, 0)], "input can0/1 input 0 is there twice"),
+    ],
+)
+def test_a_wiring_that_contradicts_itself_is_refused(channels, words):
+    with pytest.raises(ValueError, match=words):
+        Wiring((CAN0,), tuple(Channel(*c) for c in channels))
+
+
+@pytest.mark.parametrize(
+    "times", [{"heartbeat": 0}, {"heartbeat": 0.4}, {"heartbeat_timeout": 70}, {"travel_time": -1}]
+)
+def test_times_out_of_range_are_refused(times):
+    with pytest.raises(ValueError, match=next(iter(times))):
+        Timing(**times)
+
+
+def test_the_layout_follows_the_wiring_not_its_order():
+    channels = (Channel("b", "can0", 9, 12, 3), Channel("a", "can0", 2, 0, None), Channel("c", "can0", 9, 1, 40))
+    layout = lay_out(Wiring((CAN0,), channels))
+    left, right = layout.boards
+    assert [b.name for b in layout.boards] == ["can0/2", "can0/9"]
+    assert (left.outputs, left.inputs, left.tpdo, left.actuators, left.sensed) == ((1,), (), None, 0b010, 0)
+    assert (right.outputs, right.inputs, right.actuators, right.sensed) == ((1, 2), (1, 6), 0b101, 0b101)
+    assert right.ends == ((0b001, 1 << 3), (0b100, 1 << 8))
+    assert right.rpdo == (0x1400, 0x209, (0x62000108, 0x62000208))
+    assert right.tpdo == (0x1800, 0x189, (0x60000108, 0x60000608))
+    assert layout.frames[1].bits == ((0b001, 1 << 12), (0b100, 1 << 1))
+    assert layout.board_of == (1, 0, 1)
