@@ -1,4 +1,4 @@
-"""An executor on boards that live in memory, on a clock that the test sets, with a planner that says what it is told."""
+"""An executor on boards that live in memory, on a clock that the test sets, with a planner that the test plays."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ class FakeMaster:
         self.halt: Fault | None = None
         self.broken: set[str] = set()
         self.ticks: list[float] = []
+        self.left: list[tuple[float, int]] = []  # when which actuators were switched
         self._target = 0
         self._arrivals: list[tuple[float, int, int]] = []
         self._faults: list[Fault] = []
@@ -92,6 +93,8 @@ class FakeMaster:
             self.commit_failed = "one bus failed" if self.partly else None
             self._arrivals.append((now + 0.8 * TRAVEL, mask, self.outputs))
             self._switched.append((mask, now))
+            if mask:
+                self.left.append((now, mask))
 
     def halted(self, now: float) -> Fault | None:
         halt, self.halt = self.halt, None

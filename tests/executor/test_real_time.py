@@ -1,0 +1,80 @@
+"""Real time as the unit gives it or the file asks for it, permitted or not."""
+
+import os
+import resource
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from controller.executor import real_time
+from controller.executor.real_time import enter_real_time, leave_real_time
+from controller.settings import RealTimeSettings
+
+
+def in_thread(work: Callable[[], None]) -> None:
+    """Does it in a thread of its own, whose policy is not the test's."""
+    failures: list[BaseException] = []
+
+    def guarded() -> None:
+        try:
+            work()
+        except BaseException as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=guarded)
+    thread.start()
+    thread.join()
+    if failures:
+        raise failures[0]
+
+
+def policy() -> int:
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+
+
+def locked() -> int:
+    """Locked memory [kB]."""
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmLck"))
+    return int(line.split()[1])
+
+
+def test_nothing_is_asked_by_default() -> None:
+    assert (enter_real_time(None), policy()) == ("off", os.SCHED_OTHER)
+
+
+@pytest.mark.parametrize("by_unit", [False, True])
+def test_the_process_goes_first_and_memory_is_locked(by_unit: bool) -> None:
+    def work() -> None:
+        if by_unit and real_time.raise_priority(7) is not None:
+            pytest.skip("not permitted")
+        status = enter_real_time(None if by_unit else RealTimeSettings(priority=7))
+        try:
+            if status != "on":
+                pytest.skip(status)
+            assert (policy(), os.sched_getparam(0).sched_priority) == (os.SCHED_FIFO, 7)
+            in_thread(lambda: policies.append(policy()))
+            assert locked() > 10_000
+        finally:
+            leave_real_time()
+        assert locked() < 10_000
+
+    policies: list[int] = []
+    in_thread(work)
+    assert policies == [os.SCHED_OTHER]
+
+
+def test_what_is_not_permitted_is_said_and_gone_without(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(real_time, "may_lock_all", lambda: False)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (8 << 20, 8 << 20))
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    status = enter_real_time(RealTimeSettings())
+    assert "SCHED_FIFO with priority 50 is not permitted: CPUSchedulingPolicy=fifo" in status
+    assert "memory can be locked up to 8388608 bytes only: LimitMEMLOCK=infinity" in status
+    assert len(caplog.records) == 2
