@@ -1,13 +1,14 @@
 """The executor's process: `python -m controller.executor ARM.yaml --socket PATH`; see `hyperbit execute`."""
 
 import argparse
+import contextlib
 import secrets
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 from controller.executor.arm import read_arm
-from controller.executor.buses import CanBuses, EmbeddedBoards
+from controller.executor.buses import Buses, CanBuses, EmbeddedBoards
 from controller.executor.core import Executor
 from controller.executor.fault_lines import FaultLines
 from controller.executor.log_output import start_logging
@@ -62,22 +63,20 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     arm = read_arm(file)
     if simulate:
         arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + PATIENCE))
-    listener = start_logging()
-    try:
-        server = Server(socket_path(socket, arm.name))
+    with contextlib.ExitStack() as closing:  # the log last
+        closing.callback(start_logging().stop)
         counts = FileJournal(journal or default_path(arm.name), arm.actuators)
+        closing.callback(counts.close)
+        server = Server(socket_path(socket, arm.name))
         notifier = Notifier()
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         core.reports.real_time = enter_real_time(arm.real_time)
+        buses: Buses = CanBuses(arm.wiring.buses)
+        lines = None
         if simulate:
-            boards = EmbeddedBoards(arm.wiring, arm.timing)
-            loop = EventLoop(core, boards, server, notifier, FaultLines(boards.boards))
-        else:
-            loop = EventLoop(core, CanBuses(arm.wiring.buses), server, notifier)
-        loop.run_until_signal()
-        counts.close()
-    finally:
-        listener.stop()
+            buses = boards = EmbeddedBoards(arm.wiring, arm.timing)
+            lines = FaultLines(boards.boards)
+        EventLoop(core, buses, server, notifier, lines).run_until_signal()
 
 
 if __name__ == "__main__":
