@@ -1,0 +1,55 @@
+"""Runs worlds of an executor on a simulated clock: `python -m tests.simulation --seed N --steps M`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+
+from tests.simulation.world import World
+
+STEPS_A_SEED = 20_000
+MOST_FAILED = 20  # seeds; then it ends
+
+
+def main() -> int:
+    """Runs one seed, or as many as the steps need; returns 1 if one fails."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, help="run this seed only; otherwise many seeds, from 0 on")
+    parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="in all")
+    parser.add_argument("--first", type=int, default=0, help="first of many seeds")
+    options = parser.parse_args()
+    began, steps, seed = time.monotonic(), 0, options.first if options.seed is None else options.seed
+    counts: Counter[str] = Counter()
+    failed: list[int] = []
+    while steps < options.steps and len(failed) < MOST_FAILED:
+        most = options.steps - steps if options.seed is not None else min(STEPS_A_SEED, options.steps - steps)
+        world = World(seed)
+        try:
+            world.run(most)
+        except Exception as error:
+            failed.append(seed)
+            if options.seed is not None:
+                print(world.story())
+                print(f"seed {seed}, step {world.agenda.steps}: {type(error).__name__}: {error}")
+                print(world.arm)
+                raise
+            print(f"seed {seed}, step {world.agenda.steps}: {type(error).__name__}: {error}", flush=True)
+        steps += world.agenda.steps
+        counts += world.record.counts + world.trouble.made
+        counts += Counter({f"sent {kind}": count for kind, count in world.planner.sent.items()})
+        counts["simulated seconds"] += round(world.agenda.now - 1000.0)
+        if options.seed is not None:
+            break
+        seed += 1
+    seeds = f"seed {seed}" if options.seed is not None else f"seeds {options.first} to {seed - 1}"
+    print(f"{steps} steps, {seeds}, {time.monotonic() - began:.0f} s")
+    for name, count in sorted(counts.items()):
+        print(f"  {name}: {count}")
+    print(f"failed seeds: {failed}" if failed else "no invariant was violated")
+    return bool(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

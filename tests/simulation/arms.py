@@ -1,0 +1,52 @@
+"""Arms drawn at random: wiring, times and bounds."""
+
+from __future__ import annotations
+
+from random import Random
+
+from controller.executor.arm import ExecutedArm
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+
+
+def draw_arm(random: Random) -> ExecutedArm:
+    """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses."""
+    rates = [125_000, 500_000, 1_000_000]  # [bit/s]
+    buses = [BusSettings(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
+    del buses[random.choice([1, 1, 2]) :]
+    channels = []
+    for node in range(1, random.randint(1, 4) + 1):
+        bus = buses[node % len(buses)].name
+        outputs = random.sample(range(12), random.randint(1, 3) + (node == 1))
+        for output in outputs:
+            end_stop = output if random.random() < 0.8 else None
+            channels.append(Channel(f"{node}.{output}", bus, node, output, end_stop))
+    used = {channel.bus for channel in channels}
+    count = len(channels)
+    wiring = Wiring(
+        buses=tuple(bus for bus in buses if bus.name in used),
+        channels=tuple(channels),
+        on_loss=random.choice(["hold", "hold", "contract"]),
+        shared_rpdo=random.random() < 0.3,
+    )
+    heartbeat = random.choice([0.02, 0.05, 0.1])
+    timing = Timing(
+        heartbeat=heartbeat,
+        heartbeat_timeout=round(3.5 * heartbeat, 3),
+        boot_timeout=random.choice([0.5, 1.0]),
+        travel_time=random.choice([0.02, 0.05, 0.2]),
+        settle_margin=random.choice([0.03, 0.05]),
+    )
+    locked = random.getrandbits(count) & random.getrandbits(count) & random.getrandbits(count)
+    locked = locked if random.random() < 0.2 and locked != (1 << count) - 1 else 0
+    return ExecutedArm(
+        name="simulated",
+        actuators=tuple(channel.actuator for channel in channels),
+        wiring=wiring,
+        timing=timing,
+        inrush=random.choice([None, 1, 2, 3]),
+        rest=random.choice([0.0, 0.0, 0.05, 0.3]),
+        locked=locked,
+        locked_states=0,
+        continue_on_stuck=random.random() < 0.4,
+        digest=64 * "0",
+    )

@@ -1,0 +1,154 @@
+"""A model of one CAN bus and of the controller through which the executor reaches it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from random import Random
+
+from drivers.canopen.cia301 import Frame, split, wire_bits
+from drivers.canopen.events import Changed, Echoed, Event, Received
+from tests.simulation.agenda import Agenda
+
+MAILBOXES = 3  # of the controller; frames in them compete by identifier
+CAPACITY = 13  # frames in mailboxes and queue; Linux gives a CAN interface a queue of 10 frames
+SDO_ANSWER = 0x580
+
+
+class BusModel:
+    """One bus: one frame at a time, the lowest identifier first, each as long as its bits.
+
+    Frames of the executor wait in a queue in front of the controller's mailboxes. Its faults are attributes that the
+    world changes, and the four methods at the end.
+
+    Attributes:
+        capacity: frames of the executor that may wait; a further one is refused.
+        acknowledged: whether any node acknowledges the executor's frames; if not, they stay in the controller,
+            and it hears none.
+        loss: share of the frames that their receiver loses after they have left.
+        duplication: share of the frames that their receiver gets twice.
+        answer_delay: longest delay of the boards' SDO answers [s].
+
+    Args:
+        name: of the bus.
+        bitrate: [bit/s].
+        agenda: time.
+        random: for loss, duplication and delays.
+        to_boards: takes a frame of the executor when it has left, and whether the boards lose it.
+        to_executor: takes an event.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        bitrate: int,
+        agenda: Agenda,
+        random: Random,
+        to_boards: Callable[[str, Frame, bool], None],
+        to_executor: Callable[[Event], None],
+    ) -> None:
+        self.name, self.state = name, "active"
+        self.capacity, self.acknowledged = CAPACITY, True
+        self.loss = self.duplication = self.answer_delay = 0.0
+        self._bitrate, self._agenda, self._random = bitrate, agenda, random
+        self._to_boards, self._to_executor = to_boards, to_executor
+        self._queue: deque[Frame] = deque()  # of the executor; the first ones are in the mailboxes
+        self._boards: deque[Frame] = deque()
+        self._on_wire: tuple[Frame, bool] | None = None  # and whether it is the executor's
+
+    @property
+    def healthy(self) -> bool:
+        """Whether frames of the executor leave, now and at once."""
+        return self._connected and self.capacity == CAPACITY
+
+    @property
+    def _connected(self) -> bool:
+        return self.state in ("active", "passive") and self.acknowledged
+
+    def send(self, frame: Frame) -> str | None:
+        """Takes a frame of the executor; returns why it is not sent, or None."""
+        if self.state == "down":
+            return "Network is down"
+        if len(self._queue) >= self.capacity:
+            return "No buffer space available"
+        self._queue.append(frame)
+        self._begin()
+        return None
+
+    def from_board(self, frame: Frame) -> None:
+        """Takes a frame of a board."""
+        if self.answer_delay and split(frame.id)[0] == SDO_ANSWER:
+            self._agenda.after(self._random.uniform(0.0, self.answer_delay), lambda: self._enqueue(frame))
+        else:
+            self._enqueue(frame)
+
+    # --- faults and their ends
+
+    def go_down(self) -> None:
+        """Takes the interface down: what waits in it is gone."""
+        self._queue.clear()
+        self._change("down", "the interface is down")
+
+    def go_off(self) -> None:
+        """Makes the controller bus-off: what waits in it stays there."""
+        self._change("bus-off", "")
+
+    def warn(self) -> None:
+        """Makes the controller error-passive, which stops nothing."""
+        if self.state == "active":
+            self._change("passive", "")
+
+    def restore(self) -> None:
+        """Makes everything as it should be."""
+        self.capacity, self.acknowledged = CAPACITY, True
+        self.loss = self.duplication = self.answer_delay = 0.0
+        if self.state != "active":
+            self._change("active", "")
+        self._begin()
+
+    def _change(self, state: str, why: str) -> None:
+        self.state = state
+        self._to_executor(Changed(self.name, state, why, (128, 0) if state == "passive" else None))
+        self._begin()
+
+    # --- the wire
+
+    def _enqueue(self, frame: Frame) -> None:
+        self._boards.append(frame)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Puts the next frame on the wire, if it is free."""
+        if self._on_wire is not None:
+            return
+        ours = list(self._queue)[:MAILBOXES] if self._connected else []
+        first = min(ours, key=lambda frame: frame.id, default=None)
+        other = min(self._boards, key=lambda frame: frame.id, default=None)
+        if first is not None and (other is None or first.id <= other.id):
+            self._queue.remove(first)
+            self._on_wire = first, True
+        elif other is not None:
+            self._boards.remove(other)
+            self._on_wire = other, False
+        else:
+            return
+        size = len(self._on_wire[0].data)
+        self._agenda.after(wire_bits(size) / self._bitrate, self._finish)
+
+    def _finish(self) -> None:
+        """Delivers the frame on the wire."""
+        assert self._on_wire is not None
+        (frame, ours), self._on_wire = self._on_wire, None
+        lost = self._random.random() < self.loss
+        twice = not lost and self._random.random() < self.duplication
+        if ours and not self._connected:
+            if self.state != "down":
+                self._queue.appendleft(frame)  # it stays in the controller
+        elif ours:
+            self._to_executor(Echoed(self.name, frame))
+            for _ in range(1 + twice):
+                self._to_boards(self.name, frame, lost)
+        elif self._connected and not lost:
+            for _ in range(1 + twice):
+                self._to_executor(Received(self.name, frame))
+        self._begin()

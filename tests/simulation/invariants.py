@@ -1,0 +1,180 @@
+"""What must hold at every step of the world, each as one function that raises `Violation` if it does not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from drivers.canopen import cia301
+from tests.simulation.record import LATE, RPDOS, Switch
+
+if TYPE_CHECKING:
+    from tests.simulation.world import World
+
+LONGEST_COMMIT = 0.5  # [s] from the first RPDO to the SYNC
+
+
+class Violation(AssertionError):
+    """An invariant does not hold."""
+
+
+def require(holds: object, text: str) -> None:
+    """Raises a `Violation` unless something holds."""
+    if not holds:
+        raise Violation(text)
+
+
+def outputs_change_only_as_asked(world: World) -> None:
+    """A SYNC switches the boards to a stage of the running program or the set-point, and never back to an old one."""
+    for switch in _by_sync(world):
+        mask, commit = switch.mask & ~world.record.suspect, switch.commit
+        if not mask:
+            continue
+        require(commit is not None, f"a SYNC without RPDOs switched {mask:b}")
+        assert commit is not None
+        fitting = [(k, states) for k, states in commit.candidates if not (states ^ switch.after) & mask]
+        require(fitting, f"{switch.mask:b} switched to {switch.after:b}; asked for were {commit.candidates}")
+        commit.candidates = fitting
+        if commit.running is not None:
+            commit.running.last = max(commit.running.last, fitting[0][0])
+
+
+def nothing_is_commanded_without_a_request(world: World) -> None:
+    """RPDOs and SYNCs are sent only while something is asked for, and a SYNC soon after its RPDOs."""
+    record = world.record
+    for bus, frame in record.step.frames:
+        if frame.id & 0x780 in RPDOS:
+            commit = record.commit
+            assert commit is not None
+            require(commit.candidates, f"{bus}: RPDO {frame.id:03X}h in mode {record.mode}, and no stage is due")
+        elif frame.id == cia301.SYNC:
+            commit = record.commit
+            require(commit is not None, f"{bus}: SYNC without RPDOs")
+            assert commit is not None
+            delay = world.agenda.now - commit.began
+            require(delay < LONGEST_COMMIT, f"{bus}: SYNC {delay:g} s after the RPDOs")
+        elif frame.id & 0x780 == cia301.SDO_REQUEST and len(frame.data) == 8:
+            written = frame.data[0] & 0xE0 == 0x20 and frame.data[1:3] == b"\x00\x62"
+            require(not written, f"{bus}: outputs were written by SDO")
+
+
+def outputs_fall_only_with_a_cause(world: World) -> None:
+    """Outputs change without a SYNC only by a fault of the world, or if a board did not hear the executor."""
+    timing, now = world.arm.timing, world.agenda.now
+    for switch in world.record.step.switches:
+        if switch.cause == "time":
+            since = now - world.record.disturbed_at[switch.bus]
+            excused = since < 2 * timing.heartbeat_timeout
+            require(excused, f"{switch.mask:b} fell on {switch.bus}, and nothing was wrong")
+        else:
+            require(switch.cause in ("SYNC", "fault"), f"{switch.mask:b} switched by {switch.cause}")
+
+
+def each_program_has_one_result(world: World) -> None:
+    """A result belongs to an accepted program, and is sent again only until it is acknowledged."""
+    record = world.record
+    for ended in record.step.ended:
+        key = record.instance, ended.program
+        require(key in record.programs, f"a result for program {ended.program}, which was not accepted")
+        require(record.results.setdefault(key, ended.result) == ended.result, f"two results of program {ended.program}")
+        acknowledged = (record.instance, ended.result) in record.acknowledged
+        require(not acknowledged, f"result {ended.result} was sent after it was acknowledged")
+        require(record.programs[key].context == ended.context, f"the result of program {ended.program} has its context")
+
+
+def programs_are_accepted_only_as_they_should_be(world: World) -> None:
+    """A program is accepted only in its epoch, from the outputs that the boards have, in a mode that allows it."""
+    record = world.record
+    for program, accepted in record.step.accepted:
+        number, begin = program.program, program.begin or world.agenda.now
+        require(abs(accepted.begin - begin) < LATE, f"program {number} begins at {accepted.begin:g}, not {begin:g}")
+        before = int.from_bytes(program.start, "little")
+        for states in (int.from_bytes(stage.states, "little") for stage in program.stages):
+            require((states ^ before).bit_count() <= world.most, f"program {number} switches too many at once")
+            require(not (states ^ before) & record.locked, f"program {number} switches a locked actuator")
+            before = states
+
+
+def epochs_and_modes_are_respected(world: World) -> None:
+    """An accepted program is of the epoch shown last."""
+    for program, _ in world.record.step.accepted:
+        require(program.epoch == world.epoch_before, f"program {program.program} is of epoch {program.epoch}")
+        require(world.mode_before in ("ready", "executing"), f"a program was accepted in mode {world.mode_before}")
+
+
+def switches_are_counted(world: World) -> None:
+    """The journal has each switch of a SYNC once: also of an executor that was killed, as soon as boards were asked."""
+    if not world.record.step.switches and not world.journal_changed():
+        return
+    journal, record = world.executor.journal, world.record
+    for k, (counted, synced, slack) in enumerate(zip(journal.counts, record.synced, record.slack, strict=True)):
+        open_ = world.intended >> k & 1
+        require(counted <= synced + slack, f"actuator {k} switched {synced} times, the journal has {counted}")
+        require(synced <= counted + slack + open_, f"actuator {k} switched {synced} times, the journal has {counted}")
+
+
+def heartbeats_do_not_pause(world: World) -> None:
+    """The executor's heartbeats leave on each bus, unless it stands still, is dead, or the bus does not work."""
+    record, now = world.record, world.agenda.now
+    for name, bus in world.buses.items():
+        if not bus.healthy or not world.executor.awake:
+            record.disturbed_at[name] = now
+        elif bus.loss or world.boards_silent:
+            record.disturbed_at[name] = now
+            continue
+        record.disturbed_at[name] = max(record.disturbed_at[name], world.executor.awake_since)
+        gap = now - max(record.last_heartbeat[name], record.disturbed_at[name])
+        require(gap <= world.arm.timing.heartbeat_timeout, f"{name}: no heartbeat of the executor for {gap:g} s")
+
+
+def inrush_and_rest_hold(world: World) -> None:
+    """No more actuators switch at once than the arm allows, no stage before the last one has settled, and all rest."""
+    record, arm, now = world.record, world.arm, world.agenda.now
+    for switch in _by_sync(world):
+        commit, mask = switch.commit, switch.mask & ~record.suspect
+        if commit is None or not mask:
+            continue
+        commit.switched |= mask
+        require(commit.switched.bit_count() <= world.most, f"{commit.switched:b} switched at once")
+        if record.last_commit is not None and record.last_commit[0] is not commit and arm.inrush is not None:
+            pause = now - record.last_commit[1]
+            require(pause >= arm.timing.travel_time - LATE, f"{mask:b} switched {pause:g} s after the stage before")
+        for k in range(len(arm.actuators)):
+            if mask >> k & 1:
+                pause = now - record.switched_at[k]
+                least = arm.timing.travel_time + arm.rest if arm.rest else 0.0
+                require(pause >= least - LATE, f"actuator {k} switched {pause:g} s after it switched last")
+                record.switched_at[k] = now
+        record.last_commit = commit, now
+
+
+def locked_actuators_never_switch(world: World) -> None:
+    """No SYNC switches an actuator that was locked when its RPDOs were sent."""
+    for switch in _by_sync(world):
+        if switch.commit is not None:
+            moved = switch.mask & switch.commit.locked & ~world.record.suspect
+            require(not moved, f"the locked actuators {moved:b} switched")
+
+
+def the_executor_has_no_defect(world: World) -> None:
+    """No internal error was caught."""
+    for text in world.record.step.errors:
+        raise Violation(text)
+
+
+def _by_sync(world: World) -> list[Switch]:
+    return [switch for switch in world.record.step.switches if switch.cause == "SYNC"]
+
+
+INVARIANTS = (
+    the_executor_has_no_defect,
+    outputs_change_only_as_asked,
+    nothing_is_commanded_without_a_request,
+    outputs_fall_only_with_a_cause,
+    each_program_has_one_result,
+    programs_are_accepted_only_as_they_should_be,
+    epochs_and_modes_are_respected,
+    switches_are_counted,
+    heartbeats_do_not_pause,
+    inrush_and_rest_hold,
+    locked_actuators_never_switch,
+)

@@ -1,0 +1,198 @@
+"""The executor as a process: its event loop, its death and its next start."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from random import Random
+from typing import Protocol
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.core import PERIOD, Executor
+from controller.executor.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
+from controller.executor.switch_journal import MemoryJournal
+from controller.program import Up
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.events import Changed, SendFailed
+from tests.simulation.agenda import Agenda
+from tests.simulation.bus_model import BusModel
+
+WAKE_UP = 0.0002  # [s], longest of a process that nobody stalls
+
+
+class Witness(Protocol):
+    """Sees what goes into the executor and what comes out."""
+
+    def started(self) -> None: ...
+    def killed(self) -> None: ...
+    def told(self, event: Event) -> None: ...
+    def sends(self, bus: str, frame: Frame) -> None: ...
+    def refused(self, bus: str, frame: Frame) -> None: ...
+    def says(self, message: Up) -> None: ...
+    def logs(self, level: int, text: str) -> None: ...
+
+
+class ExecutorProcess:
+    """Runs an executor on the simulated clock, as its event loop does.
+
+    Attributes:
+        journal: survives the process.
+        core: of the present process; None between a kill and the next start.
+        instances: processes so far.
+
+    Args:
+        arm: the arm.
+        agenda: time.
+        random: for delays.
+        buses: by name.
+        to_client: takes a message for a client.
+        witness: sees it all.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        agenda: Agenda,
+        random: Random,
+        buses: Mapping[str, BusModel],
+        to_client: Callable[[Client, Up], None],
+        witness: Witness,
+    ) -> None:
+        self.journal = MemoryJournal(len(arm.actuators))
+        self.core: Executor | None = None
+        self.instances = 0
+        self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
+        self._to_client, self._witness = to_client, witness
+        self._events: deque[Event] = deque()
+        self._awake_at = self._started_at = 0.0
+        self._woken = self._ticked = False
+        self._next_tick = 0.0
+        self._clients: set[Client] = set()
+        self._actions_left: int | None = None
+
+    # --- its life
+
+    def start(self) -> None:
+        """Starts a process, if none runs; it opens the buses."""
+        if self.core is not None:
+            return
+        self.instances += 1
+        self._events.clear()
+        self.core = Executor(self._arm, self.journal, self.instances)
+        self._next_tick = self._agenda.now
+        self._ticked = False
+        self._started_at = self._agenda.now
+        self._witness.started()
+        for name, bus in self._buses.items():
+            self.post(Changed(name, bus.state, "", None))
+        self._tick_later(self.instances)
+
+    @property
+    def awake(self) -> bool:
+        """Whether a process runs and does not stand still."""
+        return self.core is not None and self._agenda.now >= self.awake_since
+
+    @property
+    def awake_since(self) -> float:
+        """When the process was started, or woke up [s]."""
+        return max(self._awake_at, self._started_at)
+
+    def recover(self) -> None:
+        """Forgets when to kill the process, and starts one if none runs; a stall goes on to its end."""
+        self._actions_left = None
+        self.start()
+
+    def kill(self) -> None:
+        """Kills the process at once; frames that it has handed out stay with the controller."""
+        if self.core is not None:
+            self.core = None
+            self._actions_left = None
+            self._clients.clear()
+            self._witness.killed()
+
+    def kill_after(self, actions: int) -> None:
+        """Kills the process after so many more of its actions, perhaps between two of one step."""
+        self._actions_left = actions
+
+    def stall(self, seconds: float) -> None:
+        """Lets the process stand still for a while [s]."""
+        self._awake_at = max(self._awake_at, self._agenda.now + seconds)
+
+    # --- its clients
+
+    def hear(self, client: Client, event: FromClient | ClientGone) -> bool:
+        """Takes what a client does; returns whether the process knows of the connection."""
+        if isinstance(event, ClientGone):
+            if client not in self._clients:
+                return False
+            self._clients.discard(client)
+        else:
+            self._clients.add(client)
+        self.post(event)
+        return True
+
+    # --- its event loop
+
+    def post(self, event: Event) -> None:
+        """Takes an event that waits for the process."""
+        if self.core is not None:
+            self._events.append(event)
+            self._wake()
+
+    def _wake(self) -> None:
+        if not self._woken:
+            self._woken = True
+            delay = self._random.uniform(0.0, WAKE_UP)
+            self._agenda.at(max(self._awake_at, self._agenda.now + delay), self._run)
+
+    def _tick_later(self, instance: int) -> None:
+        def due() -> None:
+            if self.core is None or instance != self.instances:
+                return
+            if self._agenda.now < self._awake_at:
+                self._agenda.at(self._awake_at, due)
+                return
+            # The order of file descriptors in epoll is nobody's promise; buses are opened before the first tick.
+            first = self._random.random() < 0.5 and self._ticked
+            self._ticked = True
+            (self._events.appendleft if first else self._events.append)(Tick())
+            self._run_now()
+            late = int((self._agenda.now - self._next_tick) / PERIOD)
+            self._next_tick += (1 + late) * PERIOD
+            self._agenda.at(self._next_tick, due)
+
+        self._agenda.at(self._next_tick, due)
+
+    def _run(self) -> None:
+        self._woken = False
+        if self._agenda.now < self._awake_at:
+            self._wake()
+        else:
+            self._run_now()
+
+    def _run_now(self) -> None:
+        while self._events and self.core is not None:
+            event = self._events.popleft()
+            self._witness.told(event)
+            for action in self.core.step(event, self._agenda.now):
+                if self.core is not None:
+                    self._do(action)
+
+    def _do(self, action: Action) -> None:
+        if self._actions_left is not None:
+            self._actions_left -= 1
+            if self._actions_left < 0:
+                self.kill()
+                return
+        match action:
+            case Send(bus, frame):
+                self._witness.sends(bus, frame)
+                why = self._buses[bus].send(frame)
+                if why is not None:
+                    self._witness.refused(bus, frame)
+                    self._events.appendleft(SendFailed(bus, frame, why))
+            case ToClient(client, message):
+                self._witness.says(message)
+                self._to_client(client, message)
+            case Log(level, text):
+                self._witness.logs(level, text)

@@ -1,0 +1,130 @@
+"""What a planner may ask for, drawn at random: programs, replacements, set-points; good ones and bad ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+
+import msgspec
+
+from controller.executor.arm import ExecutedArm
+from controller.program import Program, Replacement, Setpoint, Snapshot, Stage, pack, unpack
+
+
+@dataclass
+class Drawn:
+    """A program that was sent, and what was appended to it."""
+
+    program: Program
+    stages: list[Stage]
+    generation: int = 0
+
+
+class Author:
+    """Draws what a planner sends for an arm."""
+
+    def __init__(self, arm: ExecutedArm, random: Random) -> None:
+        self._random = random
+        self._count = len(arm.actuators)
+        self._most = self._count if arm.inrush is None else min(arm.inrush, self._count)
+        self._travel = arm.timing.travel_time
+
+    def program(self, snapshot: Snapshot, number: int, now: float) -> Drawn:
+        """Returns a good program from the outputs of a snapshot."""
+        random = self._random
+        stages = self._walk(unpack(snapshot.outputs), unpack(snapshot.locked), random.randint(1, 8), 0.0)
+        program = Program(
+            program=number,
+            epoch=snapshot.epoch,
+            start=snapshot.outputs,
+            begin=0.0 if random.random() < 0.7 else now + random.uniform(-0.2, 0.3),
+            stages=tuple(stages),
+            final=random.random() < 0.8,
+            strict=random.random() < 0.3,
+            name=f"goal {number}",
+            context=b"context %d" % number,
+        )
+        return Drawn(program, stages)
+
+    def replacement(self, drawn: Drawn, locked: int) -> Replacement:
+        """Returns new stages for a program, from any of its stages on."""
+        random = self._random
+        drawn.generation += 1
+        first = random.randint(0, len(drawn.stages))
+        if random.random() < 0.6:
+            first = len(drawn.stages)
+        states = drawn.stages[first - 1].states if first else drawn.program.start
+        earliest = drawn.stages[first - 1].at if first else 0.0
+        stages = self._walk(unpack(states), locked, random.randint(0, 4), earliest)
+        message = Replacement(
+            program=drawn.program.program,
+            generation=drawn.generation,
+            first=first,
+            start=states,
+            stages=tuple(stages),
+            final=random.random() < 0.8,
+            strict=random.random() < 0.1,
+        )
+        drawn.stages[first:] = stages
+        return message
+
+    def setpoint(self, snapshot: Snapshot, stream: int, now: float) -> Setpoint:
+        """Returns a set-point near the outputs of a snapshot; one of four asks to stay."""
+        random = self._random
+        length = random.randint(0, 3)
+        stages = self._walk(unpack(snapshot.outputs), unpack(snapshot.locked), length, 0.0)
+        return Setpoint(
+            stream=stream,
+            epoch=snapshot.epoch,
+            start=snapshot.outputs,
+            stages=tuple(stage.states for stage in stages),
+            until=now + random.choice([0.05, 0.25, 0.25, 1.0]),
+            strict=random.random() < 0.3,
+            reason="following",
+        )
+
+    def spoiled(self, program: Program, snapshot: Snapshot) -> Program:
+        """Returns a program that must be declined, or is allowed by chance."""
+        random, replace = self._random, msgspec.structs.replace
+        stages = list(program.stages)
+        k = random.randrange(len(stages))
+        ways: list[Callable[[], Program]] = [
+            lambda: replace(program, epoch=max(0, program.epoch - random.randint(1, 3))),
+            lambda: replace(program, epoch=program.epoch + 1),
+            lambda: replace(program, program=max(0, program.program - random.randint(1, 50))),
+            lambda: replace(program, start=pack(random.getrandbits(self._count), self._count)),
+            lambda: replace(program, start=program.start + b"\0"),
+            lambda: replace(program, stages=self._with(stages, k, states=b"\xff" * len(program.start))),
+            lambda: replace(program, stages=self._with(stages, k, states=b"")),
+            lambda: replace(program, stages=self._with(stages, k, at=-1e12)),
+            lambda: replace(program, stages=self._with(stages, k, states=pack(self._wild(), self._count))),
+            lambda: replace(program, stages=self._with(stages, k, states=self._unlocking(stages[k], snapshot))),
+            lambda: replace(program, stages=()),
+            lambda: replace(program, begin=random.choice([-1e12, 1e12]), final=True),
+        ]
+        return random.choice(ways)()
+
+    def _with(self, stages: list[Stage], k: int, **changes: object) -> tuple[Stage, ...]:
+        return (*stages[:k], msgspec.structs.replace(stages[k], **changes), *stages[k + 1 :])
+
+    def _wild(self) -> int:
+        return self._random.getrandbits(self._count)
+
+    def _unlocking(self, stage: Stage, snapshot: Snapshot) -> bytes:
+        return pack(unpack(stage.states) ^ unpack(snapshot.locked), self._count)
+
+    def _walk(self, states: int, locked: int, length: int, earliest: float) -> list[Stage]:
+        """Returns stages that switch at most as many actuators at once as the arm allows, and no locked ones."""
+        random = self._random
+        free = [k for k in range(self._count) if not locked >> k & 1]
+        stages, at, mark = [], earliest, random.randint(0, 100)
+        for _ in range(length):
+            for k in random.sample(free, min(len(free), random.randint(0, self._most))):
+                states ^= 1 << k
+            at += random.choice([0.0, 0.01, self._travel, 2 * self._travel, 0.1])
+            marked = random.random() < 0.5
+            mark += marked
+            settled = at + random.choice([0.0, self._travel])
+            stages.append(Stage(pack(states, self._count), at, mark if marked else -1, settled if marked else 0.0))
+        return stages

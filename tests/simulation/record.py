@@ -1,0 +1,250 @@
+"""What happened in the world, as the invariants need it: seen at the executor's boards and clients."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.events import Event, FromClient
+from controller.program import (
+    Accepted,
+    Acknowledge,
+    Cancel,
+    Ended,
+    Halt,
+    Program,
+    Replaced,
+    Replacement,
+    Reset,
+    Setpoint,
+    Snapshot,
+    Up,
+    unpack,
+)
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Frame
+from tests.simulation.agenda import Agenda
+
+MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
+RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
+LATE = 1e-6  # [s], of rounding
+
+
+@dataclass
+class Running:
+    """An accepted program; `last` is the stage that the boards have reached."""
+
+    number: int
+    begin: float
+    strict: bool
+    stages: list[tuple[int, float]]  # states and when they may begin
+    last: int = -1
+
+
+@dataclass
+class Commit:
+    """RPDOs and the SYNCs after them, with what was asked for and locked when they were sent."""
+
+    began: float
+    locked: int
+    running: Running | None
+    candidates: list[tuple[int, int]]  # index and states of the stages that were asked for
+    synced_at: float | None = None
+    switched: int = 0
+
+
+class Switch(NamedTuple):
+    """Outputs that changed. `cause` is "SYNC", another frame, "time" or "fault"."""
+
+    mask: int
+    after: int
+    cause: str
+    bus: str
+    commit: Commit | None
+
+
+@dataclass
+class Step:
+    """What happened in the last step of the world."""
+
+    frames: list[tuple[str, Frame]] = field(default_factory=list)
+    switches: list[Switch] = field(default_factory=list)
+    accepted: list[tuple[Program, Accepted]] = field(default_factory=list)
+    ended: list[Ended] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    snapshots: list[Snapshot] = field(default_factory=list)
+
+
+class Record:
+    """The history of a world.
+
+    Attributes:
+        step: what happened since it was last cleared.
+        programs: programs that were accepted, by instance of the executor and number.
+        results: number of the result of each of them.
+        acknowledged: results by instance and number.
+        synced: how often SYNCs switched each actuator.
+        slack: by how much the journal may differ from that: a frame was lost, or a board fell before it was asked.
+        suspect: mask of the actuators whose boards lost a frame since the boards were booted.
+        last_heartbeat: of the executor, on each bus [s].
+        disturbed_at: when its heartbeats could not leave, on each bus [s].
+        switched_at: when a SYNC switched each actuator [s].
+    """
+
+    def __init__(self, arm: ExecutedArm, agenda: Agenda) -> None:
+        count = len(arm.actuators)
+        self.step = Step()
+        self.counts: Counter[str] = Counter()
+        self.mode, self.epoch, self.locked, self.instance = "starting", 0, arm.locked, 0
+        self.running: Running | None = None
+        self.commit: Commit | None = None
+        self.last_commit: tuple[Commit, float] | None = None  # that switched anything, and when
+        self.programs: dict[tuple[int, int], Program] = {}
+        self.results: dict[tuple[int, int], int] = {}
+        self.acknowledged: set[tuple[int, int]] = set()
+        self.synced, self.slack = [0] * count, [0] * count
+        self.suspect = 0
+        self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
+        self.disturbed_at = dict(self.last_heartbeat)
+        self.switched_at = [-1e12] * count
+        self._arm, self._agenda = arm, agenda
+        self._setpoints: deque[Setpoint] = deque(maxlen=3)
+        self._message: object = None
+        self._syncs: dict[str, deque[Commit]] = {bus.name: deque() for bus in arm.wiring.buses}
+
+    # --- the executor
+
+    def started(self) -> None:
+        """An executor begins."""
+        self.instance += 1
+        self.mode, self.epoch, self.commit = "starting", 0, None
+        self.locked = self._arm.locked
+        self._hold()
+
+    def killed(self) -> None:
+        """The executor was killed."""
+        self.counts["kills"] += 1
+        self._hold()
+
+    def told(self, event: Event) -> None:
+        """The executor takes an event."""
+        message = self._message = event.message if isinstance(event, FromClient) else None
+        match message:
+            case Acknowledge():
+                self.acknowledged.add((self.instance, message.result))
+            case Cancel(program=None) | Halt():
+                self._hold()
+            case Cancel() if self.running is not None and self.running.number == message.program:
+                self._hold()
+            case Reset() if self.mode in ("fault", "stopped"):
+                self._hold()
+            case Setpoint() if message.epoch == self.epoch:
+                self._setpoints.append(message)
+
+    def says(self, message: Up) -> None:
+        """The executor sends a message to a client."""
+        self.counts[type(message).__name__] += 1
+        match message:
+            case Accepted():
+                self._accept(message)
+            case Replaced(accepted=True) if isinstance(self._message, Replacement) and self.running is not None:
+                new = [(unpack(stage.states), stage.at) for stage in self._message.stages]
+                self.running.stages[self._message.first :] = new
+            case Ended():
+                self.step.ended.append(message)
+                self.counts[message.status] += 1
+                if self.running is not None and self.running.number == message.program:
+                    self.running = None
+            case Snapshot():
+                self._show(message)
+
+    def logs(self, level: int, text: str) -> None:
+        """The executor writes a line to its log."""
+        if "internal error" in text:
+            self.step.errors.append(text)
+
+    def sends(self, bus: str, frame: Frame) -> None:
+        """The executor hands out a frame."""
+        self.step.frames.append((bus, frame))
+        now = self._agenda.now
+        if frame.id == cia301.SYNC:
+            if self.commit is not None:
+                self.commit.synced_at = now
+                self._syncs[bus].append(self.commit)
+        elif frame.id & 0x780 in RPDOS and (self.commit is None or self.commit.began != now):  # all are sent at once
+            self.commit = Commit(now, self.locked, self.running, self._asked(now))
+
+    def refused(self, bus: str, frame: Frame) -> None:
+        """The controller does not take a frame."""
+        if frame.id == cia301.SYNC and self._syncs[bus]:
+            self._syncs[bus].pop()
+
+    def flushed(self, bus: str) -> None:
+        """All frames that wait in a controller are gone."""
+        self._syncs[bus].clear()
+
+    # --- the boards
+
+    def arrives(self, bus: str, frame: Frame, missing: int) -> Commit | None:
+        """A frame of the executor has left; the boards of a mask of actuators do not take it. Returns its commit."""
+        if frame.id == MASTER_HEARTBEAT:
+            self.last_heartbeat[bus] = self._agenda.now
+        if frame.id != cia301.SYNC and frame.id & 0x780 not in RPDOS:
+            return None
+        self.suspect |= missing
+        if frame.id != cia301.SYNC:
+            return None
+        for k in range(len(self.slack)):
+            self.slack[k] += self.suspect >> k & 1
+        return self._syncs[bus].popleft() if self._syncs[bus] else None
+
+    def switch(self, switch: Switch, intended: int) -> None:
+        """Outputs have changed; `intended` is the mask of switches that the journal has not resolved."""
+        self.step.switches.append(switch)
+        for k in range(len(self.synced)):
+            if switch.mask >> k & 1 and switch.cause == "SYNC":
+                self.synced[k] += 1
+            elif switch.mask & intended >> k & 1:
+                self.slack[k] += 1
+        self.counts["switches"] += switch.mask.bit_count() * (switch.cause == "SYNC")
+
+    # ---
+
+    def _hold(self) -> None:
+        self.running = None
+        self._setpoints.clear()
+
+    def _accept(self, message: Accepted) -> None:
+        program = self._message
+        assert isinstance(program, Program), "only a program is accepted"
+        assert all(n < program.program for instance, n in self.programs if instance == self.instance), "numbers grow"
+        self._hold()
+        stages = [(unpack(stage.states), stage.at) for stage in program.stages]
+        self.running = Running(program.program, message.begin, program.strict, stages)
+        self.programs[self.instance, program.program] = program
+        self.step.accepted.append((program, message))
+        self.counts["strict"] += program.strict
+
+    def _show(self, snapshot: Snapshot) -> None:
+        self.step.snapshots.append(snapshot)
+        if self.mode == "starting" and snapshot.mode == "ready":
+            self.suspect = 0  # the outputs were read back
+        self.counts["fault"] += snapshot.mode == "fault" != self.mode
+        self.mode, self.epoch, self.locked = snapshot.mode, snapshot.epoch, unpack(snapshot.locked)
+        if self.mode not in ("ready", "executing"):
+            self._hold()
+
+    def _asked(self, now: float) -> list[tuple[int, int]]:
+        """Returns index and states of the stages that may be switched to now."""
+        if self.running is not None:
+            due = enumerate(self.running.stages)
+            return [
+                (k, states)
+                for k, (states, at) in due
+                if k > self.running.last and self.running.begin + at <= now + LATE
+            ]
+        if not self._setpoints or self._setpoints[-1].until < now - LATE:
+            return []
+        return [(-1, unpack(states)) for setpoint in self._setpoints for states in setpoint.stages]

@@ -1,0 +1,144 @@
+"""Faults at random times, and their ends."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from random import Random
+from typing import TYPE_CHECKING
+
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.events import Received
+
+if TYPE_CHECKING:
+    from tests.simulation.world import World
+
+KINDS = {
+    **{"executor stalls": 2.0, "executor is killed": 1.0, "planner hangs": 1.0, "planner dies": 1.0},
+    **{"bus is down": 0.6, "bus-off": 0.6, "bus is unacknowledged": 0.6, "queue is full": 1.0, "bus-passive": 0.5},
+    **{"frames are lost": 0.4, "frames come twice": 0.5, "answers are late": 0.6, "strange frame": 1.0},
+    **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
+    **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5},
+}
+
+
+LONGEST_STALL = 3.0  # [s] of executor or planner
+
+
+class Trouble:
+    """Makes faults, one every second or so, each of which ends after a while.
+
+    Attributes:
+        made: faults by kind.
+        kinds: weights; a world leaves some kinds out.
+    """
+
+    def __init__(self, world: World, random: Random) -> None:
+        self.made: Counter[str] = Counter()
+        self._world, self._random = world, random
+        self._active = False
+        self._round = 0
+        self.kinds = {kind: weight for kind, weight in KINDS.items() if random.random() < 0.6} or dict(KINDS)
+        self._mean = random.choice([0.3, 1.0, 3.0])
+
+    def begin(self) -> None:
+        """Begins to make faults."""
+        self._active, self._round = True, self._round + 1
+        self._next(self._round)
+
+    def end(self) -> None:
+        """Ends all faults."""
+        self._active = False
+        self._world.mend()
+
+    def _next(self, turn: int) -> None:
+        def happen() -> None:
+            if self._active and turn == self._round:
+                kind = self._random.choices(list(self.kinds), list(self.kinds.values()))[0]
+                self.made[kind] += 1
+                self._world.note(f"fault: {kind}")
+                self._make(kind)
+                self._next(turn)
+
+        self._world.agenda.after(self._random.expovariate(1 / self._mean), happen)
+
+    def _later(self, longest: float, mend: Callable[[], None]) -> None:
+        """Has a fault end after a while, unless all faults have ended meanwhile."""
+        turn = self._round
+
+        def happen() -> None:
+            if self._active and turn == self._round:
+                mend()
+
+        self._world.agenda.after(self._random.uniform(0.0, longest), happen)
+
+    def _make(self, kind: str) -> None:
+        world, random = self._world, self._random
+        bus = random.choice(list(world.buses.values()))
+        channel = random.choice(world.arm.wiring.channels)
+        board, label = f"{channel.bus}/{channel.node}", channel.actuator
+        match kind:
+            case "executor stalls":
+                world.stall(random.choice([0.015, 0.05, 0.2, 1.0, LONGEST_STALL]))
+            case "executor is killed":
+                world.executor.kill_after(random.randint(0, 20))
+                self._later(1.0, world.restart)
+            case "planner hangs":
+                world.planner.stall(random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
+            case "planner dies":
+                world.planner.die()
+            case "bus is down":
+                bus.go_down()
+                self._later(1.0, bus.restore)
+            case "bus-off":
+                bus.go_off()
+                self._later(1.0, bus.restore)
+            case "bus is unacknowledged":
+                bus.acknowledged = False
+                self._later(1.0, bus.restore)
+            case "queue is full":
+                bus.capacity = random.choice([0, 1, 2])
+                self._later(0.3, bus.restore)
+            case "bus-passive":
+                bus.warn()
+                self._later(1.0, bus.restore)
+            case "frames are lost":
+                bus.loss = random.choice([0.01, 0.1])
+                self._later(0.5, bus.restore)
+            case "frames come twice":
+                bus.duplication = 0.1
+                self._later(2.0, bus.restore)
+            case "answers are late":
+                bus.answer_delay = random.choice([0.02, 0.2, 0.8])
+                self._later(2.0, bus.restore)
+            case "strange frame":
+                own = [function + channel.node for function in (0x80, 0x180, 0x580, 0x580, 0x700)]
+                cob_id = random.choice([random.randrange(0x800), 0x77F, 0x80, *own])
+                frame = Frame(cob_id, random.randbytes(random.randint(0, 8)))
+                world.executor.post(Received(bus.name, frame))
+            case _:
+                self._break(kind, board, label)
+
+    def _break(self, kind: str, board: str, label: str) -> None:
+        world, random = self._world, self._random
+        match kind:
+            case "board without supply":
+                world.fault("power_cut", board)
+                self._later(1.0, lambda: world.fault("power_on", board))
+            case "board is silent":
+                world.fault("silence", board)
+                self._later(1.0, lambda: world.fault("unsilence", board))
+            case "board reboots":
+                world.fault("power_cut", board)
+                world.fault("power_on", board)
+            case "emergency":
+                world.emergency(board, random.choice([0x2310, 0x3320, 0x0000, random.randrange(0x10000)]))
+            case "actuator is stuck":
+                world.fault("stick", label, random.randint(0, 1))
+                self._later(1.0, lambda: world.fault("release", label))
+            case "actuator is slow":
+                world.fault("slow", label, random.choice([0.5, 2.5, 20]))
+                self._later(1.0, lambda: world.fault("slow", label, 1))
+            case "sensor is lost":
+                world.fault("lose_sensor", label)
+                self._later(1.0, lambda: world.fault("restore_sensor", label))
