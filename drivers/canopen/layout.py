@@ -33,6 +33,20 @@ class Bit(NamedTuple):
     place: int  # mask of one bit
 
 
+class Run(NamedTuple):
+    """Neighbouring actuators on neighbouring bits, to copy them at once.
+
+    Attributes:
+        actuator: index of the first.
+        mask: of as many bits as there are actuators, from bit 0.
+        place: bit of the first.
+    """
+
+    actuator: int
+    mask: int
+    place: int
+
+
 @dataclass(frozen=True)
 class BoardLayout:
     """The wiring of one board.
@@ -80,6 +94,7 @@ class RpdoFrame:
         actuators: mask of the actuators in it.
         used: mask of the bits that are actuators', in the number that its bytes make.
         bits: the actuators in that number.
+        runs: the same, in runs.
     """
 
     bus: str
@@ -88,6 +103,7 @@ class RpdoFrame:
     actuators: int
     used: int
     bits: tuple[Bit, ...]
+    runs: tuple[Run, ...]
 
 
 @dataclass(frozen=True)
@@ -137,7 +153,7 @@ def lay_out(wiring: Wiring) -> Layout:
             boards.append(_board(place, here, subs, rpdo, len(frames), offset))
             offset += len(subs)
         actuators, used = sum(bit.actuator for bit in bits), sum(bit.place for bit in bits)
-        frames.append(RpdoFrame(group[0].bus, cob_id, size, actuators, used, tuple(bits)))
+        frames.append(RpdoFrame(group[0].bus, cob_id, size, actuators, used, tuple(bits), _runs(bits)))
     number = {(board.bus, board.node): i for i, board in enumerate(boards)}
     return Layout(tuple(boards), tuple(frames), tuple(number[c.bus, c.node] for c in wiring.channels))
 
@@ -159,6 +175,17 @@ def _board(place: _Place, here: _Wired, outputs: tuple[int, ...], rpdo: Pdo, fra
         sensed=sum(bit.actuator for bit in ends),
         ends=ends,
     )
+
+
+def _runs(bits: Iterable[Bit]) -> tuple[Run, ...]:
+    runs: list[Run] = []
+    for k, place in sorted((bit.actuator.bit_length() - 1, bit.place.bit_length() - 1) for bit in bits):
+        size = runs[-1].mask.bit_length() if runs else 0
+        if runs and (runs[-1].actuator + size, runs[-1].place + size) == (k, place):
+            runs[-1] = runs[-1]._replace(mask=runs[-1].mask << 1 | 1)
+        else:
+            runs.append(Run(k, 1, place))
+    return tuple(runs)
 
 
 def _groups(outputs: dict[_Place, tuple[int, ...]], shared: bool) -> list[list[_Place]]:

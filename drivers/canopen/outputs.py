@@ -47,9 +47,11 @@ class Outputs:
             raise ValueError(f"states {states:#x}: there are {self._actuators.bit_count()} actuators")
         buses: set[str] = set()
         stale: list[int] = []
+        changed = states ^ self.states
         for i, frame in enumerate(self._frames):
-            wanted, latched = self._wanted(i, states), self._latched[i]
-            if wanted != self._image[i] or latched not in (None, wanted) or i in self._uncertain:
+            image, latched = self._image[i], self._latched[i]
+            wanted = self._wanted(i, states) if changed & frame.actuators else image
+            if wanted != image or latched not in (None, wanted) or i in self._uncertain:
                 buses.add(frame.bus)
             if wanted != latched:
                 stale.append(i)
@@ -85,13 +87,10 @@ class Outputs:
 
     def _wanted(self, i: int, states: int) -> int:
         """The bytes of frame `i` for the states."""
-        frame, image = self._frames[i], self._image[i]
-        if not (states ^ self.states) & frame.actuators:
-            return image
-        image &= ~frame.used
-        for actuator, place in frame.bits:
-            if states & actuator:
-                image |= place
+        frame = self._frames[i]
+        image = self._image[i] & ~frame.used
+        for actuator, mask, place in frame.runs:
+            image |= (states >> actuator & mask) << place
         return image
 
 

@@ -56,3 +56,10 @@ def test_the_layout_follows_the_wiring_not_its_order():
     assert right.tpdo == (0x1800, 0x189, (0x60000108, 0x60000608))
     assert layout.frames[1].bits == ((0b001, 1 << 12), (0b100, 1 << 1))
     assert layout.board_of == (1, 0, 1)
+
+
+def test_neighbouring_actuators_are_copied_at_once():
+    outputs = (0, 1, 2, 12, 13, 3)
+    channels = tuple(Channel(f"{k}", "can0", 2, output, None) for k, output in enumerate(outputs))
+    [frame] = lay_out(Wiring((CAN0,), channels)).frames
+    assert frame.runs == ((0, 0b111, 0), (3, 0b11, 12), (5, 0b1, 3))
