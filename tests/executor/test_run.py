@@ -1,0 +1,142 @@
+"""The event loop, on a clock that stands still unless the test sets it."""
+
+import math
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller.executor.core import DEFECT, PERIOD, Executor
+from controller.executor.notify import Notifier
+from controller.executor.run import EventLoop
+from controller.executor.server import Server
+from controller.executor.switch_journal import MemoryJournal
+from controller.program import MOST_BYTES, Diagnostics, Ended, Hello, Program, Snapshot, Stage, decode_up, encode, pack
+from tests.executor.rig import SIZE, FakeMaster, small_arm
+
+
+class NoBuses:
+    """Buses on which nothing happens, or which are broken."""
+
+    broken = closed = False
+
+    def filenos(self) -> list[int]:
+        return []
+
+    def wait(self, now: float) -> float:
+        return math.inf
+
+    def poll(self, now: float) -> list[Any]:
+        if self.broken:
+            raise RuntimeError("the bus is broken")
+        return []
+
+    def send(self, bus: str, frame: Any, now: float) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Bench:
+    """A loop whose rounds the test makes; each takes a period of time."""
+
+    def __init__(self, path: Path) -> None:
+        self.now, self.step = 10.0, PERIOD
+        self.core = Executor(small_arm(), MemoryJournal(SIZE), 1, build_master=FakeMaster)
+        self.buses, self.server = NoBuses(), Server(path)
+        self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
+        self.loop._time.start(self.now + PERIOD)
+        self.client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.client.settimeout(10)
+        self.client.connect(str(path))
+        self.send(Hello(1, "planner", "small"))
+
+    def send(self, message: Any) -> None:
+        self.client.send(encode(message))
+
+    def go(self, rounds: int) -> None:
+        for _ in range(rounds):
+            self.now += self.step
+            self.loop._round()
+
+    def wait(self, kind: type) -> Any:
+        while True:
+            message = decode_up(self.client.recv(MOST_BYTES))
+            if isinstance(message, kind):
+                return message
+
+    def run(self) -> None:
+        """Sends a program of two stages, the second much later."""
+        state = self.wait(Snapshot)
+        while state.mode != "ready":
+            state = self.wait(Snapshot)
+        stages = (Stage(pack(1, SIZE), at=0.0, mark=0), Stage(pack(0, SIZE), at=1e6, mark=1))
+        self.send(Program(1, state.epoch, state.outputs, 0.0, stages, True, False, "goal 1"))
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path / "arm.sock")
+    yield bench
+    bench.client.close()
+    if not bench.buses.closed:
+        bench.loop._end()
+
+
+def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
+    bench.go(10)
+    bench.run()
+    ticks = len(bench.core._master.ticks)
+    bench.step = 0.0
+    bench.now += 0.1 * PERIOD
+    bench.loop._round()
+    assert (bench.core._master.outputs, len(bench.core._master.ticks)) == (1, ticks)
+
+
+def test_a_defect_of_the_loop_is_a_fault_and_it_goes_on(bench: Bench) -> None:
+    bench.go(10)
+    bench.run()
+    bench.go(1)
+    bench.buses.broken = True
+    bench.go(10)
+    assert (bench.core.modes.mode, bench.core.modes.reason) == ("fault", DEFECT.message)
+    bench.buses.broken = False
+    bench.go(10)
+    assert bench.wait(Ended).status == "aborted"
+
+
+def test_the_loop_tells_how_late_it_is(bench: Bench) -> None:
+    bench.go(10)
+    bench.now += 0.05
+    bench.go(100)
+    bench.wait(Diagnostics)
+    loop = bench.wait(Diagnostics).loop
+    assert loop["overruns"] in (4, 5)
+    assert loop["longest_period"] == pytest.approx(0.06)
+    assert set(loop) >= {"ticks", "mean_work", "longest_work", "late_p99", "late_worst"}
+
+
+def test_at_the_end_the_result_is_sent_and_all_is_closed(bench: Bench, tmp_path: Path) -> None:
+    bench.go(10)
+    bench.run()
+    bench.go(3)
+    bench.loop.quit()
+    bench.loop.run()
+    assert bench.wait(Ended).status == "aborted"
+    assert bench.buses.closed
+    assert not (tmp_path / "arm.sock").exists()
+
+
+def test_quit_wakes_the_loop_from_another_thread(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "arm.sock")
+    bench.loop._clock = lambda: 10.0  # no tick is ever due again
+    thread = threading.Thread(target=bench.loop.run)
+    thread.start()
+    bench.loop.quit()
+    thread.join(30)
+    assert not thread.is_alive()
+    bench.client.close()
