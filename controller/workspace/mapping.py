@@ -15,7 +15,6 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
@@ -98,6 +97,10 @@ def rescale(counts: Counts) -> int:
 
 def logarithms(counts: Counts, exponent: int, pixel: float) -> NDArray[np.float32]:
     """Returns the values of one level: ln of the count, or minus the distance to the nearest pixel with one."""
+    from scipy.ndimage import (
+        distance_transform_edt,  # 5 MiB that a planner with its densities in the cache does not need
+    )
+
     reachable = counts > 0
     values = -pixel * distance_transform_edt(~reachable)
     # What rescale kept at FLOOR is a count of at least one, whatever its scaled value says.

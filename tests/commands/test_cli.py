@@ -70,6 +70,11 @@ def test_commands_to_a_daemon_import_no_kernels(words):
     assert imported(*words).isdisjoint(HEAVY)
 
 
+def test_a_local_halt_does_not_import_zenoh():
+    words = ("halt", "planar16", "--local", "--socket", "/nonexistent/a.sock")
+    assert imported(*words).isdisjoint({*HEAVY, "zenoh"})
+
+
 def test_the_version_is_that_of_the_package(hyperbit):
     assert hyperbit("--version") == (0, f"hyperbit {version('hyperbit')}\n", "")
 

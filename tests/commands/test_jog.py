@@ -51,6 +51,17 @@ def test_a_socket_is_for_local_halts_only(hyperbit, tmp_path):
     assert (code, "only with --local" in err) == (2, True)
 
 
+def test_halt_over_zenoh_wants_the_arm(hyperbit):
+    code, _, err = hyperbit("halt", *NOWHERE)
+    assert (code, "give the arm's name, or --local" in err) == (2, True)
+
+
+def test_a_local_halt_without_an_executor_fails_in_words(hyperbit, tmp_path):
+    code, out, err = hyperbit("halt", "a", "--local", "--socket", str(tmp_path))
+    assert (code, out) == (1, "")
+    assert "no executor answers" in err
+
+
 @pytest.mark.parametrize("command", ["lock", "degrade"])
 def test_lock_is_degrade(hyperbit, gateway, command):
     code, _, err = hyperbit(command, "a", "5.left=contracted", "--connect", gateway.endpoint)
