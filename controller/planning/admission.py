@@ -22,7 +22,7 @@ class Ticket:
 
     Attributes:
         number: by arrival, among all requests and set-points.
-        bars: how many cancels, stops and resets were sent to the executor before it.
+        bars: how many requests that may begin a new epoch were sent to the executor before it.
         epoch: the executor's at arrival; None: one of these was not answered yet, or no snapshot came.
     """
 
@@ -76,6 +76,12 @@ class Admission:
             self._sent += 1
             self._changed.notify_all()
 
+    def fence(self) -> None:
+        """Notes that a request is sent to the executor that may begin a new epoch: what came before is barred then."""
+        with self._changed:
+            self._number_setpoint()
+            self._sent += 1
+
     def end_streams(self, ticket: Ticket) -> None:
         """Ends the streams of set-points that began before a goal, because that goal was accepted."""
         with self._changed:
@@ -84,12 +90,12 @@ class Admission:
     # --- the executor
 
     def unsent(self) -> None:
-        """Notes that a cancel, stop or reset could not be sent: there is no executor, and no epoch."""
+        """Notes that such a request could not be sent: there is no executor, and no epoch."""
         with self._changed:
             self._answered = self._passed = self._sent
 
     def answered(self) -> None:
-        """Notes that the executor answered a cancel, stop or reset: its epoch has grown."""
+        """Notes that the executor answered such a request: if it was accepted, the epoch has grown."""
         with self._changed:
             self._answered += 1
 

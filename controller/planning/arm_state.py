@@ -79,15 +79,10 @@ class ArmState:
                 return f"{what} is no configuration: {error}"
         return None
 
-    def locked_states(self, declared: Held) -> Held:
-        """Returns the state in which each actuator is locked, -1 where it is free, shape (A,).
-
-        Args:
-            declared: the states in which actuators were locked by file or request, shape (A,).
-        """
-        states = np.where(declared >= 0, declared, self.states)
-        states = np.where(self.sensed & (self.measured >= 0), self.measured, states)
-        return np.where(self.locked, states, free(self.manipulator)).astype(np.int8)
+    @property
+    def locked_states(self) -> Held:
+        """The state in which each actuator is locked, -1 where it is free, shape (A,); of known measured states only."""
+        return np.where(self.locked, self.measured, free(self.manipulator)).astype(np.int8)
 
     def pack(self, stages: States) -> list[bytes]:
         """Returns stages (k, A) packed for the executor; outputs of locked actuators stay as they are."""

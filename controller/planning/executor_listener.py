@@ -29,6 +29,9 @@ class CountLedger(Protocol):
 class ExecutorListener:
     """Hands each message to the part of the planner that it is for.
 
+    Attributes:
+        counted: switches of all actuators when the first executor welcomed this planner; None before.
+
     Args:
         link: to the executor.
         monitor: takes snapshots.
@@ -56,12 +59,16 @@ class ExecutorListener:
         self._link, self._monitor, self._admission, self._goals = link, monitor, admission, goals
         self._locked, self._clearance, self._numbers = locked, clearance, numbers
         self._ledger, self._on_change = ledger, on_change
+        self.counted: int | None = None
 
     def welcomed(self, welcome: Welcome) -> None:
         """Counts on from the executor's numbers, and tells it the ledger's counts."""
         self._numbers.at_least(welcome.program)
+        known = tuple(self._ledger.known())
+        if self.counted is None:
+            self.counted = sum(map(max, known, welcome.counts))
         with contextlib.suppress(NotConnected):
-            self._link.send(Counts(tuple(self._ledger.known())))
+            self._link.send(Counts(known))
         self._on_change()
 
     def heard(self, message: Up) -> None:

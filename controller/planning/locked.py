@@ -38,7 +38,7 @@ class LockedActuators:
         self._manipulator, self._rebuild, self._changed = manipulator, rebuild, changed
         self.states = declared.copy()
         self.problem: str | None = None
-        self._declared, self._built = declared.copy(), declared.copy()
+        self._built = declared.copy()
         self._lock, self._working = threading.Lock(), False
 
     @property
@@ -51,7 +51,7 @@ class LockedActuators:
         if not state.known or state.snapshot.moving:
             return
         with self._lock:
-            states = state.locked_states(self._declared)
+            states = state.locked_states
             if not np.array_equal(states, self.states):
                 self.states, self.problem = states, None
                 log.warning("%s", self.sentence())
@@ -61,12 +61,6 @@ class LockedActuators:
         """Tries once more to rebuild tables that could not be rebuilt."""
         self.problem = None
         self._go_on()
-
-    def declare(self, wish: DegradeMessage) -> Held:
-        """Notes the state of a request that is sent to the executor; returns the states (A,) that hold then."""
-        with self._lock:
-            self._declared = changed(self._manipulator, self._declared, wish)
-            return changed(self._manipulator, self.states, wish)
 
     def refusal(self, wish: DegradeMessage, measured: Measured, sensed: NDArray[np.bool_]) -> str | None:
         """Returns why a request is refused, or None.

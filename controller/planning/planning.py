@@ -110,7 +110,9 @@ class Planning:
         self._rest = RestCheck(manipulator, self._monitor, self._goals, self._keep_out, self._clearance)
         told, tracker = (self._tip_bias.told, self._tracker) if self._tip_bias else (dict, dict)
         self._status = StatusReport(self._monitor, link, self._goals, self._locked, self._keep_out, told)
-        self._diagnostics = DiagnosticsReport(link, self._queues, self._follower.status, lambda: ledger.fault, tracker)
+        self._diagnostics = DiagnosticsReport(
+            link, lambda: self._listener.counted, self._queues, self._follower.status, lambda: ledger.fault, tracker
+        )
         self._description = description(arm)
         self._on_change = on_change
 

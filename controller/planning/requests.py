@@ -8,7 +8,7 @@ from controller.planning.admission import Admission
 from controller.planning.connection import NotConnected
 from controller.planning.goals import RunningGoals
 from controller.planning.link import ExecutorLink
-from controller.planning.locked import LockedActuators
+from controller.planning.locked import LockedActuators, changed
 from controller.planning.messages import Payload, Reply, done, refused
 from controller.planning.monitor import ArmMonitor
 from controller.program import Answer, Cancel, Down, Halt, Lock, Reset
@@ -56,20 +56,17 @@ class Requests:
             self._ask(Reset, reply)
 
     def lock(self, wish: DegradeMessage, reply: Reply) -> None:
-        """Locks an actuator in a state, or unlocks it; what was planned before does not go by that and is barred."""
+        """Locks an actuator in a state, or unlocks it; the executor refuses that while the arm moves."""
         state = self._monitor.state
         if state is None:
             mode, reason = self._monitor.mode()
             reply(refused(INVALID_GOAL, f"the arm is {mode}: {reason}"))
             return
         refusal = self._locked.refusal(wish, state.measured, state.sensed)
-        if state.snapshot.mode == "executing" or state.snapshot.moving:
-            mode = state.snapshot.mode
-            refusal = f"the arm is {mode}, and may not be while what is held changes: cancel, then try again"
         if refusal is not None:
             reply(refused(INVALID_GOAL, refusal))
             return
-        sentence = self._locked.sentence(self._locked.declare(wish))
+        sentence = self._locked.sentence(changed(self._monitor.manipulator, self._locked.states, wish))
         waits = state.snapshot.mode in ("fault", "stopped")
         words = f"{sentence}{', from the reset on' if waits else ''}"
         actuator = self._monitor.manipulator.actuators.index(wish.actuator)
@@ -78,11 +75,15 @@ class Requests:
         def told(answer: Payload) -> None:
             reply({**answer, "message": words} if answer["accepted"] else answer)
 
-        self._bar(lambda request: Lock(request, actuator, to), told)
+        self._admission.fence()
+        self._ask_for_epoch(lambda request: Lock(request, actuator, to), told)
 
     def _bar(self, make: Callable[[int], Down], reply: Reply) -> None:
         """Bars all that came before, and sends a request that ends the executor's epoch."""
         self._admission.bar()
+        self._ask_for_epoch(make, reply)
+
+    def _ask_for_epoch(self, make: Callable[[int], Down], reply: Reply) -> None:
         if not self._ask(make, reply, self._admission.answered):
             self._admission.unsent()
 

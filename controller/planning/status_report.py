@@ -108,6 +108,7 @@ class DiagnosticsReport:
 
     Args:
         link: to the executor.
+        counted: returns the switches before this planner; None before it knows an executor.
         queues: returns how many requests wait in each queue.
         setpoint: returns how the stream of set-points fares.
         ledger: returns why the ledger cannot be written; None if it can.
@@ -119,6 +120,7 @@ class DiagnosticsReport:
     def __init__(
         self,
         link: ExecutorLink,
+        counted: Callable[[], int | None],
         queues: Callable[[], Mapping[str, int]],
         setpoint: Callable[[], Payload],
         ledger: Callable[[], str | None],
@@ -126,16 +128,15 @@ class DiagnosticsReport:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
     ) -> None:
-        self._link, self._queues, self._setpoint, self._ledger = link, queues, setpoint, ledger
+        self._link, self._counted, self._queues = link, counted, queues
+        self._setpoint, self._ledger = setpoint, ledger
         self._tracker, self._clock, self._wall = tracker, clock, wall
 
     def diagnostics(self) -> Payload:
         """Returns the payload of `diagnostics`; what the executor has not told is empty."""
-        told, welcome = self._link.diagnostics, self._link.welcome
+        told, counted = self._link.diagnostics, self._counted()
         age = 0.0 if told is None else max(self._clock() - told.at, 0.0)
-        switches = 0
-        if told is not None and welcome is not None:
-            switches = max(sum(told.counts) - sum(welcome.counts), 0)
+        switches = 0 if told is None or counted is None else max(sum(told.counts) - counted, 0)
         return {
             "stamp": self._wall() - age,
             "loop": {} if told is None else told.loop,

@@ -13,11 +13,11 @@ json_values = st.recursive(
 scalars = st.none() | st.booleans() | st.integers(-2, 2) | st.floats() | st.text(max_size=5)
 
 
-def unreadable(request: str) -> list[tuple[bytes, str]]:
+def unreadable(request: str, most: int = MOST_BYTES) -> list[tuple[bytes, str]]:
     """Payloads that are no JSON, and how each is refused."""
     return [
         (b"", f"{request} is not JSON"),
         (b"\xff", f"{request} is not UTF-8: byte 0 is 0xff"),
         (b"[" * 5000, f"{request} is not JSON"),
-        (bytes(MOST_BYTES + 1), f"{request} of {MOST_BYTES + 1} bytes, at most {MOST_BYTES} are taken"),
+        (bytes(most + 1), f"{request} of {most + 1} bytes, at most {most} are taken"),
     ]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
-from controller.motion.obstacles import decode
+from controller.motion.obstacles import MOST_BYTES, decode
 from tests.motion.requests import scalars, unreadable
 
 fields = ["disc", "sphere", "box", "half_plane", "name", "centre", "radius", "size", "angle", "point", "normal"]
@@ -26,7 +26,7 @@ def sent(*regions: object) -> bytes:
     [
         (b"{}", "regions: required, but missing"),
         (b"[]", "obstacles: an object with `regions` is needed"),
-        *unreadable("obstacles"),
+        *unreadable("obstacles", MOST_BYTES),
         (b'{"regions": [], "now": 1}', "now: unknown field; known are regions"),
         (sent({"sphere": {"centre": [1, 2], "radius": 1}}), "regions[0]: one of disc, box, half_plane is needed for"),
         (sent({"disc": {"centre": [1, 2, 3], "radius": 1}}), "regions[0].disc.centre: 3 coordinates, a planar arm's"),

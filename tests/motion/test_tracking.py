@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.goal_motion import tracking_of
 from controller.motion.tracking import GoalTracker, Tracking
 from controller.search.solver import Solver
 
@@ -335,3 +336,14 @@ def test_the_arm_follows_nearer_and_with_fewer_switches_than_the_raw_stream(solv
     switches, error = follow(solver, s, GoalTracker(2), within)
     assert switches < raw_switches
     assert error < 0.7 * raw_error
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0, 0.001])
+def test_a_goal_is_followed_in_whatever_unit_the_arm_has(unit: float) -> None:
+    tracker = GoalTracker(2, tracking_of(4.0 * unit, 0.002 * unit))
+    for k in range(50):
+        assert tracker.measure((unit * (0.5 - 0.002 * k), unit), None, 0.02 * k)
+    goal = tracker.predict(0.98, 0.1)
+    assert goal is not None
+    assert goal.position[0] / unit == pytest.approx(0.5 - 0.002 * 49 - 0.01, abs=2e-3)
+    assert goal.velocity[0] / unit == pytest.approx(-0.1, abs=0.02)

@@ -14,8 +14,8 @@ from controller.planning.planning import Planning
 from controller.program import Hello, unpack
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
-from tests.daemon.waiting import eventually
 from tests.planning.executor import DIGEST, FakeLedger, Inbox, ScriptedExecutor
+from tests.waiting import eventually
 
 MODULES = 4
 DOCUMENT: dict[str, Any] = {

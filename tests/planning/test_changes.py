@@ -11,19 +11,21 @@ from controller.config import Arm
 from controller.motion import codes
 from controller.program import (
     Acknowledge,
+    Answer,
     Cancel,
     Clearance,
     Lock,
     Program,
     Question,
+    Replaced,
     Replacement,
     Setpoint,
     unpack,
 )
-from tests.daemon.waiting import eventually
 from tests.planning.conftest import DOCUMENT, Desk
 from tests.planning.executor import Inbox
 from tests.planning.test_goals import A, B, C, taken
+from tests.waiting import eventually
 
 HOME = (0, 0, 0, 0)
 
@@ -69,8 +71,8 @@ def test_a_running_goal_whose_rest_touches_is_ended(desk: Desk) -> None:
 def test_a_running_goal_whose_rest_is_clear_goes_on_strictly(desk: Desk) -> None:
     program = taken(desk, A, B, step=10)
     obstacles(desk, ([5, 5], 0.1))
-    while not (message := desk.executor.expect(Replacement)).strict:
-        pass
+    while not (message := desk.executor.expect(Replacement)).strict:  # look-ahead may have sent one before
+        desk.executor.send(Replaced(message.program, message.generation, True))
     assert message.program == program.program
     assert desk.executor.nothing(Cancel)
 
@@ -165,10 +167,15 @@ def test_a_lock_that_cannot_be_is_refused_in_words(desk: Desk, actuator: str, st
     assert (reply["accepted"], reply["message"]) == (False, words)
 
 
-def test_no_lock_while_the_arm_executes(desk: Desk) -> None:
-    desk.show(mode="executing")
+def test_a_lock_that_the_executor_refuses_ends_nothing(desk: Desk) -> None:
+    taken(desk, A, B, step=10)
     degrade(desk, "1.left", 0)
-    assert "the arm is executing" in desk.inbox.next("degrade")["message"]
+    lock = desk.executor.expect(Lock, Replacement)
+    desk.executor.send(Answer(lock.request, False, "the arm is executing"))
+    assert desk.inbox.next("degrade")["message"] == "the arm is executing"
+    desk.executor.show()
+    desk.goal(C, name="c")
+    assert desk.executor.expect(Program, Replacement).epoch == 1
 
 
 # --- single actuators

@@ -8,8 +8,8 @@ import pytest
 from controller.motion import codes
 from controller.planning.messages import BARRED
 from controller.program import Acknowledge, Cancel, Halt, Hello, Program, Replacement, Reset
-from tests.daemon.waiting import eventually
 from tests.planning.conftest import Desk
+from tests.waiting import eventually
 
 A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 

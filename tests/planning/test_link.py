@@ -12,8 +12,8 @@ import pytest
 from controller.planning.connection import NotConnected
 from controller.planning.link import ExecutorLink
 from controller.program import Alive, Answer, Goodbye, Halt, Hello, Program, Snapshot, Welcome, encode
-from tests.daemon.waiting import PATIENCE, eventually
 from tests.planning.executor import DIGEST, ScriptedExecutor
+from tests.waiting import PATIENCE, eventually
 
 
 class Heard:

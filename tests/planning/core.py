@@ -1,0 +1,80 @@
+"""The executor's core in a thread, on boards in memory and a real socket."""
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from pathlib import Path
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.core import PERIOD, Executor
+from controller.executor.events import Client, ClientGone, FromClient, Tick, ToClient
+from controller.executor.switch_journal import MemoryJournal
+from controller.program import decode_down, encode
+from tests.executor.rig import SIZE, FakeMaster, small_arm
+from tests.planning.executor import DIGEST
+
+
+class CoreExecutor:
+    """Serves one planner at a time until it is closed.
+
+    Attributes:
+        core: touched by its own thread only, but for reading.
+        frozen: while it is set, nothing is done, as of a process that is stopped.
+    """
+
+    def __init__(self, path: Path) -> None:
+        arm: ExecutedArm = small_arm()
+        assert arm.digest == DIGEST
+        self.journal = MemoryJournal(SIZE)
+        self.core = Executor(arm, self.journal, instance=1, build_master=FakeMaster)
+        self.master: FakeMaster = self.core._master  # type: ignore[assignment]
+        self.frozen, self.closed = threading.Event(), threading.Event()
+        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._server.bind(str(path))
+        self._server.listen()
+        self._clients: dict[Client, socket.socket] = {}
+        self._accepted = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self.closed.set()
+        self._thread.join()
+        self._server.close()
+        for connection in self._clients.values():
+            connection.close()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self.closed.is_set():
+            if self.frozen.is_set():
+                time.sleep(PERIOD)
+                continue
+            self._listen(max(due - time.monotonic(), 0.0))
+            if time.monotonic() >= due:
+                due = time.monotonic() + PERIOD
+                self._do(Tick())
+
+    def _listen(self, timeout: float) -> None:
+        sockets = [self._server, *self._clients.values()]
+        readable, _, _ = select.select(sockets, [], [], timeout)
+        if self._server in readable:
+            connection, _ = self._server.accept()
+            self._accepted += 1
+            self._clients[Client(self._accepted, 1)] = connection
+        for client, connection in list(self._clients.items()):
+            if connection in readable:
+                if data := connection.recv(70_000):
+                    self._do(FromClient(client, decode_down(data)))
+                else:
+                    del self._clients[client]
+                    connection.close()
+                    self._do(ClientGone(client))
+
+    def _do(self, event: object) -> None:
+        for action in self.core.step(event, time.monotonic()):  # type: ignore[arg-type]
+            if isinstance(action, ToClient) and action.client in self._clients:
+                with contextlib.suppress(OSError):
+                    self._clients[action.client].send(encode(action.message), socket.MSG_DONTWAIT)

@@ -1,0 +1,205 @@
+"""Goals through the planner's room and the executor's core, on boards in memory and the system's clock."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller.config import Arm
+from controller.planning.link import ExecutorLink
+from controller.planning.planning import Planning
+from controller.workspace.mapping import map_densities
+from tests.planning.conftest import DOCUMENT
+from tests.planning.core import CoreExecutor
+from tests.planning.executor import DIGEST, FakeLedger, Inbox
+from tests.waiting import PATIENCE, eventually
+
+
+class Chain:
+    """A planner's room on an executor."""
+
+    def __init__(self, arm: Arm, folder: Path) -> None:
+        self.arm, self.path, self.inbox = arm, folder / "small.sock", Inbox()
+        self.densities = map_densities(arm.left, arm.pixel, arm.level_pixels)
+        self.executor = CoreExecutor(self.path)
+        self.planning = self.plan_anew()
+
+    def plan_anew(self) -> Planning:
+        """Starts a planner."""
+        self.ledger = FakeLedger(6)
+        link = ExecutorLink(self.path, "small", DIGEST)
+        planning = Planning(self.arm, self.densities, link, self.ledger, self.inbox.put)
+        planning.start()
+        eventually(lambda: planning.state()["mode"] == "ready")
+        return planning
+
+    def close(self) -> None:
+        self.planning.close()
+        self.executor.close()
+
+    def goal(self, *configurations: tuple[int, int], step: float = 0.1, name: str = "a", **fields: Any) -> None:
+        tips = [self.arm.manipulator.tip(np.array(c))[:2, 3].tolist() for c in configurations]
+        waypoints = [{"t": step * k, "position": p} for k, p in enumerate(tips)]
+        payload = {"id": name, "waypoints": waypoints, **fields}
+        self.planning.goal(json.dumps(payload).encode(), self.inbox.replying())
+
+    def error(self, configuration: tuple[int, int]) -> float:
+        """How far the measured tip is from that of a configuration."""
+        tip = self.planning.state()["tip"]
+        wanted = self.arm.manipulator.tip(np.array(configuration))[:2, 3]
+        return float("inf") if tip is None else float(np.linalg.norm(wanted - tip["position"]))
+
+
+@pytest.fixture(params=[{}, {"inrush": 1}], ids=["at once", "one by one"])
+def chain(read: Callable[[Any], Arm], tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Chain]:
+    modules = [{**DOCUMENT["modules"][0], "count": 2}]
+    chain = Chain(read({**DOCUMENT, "modules": modules, **request.param}), tmp_path)
+    yield chain
+    chain.close()
+
+
+A, B, C = (1, 2), (3, 4), (7, 0)
+
+
+def test_goals_one_after_the_other(chain: Chain) -> None:
+    for k, goal in enumerate((A, B, C, (0, 0))):
+        chain.goal(goal, name=f"g{k}")
+        assert chain.inbox.next("reply")["accepted"]
+        assert chain.inbox.next("feedback")["waypoint"] == 0
+        result = chain.inbox.next("result")
+        assert (result["id"], result["status"]) == (f"g{k}", "succeeded"), result
+        assert result["error"] <= 0.002
+    assert sum(chain.executor.journal.counts) == sum(entry[3] for entry in chain.ledger.entries if entry[0] == "ended")
+
+
+def test_a_trajectory_is_fed_back_waypoint_by_waypoint(chain: Chain) -> None:
+    chain.goal(A, B, C, A, step=0.5)
+    assert chain.inbox.next("reply")["accepted"]
+    told = [chain.inbox.next("feedback") for _ in range(4)]
+    assert [f["waypoint"] for f in told] == [0, 1, 2, 3]
+    assert all(f["stages"] >= 1 and f["excursion"] is not None for f in told)
+    assert chain.inbox.next("result")["status"] == "succeeded"
+
+
+def test_a_goal_replaces_the_running_one_wherever_the_arm_is(chain: Chain) -> None:
+    chain.goal(A, B, C, A, B, C, step=0.5, name="old")
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    chain.goal(C, name="new")
+    told = [chain.inbox._queue.get(timeout=PATIENCE) for _ in range(4)]
+    results = [payload for key, payload in told if key == "result"]
+    replies = [payload for key, payload in told if key == "reply"]
+    assert [(r["id"], r["status"], r["message"]) for r in results] == [
+        ("old", "replaced", "replaced by goal new"),
+        ("new", "succeeded", "reached"),
+    ]
+    assert replies[0]["id"] == "new"
+
+
+def test_cancel_and_goals_after_it(chain: Chain) -> None:
+    for k in range(5):
+        chain.goal(A, B, step=10, name=f"g{k}")
+        assert chain.inbox.next("reply")["accepted"]
+        chain.inbox.next("feedback")
+        chain.planning.cancel(chain.inbox.replying("canceled"))
+        told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
+        assert told["canceled"]["message"] == "canceled"
+        assert told["result"]["status"] == "canceled"
+        eventually(lambda: chain.planning.state()["mode"] == "ready")
+
+
+def test_a_planner_that_ends_leaves_the_arm_and_another_goes_on(chain: Chain) -> None:
+    chain.goal(A, B, step=10)
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    chain.planning.close()
+    result = chain.inbox.next("result")
+    assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
+    chain.planning = chain.plan_anew()
+    chain.goal(C, name="b")
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    assert chain.inbox.next("result")["status"] == "succeeded"
+
+
+def test_the_result_of_a_planner_that_was_killed_is_told_by_the_next(chain: Chain) -> None:
+    chain.goal(A, B, step=10)
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    old = chain.planning
+    old._goals._results.tell = lambda *_: None  # type: ignore[method-assign]  # it is dead and says nothing
+    old._goals.heard = lambda message: None  # type: ignore[method-assign]
+    old._link._drop()
+    old._link.close()
+    chain.planning = chain.plan_anew()
+    result = chain.inbox.next("result")
+    assert (result["id"], result["status"]) == ("a", "aborted")
+    assert "the planner is gone" in result["message"]
+    assert result["configuration"] == "12"
+    old.close()
+
+
+def test_an_executor_that_is_halted_is_met_again(chain: Chain) -> None:
+    chain.goal(A, B, step=30)
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    chain.executor.frozen.set()
+    result = chain.inbox.next("result")
+    assert (result["id"], result["status"]) == ("a", "aborted")
+    eventually(lambda: chain.planning.state()["mode"] == "fault")
+    chain.executor.frozen.clear()
+    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    chain.goal(C, name="b")
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    assert chain.inbox.next("result")["id"] == "b"
+
+
+def test_stop_and_reset(chain: Chain) -> None:
+    chain.goal(A, B, step=30)
+    assert chain.inbox.next("reply")["accepted"]
+    chain.inbox.next("feedback")
+    chain.planning.stop(chain.inbox.replying("stop"))
+    told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
+    assert told["result"]["message"] == "emergency stop; the arm holds"
+    assert told["stop"]["accepted"]
+    eventually(lambda: chain.planning.state()["mode"] == "stopped")
+    chain.planning.reset(chain.inbox.replying("reset"))
+    assert chain.inbox.next("reset")["accepted"]
+    eventually(lambda: chain.planning.state()["mode"] == "ready")
+
+
+def test_set_points_are_followed(chain: Chain) -> None:
+    wanted = [(1, 2)]
+    chain.planning.setpoints(
+        lambda: json.dumps({"position": chain.arm.manipulator.tip(np.array(wanted[0]))[:2, 3].tolist()}).encode()
+    )
+    for goal in (A, C, (0, 0)):
+        wanted[0] = goal
+        eventually(lambda: chain.error(wanted[0]) < 0.003)
+    assert chain.planning.state()["mode"] == "executing"
+    chain.planning.setpoints(lambda: None)
+    eventually(lambda: chain.planning.state()["mode"] == "ready")
+
+
+def test_a_jog_and_a_lock(chain: Chain) -> None:
+    payload = {"actuators": {"1.left": "extended", "2.right": "extended"}}
+    chain.planning.jog(json.dumps(payload).encode(), chain.inbox.replying())
+    assert chain.inbox.next("reply")["accepted"]
+    assert chain.inbox.next("result")["status"] == "succeeded"
+    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    eventually(lambda: not chain.executor.core.motion.moving)
+    wish = {"actuator": "1.left", "state": 1}
+    chain.planning.degrade(json.dumps(wish).encode(), chain.inbox.replying("degrade"))
+    assert chain.inbox.next("degrade")["message"] == "held: 1.left (extended)"
+    eventually(lambda: chain.planning.state()["degraded"])
+    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    chain.goal(A, name="after")
+    reply = chain.inbox.next("reply")
+    if reply["accepted"]:
+        chain.inbox.next("feedback")
+        chain.inbox.next("result")
+    assert chain.planning.state()["measured"][0] == 1
