@@ -1,4 +1,4 @@
-"""Modes, faults, recovery, requests of clients, and the end."""
+"""Modes: cancel, halt, reset, faults, recovery, locks and the end."""
 
 import pytest
 
@@ -8,26 +8,17 @@ from controller.executor.core import PERIOD
 from controller.executor.events import Quit
 from controller.executor.modes import RETRY
 from controller.program import (
-    MOST_BYTES,
-    Acknowledge,
-    Alive,
     Answer,
     Cancel,
-    Counts,
     Declined,
     Ended,
-    Goodbye,
     Halt,
-    Hello,
     Lock,
     Reset,
-    Snapshot,
-    Welcome,
-    encode,
     unpack,
 )
 from drivers.canopen.faults import Fault
-from tests.executor.rig import CAN, LOST, OPERATOR, OTHER, PLANNER, SIZE, TRAVEL, Rig, ready
+from tests.executor.rig import CAN, LOST, PLANNER, SIZE, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
 
@@ -40,107 +31,6 @@ def rig() -> Rig:
 def answer(rig: Rig) -> tuple[bool, str]:
     last = rig.last(Answer)
     return last.accepted, last.message
-
-
-# --- clients
-
-
-def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
-    assert rig.last(Welcome) == Welcome(1, "small", "d" * 64, 7, (0,) * SIZE, 0)
-    rig.connect(OTHER)
-    assert rig.last(Goodbye, OTHER).reason == "a planner is connected already, process 4001; only one may drive the arm"
-    rig.gone()
-    rig.connect(OTHER)
-    assert rig.of(Welcome, OTHER)
-
-
-@pytest.mark.parametrize("hello", [Hello(2, "planner", "small"), Hello(1, "planner", "other"), Alive(), Halt(1)])
-def test_who_does_not_belong_here_hears_why(rig: Rig, hello: object) -> None:
-    rig.send(hello, OTHER)
-    assert rig.last(Goodbye, OTHER).reason
-    assert rig.mode == "ready"
-
-
-def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
-    rig.run(A, B)
-    rig.connect(OPERATOR, "operator")
-    rig.send(Halt(5), OPERATOR)
-    assert rig.last(Answer, OPERATOR) == Answer(5, True, "stopped; the arm holds until reset")
-    assert (rig.mode, rig.results) == ("stopped", [(1, "aborted")])
-    rig.send(Reset(6), OPERATOR)
-    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only halt"
-    assert rig.mode == "stopped"
-
-
-def test_results_are_sent_again_until_they_are_acknowledged(rig: Rig) -> None:
-    rig.run(A, B, context=b"context")
-    rig.gone()
-    rig.go(1)
-    assert (rig.mode, rig.reason, rig.switched) == ("ready", "holding; the planner is gone", [A])
-    for _ in range(2):
-        rig.heard.clear()
-        rig.connect()
-        (ended,) = rig.of(Ended)
-        assert (ended.status, ended.context) == ("aborted", b"context")
-        rig.gone()
-    rig.connect()
-    rig.send(Acknowledge(ended.result))
-    rig.gone()
-    rig.heard.clear()
-    rig.connect()
-    assert rig.of(Ended) == []
-
-
-def test_a_silent_planner_ends_its_program_once_and_may_speak_again(rig: Rig) -> None:
-    rig.run(0, A, step=10.0)
-    rig.alive = False
-    rig.go(1.5)
-    assert (rig.mode, rig.results) == ("ready", [(1, "aborted")])
-    rig.run(A)
-    rig.go(0.2)
-    assert rig.results[-1] == (2, "done")
-
-
-def test_the_greater_counts_hold(rig: Rig) -> None:
-    rig.send(Counts((5, 0, 0, 0, 0, 7)))
-    rig.send(Counts((1,)))
-    rig.run(A)
-    rig.go(0.3)
-    assert rig.journal.counts == [6, 1, 1, 0, 0, 7]
-
-
-# --- reports
-
-
-def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_second(rig: Rig) -> None:
-    rig.heard.clear()
-    rig.go(1)
-    assert 19 <= len(rig.of(Snapshot)) <= 21
-    assert len(rig.diagnostics) == 1
-    rig.heard.clear()
-    rig.send(Halt(1))
-    assert [type(message) for _, message in rig.heard] == [Answer, Snapshot]
-
-
-def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
-    for k in range(1000):
-        rig.master.fail(Fault("emergency", f"can0/{k}", "é" * 2000))
-    rig.go()
-    assert len(rig.snapshot.faults) == 50
-    assert len(encode(rig.snapshot)) < MOST_BYTES
-    assert rig.mode == "fault"
-
-
-def test_systemd_is_told_and_the_watchdog_is_fed_by_good_ticks_only(rig: Rig) -> None:
-    assert rig.notified[:2] == ["READY=1", "STATUS=starting: the boards are being booted"]
-    assert {"STATUS=ready: holding what the boards measured", "WATCHDOG=1"} <= set(rig.notified)
-    rig.notified.clear()
-    rig.go(1)
-    assert 9 <= rig.notified.count("WATCHDOG=1") <= 12
-    rig.master.broken = {"tick"}
-    rig.notified.clear()
-    rig.go(1)
-    assert "WATCHDOG=1" not in rig.notified
 
 
 # --- cancel, halt, reset

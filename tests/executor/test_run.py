@@ -15,7 +15,8 @@ from controller.executor.run import EventLoop
 from controller.executor.server import Server
 from controller.executor.switch_journal import MemoryJournal
 from controller.program import MOST_BYTES, Diagnostics, Ended, Hello, Program, Snapshot, Stage, decode_up, encode, pack
-from tests.executor.rig import SIZE, FakeMaster, small_arm
+from tests.executor.fake_master import FakeMaster
+from tests.executor.rig import SIZE, small_arm
 
 
 class NoBuses:
