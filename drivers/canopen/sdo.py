@@ -10,7 +10,7 @@ from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.link import Link, Outgoing
 
-TIMEOUT, TRIES = 0.5, 2  # [s] for one answer, and attempts
+TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
 _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 

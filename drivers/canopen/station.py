@@ -53,7 +53,7 @@ class Station:
 def _ask_inputs(board: Board) -> Procedure:
     before = board.input_frames
     for sub in board.layout.inputs:
-        outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE)
+        outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE, tries=2)
         if outcome.data and board.input_frames == before:  # otherwise a TPDO brought newer ones
             board.set_input(sub, outcome.data[0])
 

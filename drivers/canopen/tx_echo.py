@@ -34,6 +34,11 @@ class TxPending:
         return self._count > 0 and self.last_echo is not None
 
     @property
+    def count(self) -> int:
+        """Number of pending frames."""
+        return 0 if self.last_echo is None else self._count
+
+    @property
     def oldest(self) -> float | None:
         """When the oldest pending frame was handed out [s]; None if no frame is pending."""
         if not self._count or self.last_echo is None:

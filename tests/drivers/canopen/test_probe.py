@@ -74,7 +74,7 @@ def test_silent_boards_are_asked_in_parallel():
     answers = asked(world)
     assert not any(answer.ok for answer in answers)
     assert "can0/1 does not answer" in answers[0].text
-    assert world.now < 1.5
+    assert world.now < 2
 
 
 def test_boards_of_a_lost_bus_do_not_answer():

@@ -76,7 +76,7 @@ def test_late_answers_to_another_object_are_dropped():
 
 def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another_no_confirmation():
     entry = Entry(0x1017, 0, 600, size=2)
-    fault = Line([ABORT_OF_OTHER], [ABORT_OF_OTHER]).run(objects.write("can0/5", entry))
+    fault = Line(*[[ABORT_OF_OTHER]] * 3).run(objects.write("can0/5", entry))
     assert fault.code == "board-missing"
     fault = Line([b"\x60\x16\x10\x01\0\0\0\0", b"\x80\x17\x10\x00\x30\x00\x09\x06"]).run(objects.write("can0/5", entry))
     assert fault.code == "sdo-refused"
@@ -85,24 +85,24 @@ def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another
 
 def test_an_answer_to_a_read_is_none_to_a_write():
     entry = Entry(0x6200, 1, 7)
-    fault = Line([OTHER], [OTHER]).run(objects.write("can0/5", entry))
+    fault = Line(*[[OTHER]] * 3).run(objects.write("can0/5", entry))
     assert fault.code == "board-missing"
 
 
-def test_gives_up_after_two_attempts():
+def test_gives_up_after_three_attempts():
     line = Line()
     fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
     assert fault.code == "board-missing"
-    assert "can0/5 does not answer to 1000h sub 0: no SDO answer within 0.5 s, asked 2 times" in fault.message
-    assert line.requests == ["40 00 10 00 00 00 00 00"] * 2
-    assert 0.9 < line.now < 1.2
+    assert "can0/5 does not answer to 1000h sub 0: no SDO answer within 0.5 s, asked 3 times" in fault.message
+    assert line.requests == ["40 00 10 00 00 00 00 00"] * 3
+    assert 1.4 < line.now < 1.7
 
 
 def test_gives_up_if_the_bus_takes_no_frame():
     line = Line(*[None] * 1000)
     fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
     assert fault.code == "board-missing"
-    assert 0.9 < line.now < 1.2
+    assert 1.4 < line.now < 1.7
 
 
 @pytest.mark.parametrize("absent", [0x06020000, 0x06090011])

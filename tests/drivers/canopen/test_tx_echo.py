@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.canopen.cia301 import Frame
-from drivers.canopen.link import Link
+from drivers.canopen.link import Link, Outgoing
 from drivers.canopen.tx_echo import TxPending
 from drivers.canopen.wiring import BusSettings
 
@@ -47,3 +47,18 @@ def test_a_bus_is_stuck_after_its_own_time():
             faults.append((k, fault.code))
     assert faults == [(122, "bus-busy")]
     assert not link.armed
+
+
+def test_transfers_wait_until_the_heartbeat_has_left():
+    """On a slow bus they would keep it away: its identifier is the highest of all."""
+    sent: list[Frame] = []
+    link = Link(BusSettings("can0", "virtual", "can0"), lambda _, frame: sent.append(frame), stuck_after=0.2)
+    link.changed("active", "", None, 0.0)
+    link.send(BEAT, 0.0)
+    link.echoed(BEAT, 0.001)
+    link.send(BEAT, 0.1)
+    request = Frame(0x601, bytes(8))
+    link.queue(Outgoing(request), 0.101)
+    assert sent == [BEAT, BEAT]
+    link.echoed(BEAT, 0.102)
+    assert sent == [BEAT, BEAT, request]
