@@ -224,7 +224,7 @@ class Link:
         )
 
     def _pump(self, now: float) -> None:
-        """Hands out frames whose turn has come: SDO transfers that fill a slow bus must not keep the heartbeat off it."""
+        """Hands out what may go: SDO transfers that fill a slow bus must not keep the heartbeat off it."""
         if self.pending.count > len(self._unsent) or self._failed_since_tick or not self.usable:
             return
         while self._queue and len(self._unsent) < _MOST_UNSENT:
