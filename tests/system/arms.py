@@ -71,7 +71,7 @@ def write(folder: Path, kind: str, name: str, bus: dict[str, str], fields: dict[
         fields: replace fields of the file; those of `boards` one by one.
     """
     document = KINDS[kind]()
-    boards = {"heartbeat": 0.1, "heartbeat_timeout": 2.0, "boot_timeout": 20.0, "settle_margin": 1.0}
+    boards = {"heartbeat": 0.1, "heartbeat_timeout": 2.0, "boot_timeout": 6.0, "settle_margin": 1.0}
     boards = {name: time * SLOWNESS for name, time in boards.items()} | fields.get("boards", {})
     document |= {"name": name, "travel_time": 0.05 * SLOWNESS, **fields, "boards": boards}
     document["buses"] = [{"name": "can0", **bus}]

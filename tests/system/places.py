@@ -33,6 +33,6 @@ def first_to_switch(client: Observer, arm: Arm, goal: tuple[float, ...]) -> tupl
 
 
 def other_place(client: Observer, arm: Arm) -> tuple[float, float]:
-    """A place that the arm must switch actuators to get to."""
-    now = client.wait_now("ready")["measured"]
+    """A place that the arm, at rest, must switch actuators to get to."""
+    now = client.state["measured"]
     return next(goal for goal in (RIGHT, MIDDLE) if (states_at(client, arm, goal) != now).any())

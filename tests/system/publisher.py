@@ -1,0 +1,79 @@
+"""A Zenoh publisher that streams set-points."""
+
+import json
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import zenoh
+
+from tests.system.observer import Observer
+from tests.waiting import SLOWNESS, eventually
+
+START = (0.5, 2.8)
+RATE = 50.0 / SLOWNESS  # [Hz]
+STOPPED = "the stream of setpoints has stopped"  # a reason in `state`
+BAD = [b"{", b'{"position": [NaN, 1]}', b'{"position": [1, 2], "stamp": 1}', b'{"position": [1, 2, 3]}', b" " * 20_000]
+
+
+def circle(t: float) -> tuple[float, float]:
+    """A goal that goes round at 0.1 m/s, on a slow machine slower, from START on."""
+    turn = 0.5 * t / SLOWNESS
+    return START[0] + 0.2 * math.sin(turn), START[1] + 0.2 * (1 - math.cos(turn))
+
+
+class Publisher:
+    """Streams set-points of a goal that moves with the clock.
+
+    Attributes:
+        position: where the goal was last.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, client: Observer, name: str,
+        way: Callable[[float], tuple[float, float]] = circle,
+    ) -> None:  # fmt: skip
+        self._session, self._client, self._key, self._way = session, client, f"hyperbit/{name}/setpoint", way
+        self.position = way(0.0)
+
+    def put(self, payload: dict[str, Any] | bytes) -> None:
+        self._session.put(self._key, payload if isinstance(payload, bytes) else json.dumps(payload))
+
+    def stream(self, ended: Callable[[float], bool], bad: bool = False) -> None:
+        """Streams until `ended`, a function of the time [s], with something bad after every set-point if told to."""
+        began, k = time.monotonic(), 0
+        while not ended(t := time.monotonic() - began):
+            self.position = self._way(t)
+            self.put({"position": self.position, "stamp": time.time()})
+            time.sleep(0.5 / RATE)
+            if bad:
+                self.put(BAD[k % len(BAD)])
+            time.sleep(0.5 / RATE)
+            k += 1
+
+    @contextmanager
+    def streaming(self) -> Iterator[None]:
+        """Streams while the context lasts; from then until the arm is ready nobody has to ask for motion."""
+        over, began = threading.Event(), time.time()
+        thread = threading.Thread(target=self.stream, args=(lambda t: over.is_set(),))
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+            self.followed(began)
+
+    def followed(self, began: float) -> None:
+        """Waits until the stream is followed no more; notes that the arm may have moved for it until now."""
+        before = len(self._client.heard["state"])
+
+        def ended() -> bool:
+            states = self._client.heard["state"][before:]
+            return any(not state["reason"].startswith("following") for state in states)
+
+        eventually(ended)
+        self._client.streams.append((began, time.time()))

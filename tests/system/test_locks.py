@@ -1,0 +1,74 @@
+"""Locked actuators: found stuck by their end-stops, or locked over Zenoh; the arm goes on without them."""
+
+import time
+
+import numpy as np
+import pytest
+
+from controller.config import Arm
+from controller.motion import codes
+from drivers.simulation.simulation import Simulation
+from tests.system.observer import Observer
+from tests.system.places import LEFT, MIDDLE, RIGHT, first_to_switch, tip
+from tests.waiting import eventually
+
+NEAR = (0.3, 2.8)
+
+pytestmark = pytest.mark.arm(on_stuck="continue")
+
+
+def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(
+    client: Observer, boards: Simulation, arm: Arm
+) -> None:
+    client.move(MIDDLE)
+    label, state_now = first_to_switch(client, arm, RIGHT)
+    k = arm.manipulator.actuators.index(label)
+    boards.fault("stick", label, state_now)
+    before = len(client.heard["state"])
+    client.goal(RIGHT, id="a")
+    assert (client.result("a")["status"], label in client.result("a")["message"]) == ("aborted", True)
+    client.wait_for("fault", label, after=before)
+    state = client.wait_now("ready")
+    assert state["degraded"] == [{"actuator": label, "state": state_now}]
+    assert [(fault["code"], fault["source"]) for fault in state["faults"]] == [("degraded", label)]
+    assert state["measured"] == boards.positions().astype(int).tolist()
+    tried = boards.switches()[k]
+    for number, goal in enumerate((LEFT, MIDDLE, NEAR, LEFT)):
+        client.move(goal, goal=f"b{number}")
+        assert np.linalg.norm(tip(boards, arm) - goal) <= arm.tolerance
+        assert client.wait_now("ready")["measured"][k] == state_now
+        assert boards.switches()[k] == tried, "its output stays as it is"
+    refused = client.goal(RIGHT)
+    assert (refused["code"], "out of reach" in refused["message"]) == (codes.GOAL_TOLERANCE_VIOLATED, True)
+
+    loose = time.time()
+    boards.fault("release", label)  # its output is as it was commanded when it was found stuck: it moves
+    client.wait_fault("unexpected-motion", loose)
+    eventually(lambda: np.isin(boards.positions(), (0, 1)).all())
+    assert client.ask("degrade", actuator=label, state=None)["accepted"]
+    client.reset()
+    state = client.wait_now("ready")
+    assert (state["degraded"], state["faults"]) == ([], [])
+    client.move(RIGHT, goal="c")
+
+
+def test_an_actuator_that_an_operator_locks_is_left_as_it_is_and_nothing_moves_by_that(
+    client: Observer, boards: Simulation, arm: Arm
+) -> None:
+    client.move(MIDDLE)
+    label, state_now = first_to_switch(client, arm, RIGHT)
+    k = arm.manipulator.actuators.index(label)
+    before = boards.switches().tolist()
+    malformed = client.ask("degrade")
+    assert (malformed["accepted"], malformed["message"][:9]) == (False, "actuator:")
+    refused = client.ask("degrade", actuator=label, state=1 - state_now)
+    assert (refused["accepted"], f"the end-stop of {label} reads" in refused["message"]) == (False, True)
+    assert client.ask("degrade", actuator=label, state=state_now)["accepted"]
+    assert client.wait_now("ready")["degraded"] == [{"actuator": label, "state": state_now}]
+    assert boards.switches().tolist() == before
+    client.move(LEFT, NEAR, goal="b")
+    assert boards.switches()[k] == before[k]
+    jogged = client.ask("jog", actuators={label: ("extended", "contracted")[state_now]})
+    assert (jogged["accepted"], label in jogged["message"]) == (False, True)
+    assert client.ask("degrade", actuator=label, state=None)["accepted"]
+    assert client.wait_now("ready")["degraded"] == []

@@ -1,0 +1,182 @@
+"""Obstacles: sent over Zenoh, or in the arm's file; the arm goes around them, or holds and says why."""
+
+import json
+from contextlib import ExitStack
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from controller.config import Arm
+from controller.manipulator.frames import planar
+from controller.motion import codes
+from drivers.simulation.simulation import Simulation
+from tests.obstacles.dense import Box, Disc, Region
+from tests.obstacles.moving import motion, room, truss
+from tests.system.motions import Motions
+from tests.system.observer import Observer
+from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT, tip
+from tests.system.publisher import START, STOPPED, Publisher
+from tests.system.system import System
+from tests.waiting import SLOWNESS, eventually
+
+CRATE = {"disc": {"centre": list(RIGHT), "radius": 0.2}, "name": "crate"}
+# Where the arm goes from MIDDLE to FAR, and beside the way.
+FAR = (-0.6, 2.7)
+AROUND = [
+    {"disc": {"centre": [0.9, 1.4], "radius": 0.3}, "name": "pillar"},
+    {"box": {"centre": [-0.9, 1.2], "size": [0.5, 0.3], "angle": 0.4}, "name": "shelf"},
+]
+SHAPES: list[Region] = [Disc((0.9, 1.4), 0.3), Box(planar(-0.9, 1.2, 0.4), (0.5, 0.3))]
+WALL = {"half_plane": {"point": [2.5, 0], "normal": [-1, 0]}, "name": "wall"}
+POST = Disc((0.75, 2.2), 0.15)  # where many configurations have modules that bring the tip to the line
+END = (START[0] + 0.6, START[1])
+
+PARTS = [truss("BC", 0.2, 0.2, 0.25), truss("AD", 0.2, 0.2, 0.25)] * 8  # of the paper's arm
+MOTIONS, SAMPLES, CORNERS = 3, 10, 30  # of each transition
+
+
+def keep_out(client: Observer, *regions: object) -> str:
+    answer = client.ask("obstacles", regions=list(regions))
+    assert answer["accepted"], answer
+    return str(answer["message"])
+
+
+def least_room(arm: Arm, rows: list[np.ndarray], shapes: list[Region]) -> float:
+    """How near the arm may have come while its actuators went from each of the rows to the next as they liked."""
+    chance, away = np.random.default_rng(0), np.inf
+    for before, after in pairwise(rows):
+        corners = np.where(chance.random((CORNERS, len(before))) < 0.5, before, after)
+        strokes = [motion(chance, before, after, SAMPLES) for _ in range(MOTIONS)]
+        every = np.concatenate([[before, after], corners, *strokes]).astype(float)
+        away = min(away, room(PARTS, arm.manipulator.base, shapes, every, 40, pairs=False)[0])
+    return away
+
+
+def test_goals_are_planned_around_regions_that_are_sent_until_they_are_gone(
+    client: Observer, boards: Simulation, arm: Arm, motions: Motions
+) -> None:
+    client.move(MIDDLE)
+    before = boards.switches().tolist()
+    assert keep_out(client, CRATE) == "keeping out of 1 region, 1 of them sent"
+    refused = client.goal(RIGHT)
+    assert (refused["accepted"], refused["code"]) == (False, codes.GOAL_TOLERANCE_VIOLATED)
+    assert boards.switches().tolist() == before
+    assert keep_out(client, *AROUND) == "keeping out of 2 regions, 2 of them sent"
+    motions.read()
+    rows = [motions.outputs]
+    motions.clear()
+    for number, goal in enumerate((FAR, LEFT, RIGHT, MIDDLE)):
+        if client.goal(goal, id=f"b{number}")["accepted"]:
+            assert client.result(f"b{number}")["status"] == "succeeded"
+            assert np.linalg.norm(tip(boards, arm) - goal) <= arm.tolerance
+    assert len(client.accepted) >= 4
+    motions.read()
+    rows += motions.rows
+    assert len(rows) > 3
+    assert least_room(arm, rows, SHAPES) > 0
+    assert keep_out(client) == "keeping out of 0 regions, 0 of them sent"
+    client.move(RIGHT, goal="c")
+
+
+def test_a_running_goal_whose_rest_would_touch_is_aborted_and_the_arm_holds(
+    client: Observer, boards: Simulation
+) -> None:
+    client.move(LEFT)
+    assert client.goal(MIDDLE, LEFT, RIGHT, times=[0, 1, HOUR], id="a")["accepted"]
+    eventually(lambda: client.feedback("a") and client.feedback("a")[-1]["waypoint"] == 1)
+    before = boards.switches().tolist()
+    keep_out(client, CRATE)
+    result = client.result("a")
+    assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
+    assert "disc 'crate'" in result["message"]
+    assert "disc 'crate'" in client.wait_now("ready")["reason"]
+    assert boards.switches().tolist() == before
+    client.move(MIDDLE, goal="b")
+    keep_out(client)
+
+
+def test_regions_that_come_during_motion_are_kept_out_of_from_then_on(
+    client: Observer, boards: Simulation, arm: Arm, motions: Motions
+) -> None:
+    """The goal goes on stage by stage, or is aborted where its rest would touch."""
+    client.move(MIDDLE)
+    points = [(MIDDLE, LEFT)[k % 2] for k in range(20)]
+    assert client.goal(*points, times=[0.1 * k for k in range(20)], id="a")["accepted"]
+    eventually(lambda: client.feedback("a"))
+    keep_out(client, *AROUND)
+    motions.read()
+    rows = [motions.outputs]
+    motions.clear()
+    result = client.result("a")
+    motions.read()
+    rows += motions.rows[1:]  # the first may have been under way
+    assert result["status"] in ("succeeded", "aborted"), result
+    assert least_room(arm, rows[1:], SHAPES) > 0
+    keep_out(client)
+
+
+def test_an_arm_that_stands_in_a_region_says_so_and_takes_goals_when_it_is_gone(client: Observer) -> None:
+    client.move(MIDDLE)
+    assert "where the arm stands" in keep_out(client, {"disc": {"centre": list(MIDDLE), "radius": 0.1}, "name": "hand"})
+    eventually(lambda: "in-obstacle" in client.codes)
+    refused = client.goal(LEFT)
+    assert (refused["accepted"], "disc 'hand'" in refused["message"]) == (False, True)
+    keep_out(client)
+    eventually(lambda: not client.codes)
+    client.move(LEFT, goal="b")
+
+
+def test_what_is_malformed_changes_nothing(client: Observer, system: System, stack: ExitStack) -> None:
+    client.move(MIDDLE)
+    keep_out(client, CRATE)
+    for payload in ({}, {"regions": [{}]}, {"regions": [CRATE, CRATE]}, {"regions": [], "more": 1}):
+        assert client.client.request("obstacles", payload)["accepted"] is False
+    assert client.goal(RIGHT)["accepted"] is False
+    session = stack.enter_context(system.session())
+    session.put(f"hyperbit/{system.name}/obstacles", json.dumps({"regions": []}))
+    eventually(lambda: client.goal(RIGHT, id=f"a{len(client.heard['state'])}")["accepted"])
+
+
+@pytest.mark.arm(obstacles=[WALL])
+@pytest.mark.fresh
+def test_a_new_planner_knows_the_regions_of_the_file_only(system: System) -> None:
+    system.start()
+    for _ in range(2):
+        with system.client() as client:
+            client.wait_for("ready")
+            assert client.goal(RIGHT)["accepted"] is False
+            assert keep_out(client) == "keeping out of 1 region, 0 of them sent"
+            assert keep_out(client, *AROUND) == "keeping out of 3 regions, 2 of them sent"
+        system.end_planner()
+        system.start_planner()
+
+
+def test_setpoints_past_a_region_are_followed_clear_of_it(
+    client: Observer, system: System, arm: Arm, motions: Motions, stack: ExitStack
+) -> None:
+    publisher = Publisher(stack.enter_context(system.session()), client, system.name, line)
+
+    def streamed(goal: str) -> list[np.ndarray]:
+        """What was switched from where a stream begins to its end."""
+        client.move(START, goal=goal)
+        motions.read()
+        first = [motions.outputs]
+        motions.clear()
+        with publisher.streaming():
+            eventually(lambda: np.linalg.norm(np.subtract(client.state["tip"]["position"], END)) < 0.05)
+        client.wait_now("ready", STOPPED)
+        motions.read()
+        return first + motions.rows
+
+    keep_out(client, {"disc": {"centre": list(POST.centre), "radius": POST.radius}, "name": "post"})
+    rows = streamed("among")
+    assert len(rows) > 5
+    assert least_room(arm, rows, [POST]) > 0
+    keep_out(client)
+    assert least_room(arm, streamed("alone"), [POST]) < 0, "the region was in the way"
+
+
+def line(t: float) -> tuple[float, float]:
+    """A goal that goes 0.6 to the right at 0.2 m/s, and stays there."""
+    return min(START[0] + 0.2 * t / SLOWNESS, END[0]), START[1]

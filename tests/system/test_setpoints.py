@@ -1,0 +1,180 @@
+"""A moving goal, streamed by a Zenoh publisher, to the actuators and back."""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller.config import Arm
+from drivers.simulation.simulation import Simulation
+from tests.system.motions import Motions
+from tests.system.observer import Observer
+from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT, tip
+from tests.system.publisher import BAD, START, STOPPED, Publisher
+from tests.system.system import System
+from tests.waiting import SLOWNESS, eventually
+
+FOLLOWING = "following a setpoint"
+
+
+@pytest.fixture
+def publisher(client: Observer, system: System, stack: ExitStack) -> Iterator[Publisher]:
+    """A publisher; the arm is where it begins."""
+    client.move(START)
+    client.wait_now("ready")
+    yield Publisher(stack.enter_context(system.session()), client, system.name)
+
+
+def setpoint(client: Observer) -> dict[str, Any]:
+    """What is published next of the stream."""
+    told: dict[str, Any] = client.diagnosed()["setpoint"]
+    return told
+
+
+def test_the_arm_follows_and_bad_setpoints_change_nothing(
+    client: Observer, publisher: Publisher, boards: Simulation, arm: Arm, motions: Motions
+) -> None:
+    begun, results, since = len(client.heard["state"]), len(client.heard["result"]), time.time()
+    motions.clear()
+
+    def enough(t: float) -> bool:
+        motions.read()
+        return t > 2.0 * SLOWNESS and len(motions.moved_at) >= 5
+
+    publisher.stream(enough, bad=True)
+    client.wait_now("ready", STOPPED)
+    client.streams.append((since, time.time()))
+    motions.read()
+    assert np.linalg.norm(tip(boards, arm) - START) > 0.02, "the goal was followed"
+    modes = [state["mode"] for state in client.heard["state"][begun:]]
+    alternations = [mode for k, mode in enumerate(modes) if k == 0 or mode != modes[k - 1]]
+    assert alternations[-2:] == ["executing", "ready"]
+    assert all(state["goal"] is None for state in client.heard["state"][begun:])
+    assert len(client.heard["result"]) == results
+    told = setpoint(client)
+    assert told["received"] > 20
+    assert told["refused"] > 5
+    assert told["last_refusal"]
+    assert not told["alive"]
+    state = client.wait_now("ready")
+    assert state["measured"] == state["commanded"] == boards.positions().astype(int).tolist()
+
+
+def test_a_stream_that_rests_is_met(client: Observer, publisher: Publisher, boards: Simulation, arm: Arm) -> None:
+    """The goal goes 0.1 away and stays there: the arm is there when nothing is switched any more."""
+    goal = START[0] + 0.1, START[1]
+    publisher._way = lambda t: goal
+    with publisher.streaming():
+        eventually(lambda: _near(client, goal))
+    client.wait_now("ready")
+    assert np.linalg.norm(tip(boards, arm) - goal) < 0.02
+
+
+def _near(client: Observer, goal: tuple[float, float]) -> bool:
+    tip = client.state["tip"]
+    return tip is not None and bool(np.linalg.norm(np.subtract(tip["position"], goal)) < 0.02)
+
+
+def test_bad_setpoints_alone_move_nothing(client: Observer, publisher: Publisher, motions: Motions) -> None:
+    motions.clear()
+    refused = setpoint(client)["refused"]
+
+    def told() -> bool:
+        for payload in BAD:
+            publisher.put(payload)
+        return bool(setpoint(client)["refused"] > refused)
+
+    eventually(told)
+    assert client.wait_now("ready")["mode"] == "ready"
+    assert motions.still()
+
+
+def test_out_of_reach_is_said_and_moves_nothing(client: Observer, publisher: Publisher, motions: Motions) -> None:
+    motions.clear()
+
+    def said() -> bool:
+        publisher.put({"position": (9.0, 9.0)})
+        return any("out of reach" in state["reason"] for state in client.heard["state"])
+
+    eventually(said)
+    client.wait_now("ready")
+    assert motions.still()
+
+
+def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
+    client: Observer, publisher: Publisher, boards: Simulation, arm: Arm
+) -> None:
+    client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
+    eventually(lambda: client.feedback("a"))
+    with publisher.streaming():
+        assert client.result("a")["message"] == "replaced by a setpoint"
+        client.wait_now("executing", FOLLOWING)
+        assert client.goal(RIGHT, id="b")["accepted"]
+        assert client.result("b")["status"] == "succeeded"
+        assert client.wait_now("ready")["goal"] is None
+        assert np.linalg.norm(tip(boards, arm) - RIGHT) <= arm.tolerance, "the stream is the one from before"
+    client.move(LEFT, goal="c")
+    assert [len(client.results(goal)) for goal in "abc"] == [1, 1, 1]
+
+
+def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
+    client: Observer, publisher: Publisher, motions: Motions
+) -> None:
+    with publisher.streaming():
+        client.wait_now("executing", FOLLOWING)
+        assert client.ask("cancel")["message"] == "canceled"
+        motions.clear()
+        client.wait_now("ready", "following was canceled")
+        received = setpoint(client)["received"]
+        assert setpoint(client)["received"] > received, "the stream goes on"
+        assert client.state["mode"] == "ready"
+        assert motions.still()
+    eventually(lambda: not setpoint(client)["alive"])
+    with publisher.streaming():
+        client.wait_now("executing", FOLLOWING)
+    client.wait_now("ready", "has stopped")
+
+
+def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
+    client: Observer, publisher: Publisher, motions: Motions
+) -> None:
+    began = time.time()
+    for k in range(1, 4):
+        publisher.put({"position": LEFT if k % 2 else RIGHT})
+        client.ask("cancel")
+        motions.clear()  # a search may be quick enough to switch before the cancel, but not after it
+        eventually(lambda k=k: setpoint(client)["received"] >= k and not setpoint(client)["alive"])
+        assert motions.still()
+        client.streams.append((began, time.time()))
+    client.wait_now("ready")
+
+
+def test_nothing_is_switched_after_a_stop(client: Observer, publisher: Publisher, motions: Motions) -> None:
+    with publisher.streaming():
+        client.wait_now("executing", FOLLOWING)
+        assert client.ask("stop")["accepted"]
+        motions.clear()
+        client.wait_now("stopped")
+        setpoint(client)
+        client.reset()
+        setpoint(client)
+        assert client.state["mode"] == "ready", "the stream is the one from before"
+        assert motions.still()
+
+
+def test_a_new_goal_ends_a_stream_that_goes_on_and_cancel_ends_the_goal(
+    client: Observer, publisher: Publisher, motions: Motions
+) -> None:
+    with publisher.streaming():
+        client.wait_now("executing", FOLLOWING)
+        assert client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")["accepted"]
+        eventually(lambda: client.feedback("a"))
+        assert "canceled" in client.ask("cancel")["message"]
+        assert client.result("a")["status"] == "canceled"
+        motions.clear()
+        client.wait_now("ready", "canceled")
+        setpoint(client)
+        assert motions.still()
