@@ -86,6 +86,11 @@ class SimulatedBuses:
         """(A,) how often each actuator's drive changed."""
         return [actuator.switches for actuator in self._actuators.values()]
 
+    @property
+    def labels(self) -> list[str]:
+        """(A,) labels of the actuators."""
+        return list(self._actuators)
+
     def board(self, name: str) -> SimulatedBoard:
         """A board by its name, e.g. "can0/5".
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from random import Random
+from typing import NamedTuple
 
 from drivers.canopen.cia301 import Frame, split, wire_bits
 from drivers.canopen.events import Changed, Echoed, Event, Received
@@ -13,6 +14,13 @@ from tests.simulation.agenda import Agenda
 MAILBOXES = 3  # of the controller; frames in them compete by identifier
 CAPACITY = 13  # frames in mailboxes and queue; Linux gives a CAN interface a queue of 10 frames
 SDO_ANSWER = 0x580
+
+
+class OnItsWay(NamedTuple):
+    """A frame of the executor; `belongs_to` is what the world has to know of it."""
+
+    frame: Frame
+    belongs_to: object
 
 
 class BusModel:
@@ -34,7 +42,7 @@ class BusModel:
         bitrate: [bit/s].
         agenda: time.
         random: for loss, duplication and delays.
-        to_boards: takes a frame of the executor when it has left, and whether the boards lose it.
+        to_boards: takes a frame of the executor when it has left, what it belongs to, and whether the boards lose it.
         to_executor: takes an event.
     """
 
@@ -44,7 +52,7 @@ class BusModel:
         bitrate: int,
         agenda: Agenda,
         random: Random,
-        to_boards: Callable[[str, Frame, bool], None],
+        to_boards: Callable[[str, OnItsWay, bool], None],
         to_executor: Callable[[Event], None],
     ) -> None:
         self.name, self.state = name, "active"
@@ -52,9 +60,9 @@ class BusModel:
         self.loss = self.duplication = self.answer_delay = 0.0
         self._bitrate, self._agenda, self._random = bitrate, agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
-        self._queue: deque[Frame] = deque()  # of the executor; the first ones are in the mailboxes
+        self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._boards: deque[Frame] = deque()
-        self._on_wire: tuple[Frame, bool] | None = None  # and whether it is the executor's
+        self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
 
     @property
     def healthy(self) -> bool:
@@ -65,13 +73,13 @@ class BusModel:
     def _connected(self) -> bool:
         return self.state in ("active", "passive") and self.acknowledged
 
-    def send(self, frame: Frame) -> str | None:
+    def send(self, frame: Frame, belongs_to: object = None) -> str | None:
         """Takes a frame of the executor; returns why it is not sent, or None."""
         if self.state == "down":
             return "Network is down"
         if len(self._queue) >= self.capacity:
             return "No buffer space available"
-        self._queue.append(frame)
+        self._queue.append(OnItsWay(frame, belongs_to))
         self._begin()
         return None
 
@@ -122,33 +130,31 @@ class BusModel:
         if self._on_wire is not None:
             return
         ours = list(self._queue)[:MAILBOXES] if self._connected else []
-        first = min(ours, key=lambda frame: frame.id, default=None)
+        first = min(ours, key=lambda waiting: waiting.frame.id, default=None)
         other = min(self._boards, key=lambda frame: frame.id, default=None)
-        if first is not None and (other is None or first.id <= other.id):
+        if first is not None and (other is None or first.frame.id <= other.id):
             self._queue.remove(first)
-            self._on_wire = first, True
+            self._on_wire, size = first, len(first.frame.data)
         elif other is not None:
             self._boards.remove(other)
-            self._on_wire = other, False
+            self._on_wire, size = other, len(other.data)
         else:
             return
-        size = len(self._on_wire[0].data)
         self._agenda.after(wire_bits(size) / self._bitrate, self._finish)
 
     def _finish(self) -> None:
         """Delivers the frame on the wire."""
-        assert self._on_wire is not None
-        (frame, ours), self._on_wire = self._on_wire, None
+        on_wire, self._on_wire = self._on_wire, None
         lost = self._random.random() < self.loss
         twice = not lost and self._random.random() < self.duplication
-        if ours and not self._connected:
+        if isinstance(on_wire, OnItsWay) and not self._connected:
             if self.state != "down":
-                self._queue.appendleft(frame)  # it stays in the controller
-        elif ours:
-            self._to_executor(Echoed(self.name, frame))
+                self._queue.appendleft(on_wire)  # it stays in the controller
+        elif isinstance(on_wire, OnItsWay):
+            self._to_executor(Echoed(self.name, on_wire.frame))
             for _ in range(1 + twice):
-                self._to_boards(self.name, frame, lost)
-        elif self._connected and not lost:
+                self._to_boards(self.name, on_wire, lost)
+        elif on_wire is not None and self._connected and not lost:
             for _ in range(1 + twice):
-                self._to_executor(Received(self.name, frame))
+                self._to_executor(Received(self.name, on_wire))
         self._begin()

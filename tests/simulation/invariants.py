@@ -118,7 +118,7 @@ def heartbeats_do_not_pause(world: World) -> None:
     for name, bus in world.buses.items():
         if not bus.healthy or not world.executor.awake:
             record.disturbed_at[name] = now
-        elif bus.loss or world.boards_silent:
+        elif bus.loss or world.boards.silent:
             record.disturbed_at[name] = now
             continue
         record.disturbed_at[name] = max(record.disturbed_at[name], world.executor.awake_since)

@@ -5,31 +5,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from random import Random
-from typing import Protocol
 
 from controller.executor.arm import ExecutedArm
 from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
 from controller.executor.switch_journal import MemoryJournal
 from controller.program import Up
-from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Changed, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import BusModel
+from tests.simulation.record import Record
 
 WAKE_UP = 0.0002  # [s], longest of a process that nobody stalls
-
-
-class Witness(Protocol):
-    """Sees what goes into the executor and what comes out."""
-
-    def started(self) -> None: ...
-    def killed(self) -> None: ...
-    def told(self, event: Event) -> None: ...
-    def sends(self, bus: str, frame: Frame) -> None: ...
-    def refused(self, bus: str, frame: Frame) -> None: ...
-    def says(self, message: Up) -> None: ...
-    def logs(self, level: int, text: str) -> None: ...
 
 
 class ExecutorProcess:
@@ -45,8 +32,7 @@ class ExecutorProcess:
         agenda: time.
         random: for delays.
         buses: by name.
-        to_client: takes a message for a client.
-        witness: sees it all.
+        record: sees it all.
     """
 
     def __init__(
@@ -55,14 +41,15 @@ class ExecutorProcess:
         agenda: Agenda,
         random: Random,
         buses: Mapping[str, BusModel],
-        to_client: Callable[[Client, Up], None],
-        witness: Witness,
+        record: Record,
     ) -> None:
         self.journal = MemoryJournal(len(arm.actuators))
         self.core: Executor | None = None
         self.instances = 0
         self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
-        self._to_client, self._witness = to_client, witness
+        self._record = record
+        self._to_client: Callable[[Client, Up], None] = lambda client, message: None
+        self._dies: Callable[[], None] = lambda: None
         self._events: deque[Event] = deque()
         self._awake_at = self._started_at = 0.0
         self._woken = self._ticked = False
@@ -82,7 +69,7 @@ class ExecutorProcess:
         self._next_tick = self._agenda.now
         self._ticked = False
         self._started_at = self._agenda.now
-        self._witness.started()
+        self._record.started()
         for name, bus in self._buses.items():
             self.post(Changed(name, bus.state, "", None))
         self._tick_later(self.instances)
@@ -108,7 +95,8 @@ class ExecutorProcess:
             self.core = None
             self._actions_left = None
             self._clients.clear()
-            self._witness.killed()
+            self._record.killed()
+            self._dies()
 
     def kill_after(self, actions: int) -> None:
         """Kills the process after so many more of its actions, perhaps between two of one step."""
@@ -119,6 +107,10 @@ class ExecutorProcess:
         self._awake_at = max(self._awake_at, self._agenda.now + seconds)
 
     # --- its clients
+
+    def connect(self, to_client: Callable[[Client, Up], None], dies: Callable[[], None]) -> None:
+        """Sets what takes messages for clients, and what is called when the process dies."""
+        self._to_client, self._dies = to_client, dies
 
     def hear(self, client: Client, event: FromClient | ClientGone) -> bool:
         """Takes what a client does; returns whether the process knows of the connection."""
@@ -173,7 +165,7 @@ class ExecutorProcess:
     def _run_now(self) -> None:
         while self._events and self.core is not None:
             event = self._events.popleft()
-            self._witness.told(event)
+            self._record.told(event)
             for action in self.core.step(event, self._agenda.now):
                 if self.core is not None:
                     self._do(action)
@@ -186,13 +178,11 @@ class ExecutorProcess:
                 return
         match action:
             case Send(bus, frame):
-                self._witness.sends(bus, frame)
-                why = self._buses[bus].send(frame)
+                why = self._buses[bus].send(frame, self._record.sends(bus, frame))
                 if why is not None:
-                    self._witness.refused(bus, frame)
                     self._events.appendleft(SendFailed(bus, frame, why))
             case ToClient(client, message):
-                self._witness.says(message)
+                self._record.says(message)
                 self._to_client(client, message)
             case Log(level, text):
-                self._witness.logs(level, text)
+                self._record.logs(level, text)

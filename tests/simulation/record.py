@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -93,7 +94,7 @@ class Record:
         switched_at: when a SYNC switched each actuator [s].
     """
 
-    def __init__(self, arm: ExecutedArm, agenda: Agenda) -> None:
+    def __init__(self, arm: ExecutedArm, agenda: Agenda, note: Callable[[object], None]) -> None:
         count = len(arm.actuators)
         self.step = Step()
         self.counts: Counter[str] = Counter()
@@ -109,15 +110,15 @@ class Record:
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
         self.switched_at = [-1e12] * count
-        self._arm, self._agenda = arm, agenda
+        self._arm, self._agenda, self._note = arm, agenda, note
         self._setpoints: deque[Setpoint] = deque(maxlen=3)
         self._message: object = None
-        self._syncs: dict[str, deque[Commit]] = {bus.name: deque() for bus in arm.wiring.buses}
 
     # --- the executor
 
     def started(self) -> None:
         """An executor begins."""
+        self._note("the executor starts")
         self.instance += 1
         self.mode, self.epoch, self.commit = "starting", 0, None
         self.locked = self._arm.locked
@@ -125,11 +126,13 @@ class Record:
 
     def killed(self) -> None:
         """The executor was killed."""
+        self._note("the executor is killed")
         self.counts["kills"] += 1
         self._hold()
 
     def told(self, event: Event) -> None:
         """The executor takes an event."""
+        self._note(("executor takes", event))
         message = self._message = event.message if isinstance(event, FromClient) else None
         match message:
             case Acknowledge():
@@ -145,6 +148,7 @@ class Record:
 
     def says(self, message: Up) -> None:
         """The executor sends a message to a client."""
+        self._note(("executor says", message))
         self.counts[type(message).__name__] += 1
         match message:
             case Accepted():
@@ -162,51 +166,43 @@ class Record:
 
     def logs(self, level: int, text: str) -> None:
         """The executor writes a line to its log."""
+        self._note(("executor logs", text))
         if "internal error" in text:
             self.step.errors.append(text)
 
-    def sends(self, bus: str, frame: Frame) -> None:
-        """The executor hands out a frame."""
+    def sends(self, bus: str, frame: Frame) -> Commit | None:
+        """The executor hands out a frame; returns the commit of a SYNC."""
         self.step.frames.append((bus, frame))
         now = self._agenda.now
         if frame.id == cia301.SYNC:
             if self.commit is not None:
                 self.commit.synced_at = now
-                self._syncs[bus].append(self.commit)
+            return self.commit
         elif frame.id & 0x780 in RPDOS and (self.commit is None or self.commit.began != now):  # all are sent at once
             self.commit = Commit(now, self.locked, self.running, self._asked(now))
-
-    def refused(self, bus: str, frame: Frame) -> None:
-        """The controller does not take a frame."""
-        if frame.id == cia301.SYNC and self._syncs[bus]:
-            self._syncs[bus].pop()
-
-    def flushed(self, bus: str) -> None:
-        """All frames that wait in a controller are gone."""
-        self._syncs[bus].clear()
+        return None
 
     # --- the boards
 
-    def arrives(self, bus: str, frame: Frame, missing: int) -> Commit | None:
-        """A frame of the executor has left; the boards of a mask of actuators do not take it. Returns its commit."""
+    def arrives(self, bus: str, frame: Frame, missing: int) -> None:
+        """A frame of the executor has left; the boards of a mask of actuators do not take it."""
+        self._note(("boards hear", bus, frame, f"not those of {missing:b}" if missing else ""))
         if frame.id == MASTER_HEARTBEAT:
             self.last_heartbeat[bus] = self._agenda.now
-        if frame.id != cia301.SYNC and frame.id & 0x780 not in RPDOS:
-            return None
-        self.suspect |= missing
-        if frame.id != cia301.SYNC:
-            return None
-        for k in range(len(self.slack)):
-            self.slack[k] += self.suspect >> k & 1
-        return self._syncs[bus].popleft() if self._syncs[bus] else None
+        if frame.id == cia301.SYNC or frame.id & 0x780 in RPDOS:
+            self.suspect |= missing
+        if frame.id == cia301.SYNC:
+            for k in range(len(self.slack)):
+                self.slack[k] += self.suspect >> k & 1
 
     def switch(self, switch: Switch, intended: int) -> None:
         """Outputs have changed; `intended` is the mask of switches that the journal has not resolved."""
+        self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
         self.step.switches.append(switch)
         for k in range(len(self.synced)):
             if switch.mask >> k & 1 and switch.cause == "SYNC":
                 self.synced[k] += 1
-            elif switch.mask & intended >> k & 1:
+            elif (switch.mask & intended) >> k & 1:
                 self.slack[k] += 1
         self.counts["switches"] += switch.mask.bit_count() * (switch.cause == "SYNC")
 

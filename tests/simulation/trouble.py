@@ -79,10 +79,10 @@ class Trouble:
         board, label = f"{channel.bus}/{channel.node}", channel.actuator
         match kind:
             case "executor stalls":
-                world.stall(random.choice([0.015, 0.05, 0.2, 1.0, LONGEST_STALL]))
+                world.executor.stall(random.choice([0.015, 0.05, 0.2, 1.0, LONGEST_STALL]))
             case "executor is killed":
                 world.executor.kill_after(random.randint(0, 20))
-                self._later(1.0, world.restart)
+                self._later(1.0, world.executor.start)
             case "planner hangs":
                 world.planner.stall(random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
             case "planner dies":
@@ -123,22 +123,22 @@ class Trouble:
         world, random = self._world, self._random
         match kind:
             case "board without supply":
-                world.fault("power_cut", board)
-                self._later(1.0, lambda: world.fault("power_on", board))
+                world.boards.fault("power_cut", board)
+                self._later(1.0, lambda: world.boards.fault("power_on", board))
             case "board is silent":
-                world.fault("silence", board)
-                self._later(1.0, lambda: world.fault("unsilence", board))
+                world.boards.fault("silence", board)
+                self._later(1.0, lambda: world.boards.fault("unsilence", board))
             case "board reboots":
-                world.fault("power_cut", board)
-                world.fault("power_on", board)
+                world.boards.fault("power_cut", board)
+                world.boards.fault("power_on", board)
             case "emergency":
-                world.emergency(board, random.choice([0x2310, 0x3320, 0x0000, random.randrange(0x10000)]))
+                world.boards.emergency(board, random.choice([0x2310, 0x3320, 0x0000, random.randrange(0x10000)]))
             case "actuator is stuck":
-                world.fault("stick", label, random.randint(0, 1))
-                self._later(1.0, lambda: world.fault("release", label))
+                world.boards.fault("stick", label, random.randint(0, 1))
+                self._later(1.0, lambda: world.boards.fault("release", label))
             case "actuator is slow":
-                world.fault("slow", label, random.choice([0.5, 2.5, 20]))
-                self._later(1.0, lambda: world.fault("slow", label, 1))
+                world.boards.fault("slow", label, random.choice([0.5, 2.5, 20]))
+                self._later(1.0, lambda: world.boards.fault("slow", label, 1))
             case "sensor is lost":
-                world.fault("lose_sensor", label)
-                self._later(1.0, lambda: world.fault("restore_sensor", label))
+                world.boards.fault("lose_sensor", label)
+                self._later(1.0, lambda: world.boards.fault("restore_sensor", label))

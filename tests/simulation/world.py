@@ -6,19 +6,17 @@ from collections import deque
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.events import Client
-from controller.program import Up, unpack
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame, State
+from controller.program import unpack
+from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Event
-from drivers.simulation.buses import SimulatedBuses
 from tests.simulation.agenda import Agenda
 from tests.simulation.arms import draw_arm
-from tests.simulation.bus_model import BusModel
+from tests.simulation.board_side import BoardSide
+from tests.simulation.bus_model import BusModel, OnItsWay
 from tests.simulation.invariants import INVARIANTS, Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.process import ExecutorProcess
-from tests.simulation.record import Commit, Record, Step, Switch
+from tests.simulation.record import Record, Step
 from tests.simulation.trouble import LONGEST_STALL, Trouble
 
 PATIENCE = 4.0  # [s] beyond the boards' boot time until the arm is ready after all trouble
@@ -37,33 +35,27 @@ class World:
         remembered: events that are kept for a person to read.
     """
 
-    def __init__(self, seed: int, remembered: int = 200) -> None:
-        random = Random(seed)
-        self.arm = draw_arm(random)
-        self.agenda = Agenda()
-        self.record = Record(self.arm, self.agenda)
+    def __init__(self, seed: int, remembered: int = 300) -> None:
+        def drawn(what: str) -> Random:
+            return Random(f"{seed} {what}")
+
+        self.arm = arm = draw_arm(drawn("arm"))
+        self.most = len(arm.actuators) if arm.inrush is None else arm.inrush
+        self.agenda = agenda = Agenda()
         self.events: deque[tuple[float, object]] = deque(maxlen=remembered)
-        self.most = len(self.arm.actuators) if self.arm.inrush is None else self.arm.inrush
+        self.record = record = Record(arm, agenda, self.note)
         self.buses = {
-            bus.name: BusModel(bus.name, bus.bitrate, self.agenda, Random(seed + k), self._to_boards, self._to_executor)
-            for k, bus in enumerate(self.arm.wiring.buses, 1)
+            bus.name: BusModel(bus.name, bus.bitrate, agenda, drawn(bus.name), self._to_boards, self._to_executor)
+            for bus in arm.wiring.buses
         }
-        self.boards = SimulatedBuses(self.arm.wiring, self.arm.timing, self._from_board)
-        self.executor = ExecutorProcess(self.arm, self.agenda, Random(seed + 3), self.buses, self._to_client, self)
-        self.planner = ScriptedPlanner(self.arm, self.agenda, Random(seed + 4), self.executor)
-        self.trouble = Trouble(self, Random(seed + 5))
+        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, record)
+        self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
+        self.executor.connect(self.planner.deliver, self.planner.cut_off)
+        self.boards = BoardSide(arm.wiring, arm.timing, agenda, record, self._from_board, lambda: self.intended)
+        self.trouble = Trouble(self, drawn("trouble"))
         self.epoch_before, self.mode_before = 0, "starting"
-        self.boards_silent = False
-        self._random = Random(seed + 6)
-        self._drives = 0
-        self._masks = {
-            bus: sum(1 << k for k, channel in enumerate(self.arm.wiring.channels) if channel.bus == bus)
-            for bus in self.buses
-        }
-        self._timer = float("inf")
+        self._random = drawn("periods")
         self._counts: list[int] = []
-        self._actuators = self._actuators_by_board()
-        self._step_boards()
         self.executor.start()
 
     # --- it runs
@@ -134,119 +126,32 @@ class World:
         """Compares the last snapshot, the boards, the journal and the results."""
         snapshot, record = self.planner.snapshot, self.record
         assert snapshot is not None
-        drives, outputs = self.drives(), unpack(snapshot.outputs)
+        drives, outputs = self.boards.drives(), unpack(snapshot.outputs)
         agree = (drives ^ outputs) & ~record.suspect == 0
         require(agree, f"the boards drive {drives:b}, the executor says {outputs:b}")
-        positions = sum(round(p) << k for k, p in enumerate(self.boards.positions()))
-        sensed, measured = unpack(snapshot.sensed), unpack(snapshot.measured)
+        positions, sensed, measured = self.boards.positions(), unpack(snapshot.sensed), unpack(snapshot.measured)
         require((positions ^ measured) & sensed == 0, f"the actuators are at {positions:b}, measured is {measured:b}")
         accepted = {key for key in record.programs if key[0] == record.instance}
         without = sorted(number for key in accepted - set(record.results) for number in key[1:])
         require(not without, f"programs {without} have no result")
         require(self.intended == 0, "the journal waits for nothing")
 
-    # --- the executor's surroundings
+    # --- its parts
 
     def _to_executor(self, event: Event) -> None:
         self.executor.post(event)
 
-    def _to_client(self, client: Client, message: Up) -> None:
-        self.planner.deliver(client, message)
+    def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
+        self.boards.hear(bus, sent, lost)
 
     def _from_board(self, bus: str, frame: Frame) -> None:
         self.buses[bus].from_board(frame)
 
-    def _to_boards(self, bus: str, frame: Frame, lost: bool) -> None:
-        self.note(("boards hear", bus, frame, "lost" if lost else ""))
-        missing = 0
-        for name, mask in self._actuators.items():
-            board = self.boards.board(name)
-            if name.split("/")[0] == bus and (lost or board.silent or board.state != State.OPERATIONAL):
-                missing |= mask
-        commit = self.record.arrives(bus, frame, missing)
-        if not lost:
-            self.boards.step(self.agenda.now)
-            self._see("time")
-            self.boards.receive(bus, frame, self.agenda.now)
-            self._see("SYNC" if frame.id == cia301.SYNC else f"frame {frame.id:03X}h", commit)
-            self._set_timer()
-
-    # --- the boards
-
-    def fault(self, verb: str, name: str, *numbers: float) -> None:
-        """Causes a fault of a board or an actuator, or ends one."""
-        self._step_boards()
-        if verb == "power_on" and self.boards.board(name).state is not None:
-            return
-        getattr(self.boards, verb)(name, *numbers)
-        self._see("fault")
-        self._set_timer()
-        self._look_for_silence()
-
-    def emergency(self, board: str, code: int) -> None:
-        """Has a board send an emergency."""
-        self.boards.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
-
-    def drives(self) -> int:
-        """Whether each actuator's drive is on, as a mask."""
-        return sum(drive << k for k, drive in enumerate(self.boards.drives()))
-
-    def _actuators_by_board(self) -> dict[str, int]:
-        masks: dict[str, int] = {}
-        for k, channel in enumerate(self.arm.wiring.channels):
-            name = f"{channel.bus}/{channel.node}"
-            masks[name] = masks.get(name, 0) | 1 << k
-        return masks
-
-    def _look_for_silence(self) -> None:
-        self.boards_silent = any(self.boards.board(name).silent for name in self._actuators)
-
-    def _step_boards(self) -> None:
-        self.boards.step(self.agenda.now)
-        self._see("time")
-        self._set_timer()
-
-    def _set_timer(self) -> None:
-        due = self.boards.next_due()
-        if due < self._timer - 1e-12:
-            self._timer = due
-            self.agenda.at(due, lambda: self._timer_rings(due))
-
-    def _timer_rings(self, due: float) -> None:
-        if due == self._timer:
-            self._timer = float("inf")
-            self._step_boards()
-
-    def _see(self, cause: str, commit: Commit | None = None) -> None:
-        """Compares the outputs with those of before."""
-        after = self.drives()
-        changed, self._drives = after ^ self._drives, after
-        for bus, here in self._masks.items():
-            if changed & here:
-                self.note(("switched", f"{changed & here:b} -> {after:b}", cause))
-                self.record.switch(Switch(changed & here, after, cause, bus, commit), self.intended)
-
-    # --- for trouble
-
-    def stall(self, seconds: float) -> None:
-        """Lets the executor stand still [s]."""
-        self.executor.stall(seconds)
-
-    def restart(self) -> None:
-        """Starts the executor, if it is dead."""
-        self.executor.start()
-
     def mend(self) -> None:
-        """Ends all faults at once."""
+        """Ends all faults at once; what stalls goes on to its end."""
         for bus in self.buses.values():
             bus.restore()
-        for name in self._actuators:
-            self.fault("power_on", name)
-            self.fault("unsilence", name)
-        for label in self.arm.actuators:
-            self.fault("release", label)
-            self.fault("slow", label, 1)
-            self.fault("restore_sensor", label)
+        self.boards.mend()
         self.executor.recover()
 
     # --- what the invariants ask, and a person
@@ -268,35 +173,6 @@ class World:
     def story(self) -> str:
         """Returns the last events, a line each."""
         return "\n".join(f"{time - 1000:.6f} {event}" for time, event in self.events)
-
-    # --- what the executor does; see `process.Witness`
-
-    def started(self) -> None:
-        self.note("the executor starts")
-        self.record.started()
-
-    def killed(self) -> None:
-        self.note("the executor is killed")
-        self.record.killed()
-        self.planner.cut_off()
-
-    def told(self, event: Event) -> None:
-        self.note(("executor takes", event))
-        self.record.told(event)
-
-    def sends(self, bus: str, frame: Frame) -> None:
-        self.record.sends(bus, frame)
-
-    def refused(self, bus: str, frame: Frame) -> None:
-        self.record.refused(bus, frame)
-
-    def says(self, message: Up) -> None:
-        self.note(("executor says", message))
-        self.record.says(message)
-
-    def logs(self, level: int, text: str) -> None:
-        self.note(("executor logs", text))
-        self.record.logs(level, text)
 
 
 __all__ = ["Violation", "World"]

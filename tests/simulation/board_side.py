@@ -1,0 +1,126 @@
+"""The far side of the buses: boards and actuators, their faults, and what their outputs do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Frame, State
+from drivers.canopen.wiring import Timing, Wiring
+from drivers.simulation.buses import SimulatedBuses
+from tests.simulation.agenda import Agenda
+from tests.simulation.bus_model import OnItsWay
+from tests.simulation.record import Commit, Record, Switch
+
+
+class BoardSide:
+    """All boards of an arm.
+
+    Attributes:
+        names: mask of the actuators of each board, by its name.
+        silent: whether a board is cut off from its bus.
+
+    Args:
+        wiring: buses, boards and actuators.
+        timing: of the actuators.
+        agenda: time.
+        record: hears of outputs that change.
+        send: takes the frames of the boards.
+        intended: returns the mask of switches that the journal has not resolved.
+    """
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        timing: Timing,
+        agenda: Agenda,
+        record: Record,
+        send: Callable[[str, Frame], None],
+        intended: Callable[[], int],
+    ) -> None:
+        self.names: dict[str, int] = {}
+        self._masks = dict.fromkeys((bus.name for bus in wiring.buses), 0)
+        for k, channel in enumerate(wiring.channels):
+            name = f"{channel.bus}/{channel.node}"
+            self.names[name] = self.names.get(name, 0) | 1 << k
+            self._masks[channel.bus] |= 1 << k
+        self.silent = False
+        self._buses = SimulatedBuses(wiring, timing, send)
+        self._agenda, self._record, self._intended = agenda, record, intended
+        self._drives = 0
+        self._timer = float("inf")
+        self._step()
+
+    def drives(self) -> int:
+        """Whether each actuator's drive is on, as a mask."""
+        return sum(drive << k for k, drive in enumerate(self._buses.drives()))
+
+    def positions(self) -> int:
+        """The end that each actuator is nearer to, as a mask."""
+        return sum(round(position) << k for k, position in enumerate(self._buses.positions()))
+
+    def hear(self, bus: str, sent: OnItsWay, lost: bool) -> None:
+        """Takes a frame of the executor that has left; `lost` if the boards do not get it."""
+        frame = sent.frame
+        boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
+        missing = sum(mask for name, mask in boards.items() if lost or not self._takes_part(name))
+        self._record.arrives(bus, frame, missing)
+        if not lost:
+            self._buses.step(self._agenda.now)
+            self._see("time")
+            self._buses.receive(bus, frame, self._agenda.now)
+            commit = sent.belongs_to if isinstance(sent.belongs_to, Commit) else None
+            self._see("SYNC" if frame.id == cia301.SYNC else f"frame {frame.id:03X}h", commit)
+            self._set_timer()
+
+    def fault(self, verb: str, name: str, *numbers: float) -> None:
+        """Causes a fault of a board or an actuator, or ends one."""
+        self._step()
+        if verb == "power_on" and self._buses.board(name).state is not None:
+            return
+        getattr(self._buses, verb)(name, *numbers)
+        self._see("fault")
+        self._set_timer()
+        self.silent = any(self._buses.board(board).silent for board in self.names)
+
+    def emergency(self, board: str, code: int) -> None:
+        """Has a board send an emergency."""
+        self._buses.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
+
+    def mend(self) -> None:
+        """Ends all faults."""
+        for board in self.names:
+            self.fault("power_on", board)
+            self.fault("unsilence", board)
+        for label in self._buses.labels:
+            self.fault("release", label)
+            self.fault("slow", label, 1)
+            self.fault("restore_sensor", label)
+
+    def _takes_part(self, name: str) -> bool:
+        board = self._buses.board(name)
+        return not board.silent and board.state == State.OPERATIONAL
+
+    def _step(self) -> None:
+        self._buses.step(self._agenda.now)
+        self._see("time")
+        self._set_timer()
+
+    def _set_timer(self) -> None:
+        due = self._buses.next_due()
+        if due < self._timer - 1e-12:
+            self._timer = due
+            self._agenda.at(due, lambda: self._ring(due))
+
+    def _ring(self, due: float) -> None:
+        if due == self._timer:
+            self._timer = float("inf")
+            self._step()
+
+    def _see(self, cause: str, commit: Commit | None = None) -> None:
+        """Compares the outputs with those of before."""
+        after = self.drives()
+        changed, self._drives = after ^ self._drives, after
+        for bus, mask in self._masks.items():
+            if changed & mask:
+                self._record.switch(Switch(changed & mask, after, cause, bus, commit), self._intended())
