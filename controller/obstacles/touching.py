@@ -108,7 +108,10 @@ def touching(
     r, b = np.empty((3, 3)), np.empty(3)
     ends, middles = np.empty((modules, bodies.shape[2], 2, 3)), np.empty((modules, 4))
     for c in range(n):
-        r[:], b[:] = base_r, base_b
+        for a in range(3):
+            b[a] = base_b[a]
+            for d in range(3):
+                r[a, d] = base_r[a, d]
         for i in range(modules):
             state = configurations[c, i]
             ball, body = ball_table[i, state], bodies[i, state, : lines[i]]

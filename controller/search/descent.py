@@ -202,8 +202,11 @@ def spread(
                 count -= 1
         for n in range(count):
             k = order[n]
-            kept[n, :i] = configurations[parents[k], :i]
+            for j in range(i):
+                kept[n, j] = configurations[parents[k], j]
             kept[n, i] = choices[k]
             wanted[n], prices[n] = points[k], totals[k]
-        configurations[:count, : i + 1] = kept[:count, : i + 1]
+        for n in range(count):
+            for j in range(i + 1):
+                configurations[n, j] = kept[n, j]
     return count

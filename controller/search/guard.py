@@ -159,7 +159,8 @@ def stand(guard: Any, i: int, state: int) -> None:
 def put(states: Index, centre: Configuration, part: Any, n: int) -> None:
     """Puts the states of a segment's row, the n-th of those asked for, among those of the arm."""
     first, last, rows, parents, modules, choices = part
-    states[first:last] = centre[first:last]
+    for i in range(first, last):
+        states[i] = centre[i]
     row = rows[n]
     while row > 0:
         states[modules[row]] = choices[row]

@@ -237,7 +237,8 @@ def grow(
     for k in range(size + 1):
         invert(rest, k, back, k)
     parents[0], modules[0], choices[0], lengths[0], prices[0] = 0, first - 1, 0, 0.0, price
-    frames[0] = rest[0]
+    for a in range(width):
+        frames[0, a] = rest[0, a]
     run, now = np.empty((2, width)), 0
     count, row, beyond = 1, 0, np.inf
     while row < count:

@@ -30,22 +30,28 @@ def sort_into_cells(rows: Array, size: int, tolerance: float, starts: Index32, c
         grid: written: the least corner (6,), cells per unit of length, cells along each coordinate (6,).
     """
     low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
-    low[:size], high[:size] = np.inf, -np.inf
+    for a in range(size):
+        low[a], high[a] = np.inf, -np.inf
     for n in range(len(rows)):
         for a in range(size):
             low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
     most = min(len(starts) - 1, len(rows) / POINTS_A_CELL + 64)
     side = max(2.0 * tolerance * (1 + 1e-9), LEAST_SIDE)  # with room for rounding
     while True:
+        product = 1.0
         for a in range(size):
             shape[a] = np.floor((high[a] - low[a]) / side) + 1.0
-        if shape.prod() <= most:
+            product *= shape[a]
+        if product <= most:
             break
         side *= 1.25
     per = 1.0 / side
-    grid[:6], grid[6], grid[7:] = low, per, shape
-    count = int(shape.prod())
-    starts[: count + 1] = 0
+    grid[6] = per
+    for a in range(6):
+        grid[a], grid[7 + a] = low[a], shape[a]
+    count = int(product)
+    for c in range(count + 1):
+        starts[c] = 0
     for n in range(len(rows)):
         c = 0
         for a in range(size - 1, -1, -1):
