@@ -28,7 +28,7 @@ def run(
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
     zenoh_file: ZenohFile = None,
-    ledger: Annotated[Path | None, typer.Option(help="Where the ledger is kept.")] = None,
+    ledger: Annotated[Path | None, typer.Option(help="Where the ledger is kept, the switch journal beside it.")] = None,
 ) -> None:
     """Run the daemon: goals over Zenoh to an executor, which moves the arm, until SIGTERM."""
     if simulate and socket is not None:
@@ -38,14 +38,14 @@ def run(
 
     from controller.actuators import read_wired
     from controller.gateway.executor_process import ExecutorProcess
-    from controller.sockets import default_socket
+    from controller.sockets import socket_path
 
-    name = read_wired(file)[0].name
-    path = default_socket(name) if socket is None else socket if socket.suffix == ".sock" else socket / f"{name}.sock"
+    path = socket_path(socket, read_wired(file)[0].name)
     with contextlib.ExitStack() as stack:
         executor = None
         if socket is None:  # first, so that the boards boot while the kernels load
-            executor = ExecutorProcess(file, path, simulate=simulate)
+            journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # the counts of this ledger alone
+            executor = ExecutorProcess(file, path, simulate=simulate, journal=journal)
             stack.callback(executor.close)
         serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
 

@@ -22,10 +22,12 @@ class ExecutorProcess:
         file: of the arm.
         path: of the socket.
         simulate: whether the executor simulates the boards.
+        journal: path of its switch journal; its default if None.
     """
 
-    def __init__(self, file: Path, path: Path, *, simulate: bool) -> None:
+    def __init__(self, file: Path, path: Path, *, simulate: bool, journal: Path | None = None) -> None:
         command = [sys.executable, "-m", "controller.cli", "execute", str(file), "--socket", str(path)]
+        command += ["--journal", str(journal)] if journal else []
         parent, prctl = os.getpid(), ctypes.CDLL(None).prctl  # looked up before the fork
 
         def die_with_parent() -> None:
