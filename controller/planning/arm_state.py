@@ -53,9 +53,19 @@ class ArmState:
         return unpack_states(self.snapshot.locked, len(self.manipulator.actuators)).astype(np.bool_)
 
     @cached_property
-    def states(self) -> States:
-        """The states to plan from, shape (A,): outputs; of a locked actuator the state in which it is locked."""
+    def commanded(self) -> States:
+        """The states that stages begin from, shape (A,): outputs; of a locked actuator the state it is locked in."""
         return np.where(self.locked & (self.measured >= 0), self.measured, self.outputs).astype(np.uint8)
+
+    @cached_property
+    def states(self) -> States:
+        """The states to plan from, shape (A,): at rest those measured, as an actuator may not have followed its output.
+
+        While actuators are on their way, the states are those commanded.
+        """
+        if self.snapshot.moving:
+            return self.commanded
+        return np.where(self.measured >= 0, self.measured, self.commanded).astype(np.uint8)
 
     @property
     def known(self) -> bool:
@@ -72,16 +82,15 @@ class ArmState:
         """Why the arm at rest is in no configuration, in words; None if it is in one, moves, or a board is missing."""
         if self.snapshot.moving or not self.known:
             return None
-        for states, what in ((self.measured, "what the boards measure"), (self.states, "what the boards put out")):
-            try:
-                self.manipulator.configuration(states)
-            except ValueError as error:
-                return f"{what} is no configuration: {error}"
+        try:
+            self.manipulator.configuration(self.states)
+        except ValueError as error:
+            return f"what the boards measure is no configuration: {error}"
         return None
 
     @property
     def locked_states(self) -> Held:
-        """The state in which each actuator is locked, -1 where it is free, shape (A,); of known measured states only."""
+        """The state in which each actuator is locked, -1 if it is free or not known, shape (A,)."""
         return np.where(self.locked, self.measured, free(self.manipulator)).astype(np.int8)
 
     def pack(self, stages: States) -> list[bytes]:
@@ -116,7 +125,7 @@ class RestClock:
 
     def ready(self, state: ArmState, stage: States, strict: bool) -> float:
         """Returns from when on a stage (A,) may begin [s]: the last stage has ended, and its actuators have rested."""
-        differ, ready, switched_at = state.states != stage, -np.inf, self._switched_at
+        differ, ready, switched_at = state.commanded != stage, -np.inf, self._switched_at
         if differ.any() and (self._pace.inrush is not None or strict):
             ready = switched_at.max() + self._travel
         if differ.any() and self._pace.rest > 0:

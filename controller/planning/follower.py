@@ -157,26 +157,28 @@ class Follower:
         state, now = self._monitor.state, self._clock()
         if not self._alive(self._fitted):
             return
+        if self._goals.offered:
+            return
+        if self._number <= self._goals.taken:  # a stream that goes on after a goal counts as a new one
+            self._number = self._numbers.next()
+        # A goal that is taken from here on has a greater number, and the executor follows this stream no more.
         stream, mode = self._stream, self._monitor.mode()[0]
         if stream is None or mode not in ("ready", "executing") or self._admission.stream_ended(stream):
             self._stream, self._fitted = None, -math.inf
             self._tracker.forget()
             return
         epoch = self._admission.epoch(stream, 0.0)
-        if state is None or epoch is None or self._goals.offered:
+        if state is None or epoch is None:
             return
         stages = self._wanted(state, now)
         if stages is None and now < self._next_word:
             return
         self._next_word = now + WORD_EVERY
-        if self._number <= self._goals.taken:  # a stream that goes on after a goal counts as a new one
-            self._number = self._numbers.next()
         packed = () if stages is None else tuple(state.pack(stages))
         until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"[:LONGEST]
         strict = not self._solver.now()[1].free
-        command = SetpointCommand(self._number, epoch, state.snapshot.outputs, packed, until, strict, reason)
         try:
-            self._send(command)
+            self._send(SetpointCommand(self._number, epoch, state.snapshot.outputs, packed, until, strict, reason))
         except NotConnected:
             self._stream = None
 
@@ -200,7 +202,9 @@ class Follower:
             self._say("", now)
             return None
         began = time.perf_counter()
-        query = Query(solver, keep_out, state.states, start, goal - shift, tolerance / 2)  # half: see GoalTracker.wants
+        query = Query(
+            solver, keep_out, state.commanded, start, goal - shift, tolerance / 2
+        )  # half: see GoalTracker.wants
         found = self._search.find(query)
         self._searching = mixed(self._searching, time.perf_counter() - began)
         if found.error > tolerance:
@@ -208,8 +212,7 @@ class Follower:
             self._say(f", which is out of reach at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now)
             self._retry = now + RETRY
             return None
-        stages: States | None = None
-        note = ""
+        stages, note = None, ""
         if found.switches:
             try:
                 stages = self._search.stages(query, found.configuration)

@@ -114,12 +114,12 @@ class GoalPrograms:
         """
         planned, keep_out = found.plan.transitions[0].stages, found.keep_out
         most = self._pace.inrush or len(self._manipulator.actuators)
-        rows = np.vstack([state.states, planned]).astype(int)
+        rows = np.vstack([state.commanded, planned]).astype(int)
         fits = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= most
-        if fits and not keep_out.free and keep_out.touched(state.states, planned) is None:
+        if fits and not keep_out.free and keep_out.touched(state.commanded, planned) is None:
             return planned
-        stages: NDArray[np.uint8] = split(self._manipulator, state.states, planned, most)
-        if (touched := keep_out.touched(state.states, stages)) is not None:
+        stages: NDArray[np.uint8] = split(self._manipulator, state.commanded, planned, most)
+        if (touched := keep_out.touched(state.commanded, stages)) is not None:
             raise CollisionError(touched)
         return stages
 

@@ -54,13 +54,13 @@ class Jogging:
         for k in wanted:
             if state.locked[k]:
                 raise Refusal(INVALID_GOAL, f"actuators: {labels[k]} is held: use it again with `degrade` first")
-        target = state.states.copy()
+        target = state.commanded.copy()
         target[list(wanted)] = list(wanted.values())
         most = self._pace.inrush or len(labels)
-        stages = in_groups(state.states, target, most)
+        stages = in_groups(state.commanded, target, most)
         known = self._is_configuration(state)
         strict = known and not current.free
-        if strict and (touched := current.touched(state.states, stages)) is not None:
+        if strict and (touched := current.touched(state.commanded, stages)) is not None:
             raise Refusal(INVALID_GOAL, f"on the way from where the arm is, {touched}")
         last, lead = len(stages) - 1, self._pace.lead
         packed = state.pack(stages)
@@ -78,7 +78,7 @@ class Jogging:
         run = RunningGoal(program, report, None)
         words = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
         unchecked = UNCHECKED if not known and not current.free else ""
-        message = f"accepted, {np.count_nonzero(state.states != target)} switches: {words}{unchecked}"
+        message = f"accepted, {np.count_nonzero(state.commanded != target)} switches: {words}{unchecked}"
         run.on_accepted = lambda: reply({**done(message[:1_000]), "id": name})
         return run
 

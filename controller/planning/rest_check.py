@@ -41,7 +41,7 @@ class RestCheck:
             return
         self._goals.tighten(goal)
         stages = [unpack_states(stage.states, self._actuators) for stage in self._goals.rest(goal)]
-        locked, states = state.locked, state.states
+        locked, states = state.locked, state.commanded
         # The stages have the output bits of locked actuators; collisions go by the states in which they are.
         real = [np.where(locked, states, stage).astype(np.uint8) for stage in stages]
         self._worker.check_rest(states, real, lambda checked, touched: self._checked(goal, checked, touched))

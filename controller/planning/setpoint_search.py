@@ -29,15 +29,15 @@ class Query(NamedTuple):
     Attributes:
         solver: of the arm reduced by locked actuators.
         keep_out: the obstacles that it keeps clear of.
-        states: of the actuators, shape (A,).
-        start: their configuration, of the solver's arm, shape (B,).
+        commanded: actuator states that stages begin from, shape (A,).
+        start: configuration to plan from, of the solver's arm, shape (B,).
         goal: position of the computed tip, shape (dimension,).
         tolerance: greatest distance from it.
     """
 
     solver: Solver
     keep_out: KeepOutSet
-    states: States
+    commanded: States
     start: Configuration
     goal: Vector
     tolerance: float
@@ -69,17 +69,17 @@ class SetpointSearch:
         Raises:
             Blocked: no way was found on which nothing is touched.
         """
-        solver, keep_out, states, start, goal, tolerance = query
+        solver, keep_out, commanded, start, goal, tolerance = query
         reduced = solver.manipulator
         if keep_out.free:
-            most = self._pace.inrush or len(states)
-            return split(self._arm.manipulator, states, reduced.actuator_states(end)[None], most)
+            most = self._pace.inrush or len(commanded)
+            return split(self._arm.manipulator, commanded, reduced.actuator_states(end)[None], most)
         until, barred = time.perf_counter() + ASIDE, None
         for configuration in (end, *solver.candidates(goal, start, tolerance, OTHERS)[0]):
             try:
                 sweep = sweep_for(solver)
                 stages = self._pace.staged(reduced, start, configuration, None, False, sweep, patience=0.0).stages
-                if (touched := keep_out.touched(states, stages)) is None:
+                if (touched := keep_out.touched(commanded, stages)) is None:
                     return stages
                 barred = barred or Blocked(touched)
             except Blocked as blocked:

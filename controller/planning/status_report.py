@@ -62,7 +62,7 @@ class StatusReport:
             "mode": mode,
             "reason": reason,
             "configuration": None if tip is None else written(manipulator, measured),
-            "commanded": None if state is None or not state.known else state.outputs.tolist(),
+            "commanded": None if state is None or not state.known else state.states.tolist(),
             "measured": [None if s < 0 else s for s in measured.tolist()],
             "tip": None if tip is None else pose(manipulator, tip),
             "goal": None if goal is None else goal.report.id,

@@ -312,6 +312,8 @@ def test_a_goal_ends_the_stream_before_it(desk: Desk) -> None:
     assert desk.inbox.next("reply")["accepted"]
     eventually(lambda: not desk.planning.diagnostics()["setpoint"]["alive"])
     stream.position = None
+    late = [message for message in list(desk.executor._messages.queue) if isinstance(message, Setpoint)]
+    assert all(message.stream < program.program for message in late), "the executor follows none of these"
 
 
 def test_a_setpoint_out_of_reach_says_so(desk: Desk) -> None:
