@@ -230,8 +230,6 @@ class Follower:
         """Returns whether the last set-point came within the time-out."""
         return self._clock() - last <= self._timeout
 
-    # --- for diagnostics
-
     def status(self) -> Payload:
         """Returns how the stream fares; from any thread."""
         return {
