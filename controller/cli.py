@@ -26,12 +26,12 @@ class Entry(NamedTuple):
 
 
 COMMANDS = {
-    "run": Entry("service", "run", "Run the daemon: goals over Zenoh to boards over CAN, until SIGTERM."),
+    "run": Entry("run", "run", "Run the daemon: goals over Zenoh to an executor, which moves the arm, until SIGTERM."),
     "execute": Entry(
         "execute", "execute", "Run the executor: motion programs from a planner to boards over CAN, until SIGTERM."
     ),
     "simulate": Entry(
-        "service", "simulate", "Run simulated boards on the arm's own bus, in place of the real ones, until SIGTERM."
+        "simulate", "simulate", "Run simulated boards on the arm's own bus, in place of the real ones, until SIGTERM."
     ),
     "demo": Entry(
         "demo",

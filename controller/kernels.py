@@ -10,7 +10,7 @@ import importlib
 import os
 from pathlib import Path
 
-ROOTS = ("controller.commands.demo", "controller.commands.service")
+ROOTS = ("controller.commands.demo", "controller.commands.run")
 FOLDER = Path(__file__).parent
 
 

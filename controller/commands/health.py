@@ -48,12 +48,12 @@ def check(
 
 def ask_boards(arm: Arm) -> list[dict[str, Any]]:
     """Returns what each board of an arm answers."""
-    from controller.daemon.service import wiring_of
-    from drivers.faults import BusError
-    from drivers.probe import probe
+    from controller.executor.arm import wiring_of
+    from drivers.canopen.faults import BusError
+    from drivers.canopen.probe import probe
 
     try:
-        answers = probe(wiring_of(arm))
+        answers = probe(wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring))
     except BusError as error:
         raise Failed(str(error)) from None
     return [{"board": answer.board, "ok": answer.ok, "answer": answer.text} for answer in answers]
@@ -67,7 +67,7 @@ def wear(
     """Say how often each actuator has switched, and how goals ended."""
     import sqlite3
 
-    from controller.daemon.ledger import default_path, read
+    from controller.planning.ledger_file import default_path, read
 
     arm = load(file)
     name = arm.settings.name

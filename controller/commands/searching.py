@@ -63,10 +63,10 @@ def follow_lines(
     Raises:
         Failed: the lines cannot be followed, why.
     """
-    from controller.daemon.foresight import Foresight
     from controller.motion.pacing import Pace
     from controller.motion.plan import plan
     from controller.motion.trajectory import MOST_POINTS, along
+    from controller.planning.improvement import Improvement
 
     pace = Pace(arm.settings.travel_time, arm.settings.inrush, arm.settings.rest_time)
     times = pace.unhurried * MOST_POINTS * np.arange(len(positions), dtype=np.float64)
@@ -76,6 +76,6 @@ def follow_lines(
     except Refusal as refusal:
         raise Failed(str(refusal)) from None
     if method == "minimum-switch":
-        found = Foresight(solver, found, pace).whole()
+        found = Improvement(solver, found, pace).whole()
     for k, solution in enumerate(found.solutions):
         yield trajectory.positions[k].tolist(), None, solution, trajectory.between(k)

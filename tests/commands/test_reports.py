@@ -12,7 +12,8 @@ import pytest
 import yaml
 
 from controller.commands import health
-from controller.daemon.ledger import SCHEMA, Ledger
+from controller.planning.ledger import Ledger
+from controller.planning.ledger_file import SCHEMA
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 

@@ -7,7 +7,7 @@ import struct
 import canopen
 import pytest
 
-from drivers import cia301
+from drivers.canopen import cia301
 from drivers.simulation.actuator import Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
 from drivers.simulation.objects import EDS
