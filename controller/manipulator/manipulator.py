@@ -94,7 +94,7 @@ class Manipulator:
 
     def actuator_states(self, configuration: ArrayLike) -> NDArray[np.uint8]:
         """Returns the actuator states (A,) of a configuration (B,)."""
-        return np.concatenate([m.bits[s] for m, s in zip(self.modules, np.asarray(configuration), strict=True)])
+        return np.asarray(self.bits[self._rows, np.asarray(configuration)][self._filled])
 
     def configuration(self, actuator_states: ArrayLike) -> Configuration:
         """Returns the configuration (B,) of actuator states (A,).
@@ -106,26 +106,43 @@ class Manipulator:
         if states.shape != (len(self.actuators),):
             raise ValueError(f"the arm has {len(self.actuators)} actuator states, got an array of shape {states.shape}")
         result, start = np.empty(len(self.modules), dtype=np.int64), 0
-        for i, module in enumerate(self.modules):
-            own = states[start : start + len(module.actuators)]
-            match = np.flatnonzero((module.bits == own).all(axis=1))
-            if len(match) == 0:
-                raise ValueError(f"module {i + 1} has no configuration with actuator states {own.tolist()}")
-            result[i] = match[0]
-            start += len(module.actuators)
+        whole = states.astype(np.int64)
+        for i, codes in enumerate(self._codes):
+            end = start + len(self.modules[i].actuators)
+            state = codes.get(whole[start:end].tobytes())
+            if state is None:
+                raise ValueError(
+                    f"module {i + 1} has no configuration with actuator states {states[start:end].tolist()}"
+                )
+            result[i], start = state, end
         return result
 
     def per_module(self, values: ArrayLike) -> NDArray[np.float64]:
         """Returns values of the actuators (A,) by module, padded with 0, shape (B, Amax)."""
-        result = np.zeros((len(self.modules), self.bits.shape[2]))
-        filled = np.array([len(m.actuators) for m in self.modules])[:, None] > np.arange(self.bits.shape[2])
-        result[filled] = values
+        result = np.zeros(self._filled.shape)
+        result[self._filled] = values
         return result
 
     def switches(self, first: ArrayLike, second: ArrayLike) -> int:
         """Returns how many actuators differ between two configurations (B,)."""
-        module = np.arange(len(self.modules))
-        return int((self.bits[module, np.asarray(first)] != self.bits[module, np.asarray(second)]).sum())
+        rows = self._rows
+        return int((self.bits[rows, np.asarray(first)] != self.bits[rows, np.asarray(second)]).sum())
+
+    @cached_property
+    def _rows(self) -> NDArray[np.int64]:
+        """Indices of the modules, shape (B,)."""
+        return np.arange(len(self.modules))
+
+    @cached_property
+    def _filled(self) -> NDArray[np.bool_]:
+        """Which places of arrays over modules and their actuators are not padding, shape (B, Amax)."""
+        return np.array([len(m.actuators) for m in self.modules])[:, None] > np.arange(self.bits.shape[2])
+
+    @cached_property
+    def _codes(self) -> list[dict[bytes, int]]:
+        """The first state of each module with some actuator states, by these as bytes of int64."""
+        every = [module.bits.astype(np.int64) for module in self.modules]
+        return [{code.tobytes(): k for k, code in reversed(list(enumerate(codes)))} for codes in every]
 
 
 @njit("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", cache=True, nogil=True, boundscheck=True)

@@ -7,7 +7,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.manipulator.frames import compose
-from controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -79,41 +78,6 @@ class Transition:
         rows, masks = np.arange(len(self.end))[:, None], self.end[:, None] ^ np.arange(self.known.shape[1])
         r, b, known = (np.ascontiguousarray(a[rows, masks]) for a in (self.rotations, self.translations, self.known))
         return replace(self, rotations=r, translations=b, known=known, line=self.line[::-1].copy())
-
-
-def build_transition(manipulator: Manipulator, start: Configuration, end: Configuration) -> Transition:
-    """Returns the transition between configurations (B,)."""
-    ends = np.array([start, end])
-    bits = [module.bits[ends[:, i]] for i, module in enumerate(manipulator.modules)]
-    switching = [np.flatnonzero(b[0] != b[1]) for b in bits]
-    modules = [i for i, columns in enumerate(switching) if len(columns)]
-    size = 1 << max((len(columns) for columns in switching), default=0)
-    links, known = np.tile(np.eye(4), (len(modules), size, 1, 1)), np.zeros((len(modules), size), dtype=bool)
-    lead, row = manipulator.base, 0
-    for i, module in enumerate(manipulator.modules):
-        if not len(switching[i]):
-            lead = lead @ module.frames[start[i]]
-            continue
-        differ = module.bits != bits[i][0]
-        between = np.flatnonzero(differ.sum(axis=1) == differ[:, switching[i]].sum(axis=1))
-        masks = differ[np.ix_(between, switching[i])] @ (1 << np.arange(len(switching[i])))
-        links[row, masks], known[row, masks] = lead @ module.frames[between], True
-        lead, row = np.eye(4), row + 1
-    if modules:
-        links[-1] = links[-1] @ lead
-    offsets = np.cumsum([0, *(len(module.actuators) for module in manipulator.modules)])
-    every = [(offsets[i] + column, k, 1 << j) for k, i in enumerate(modules) for j, column in enumerate(switching[i])]
-    actuators, owners, flags = np.array(every, dtype=np.int64).reshape(-1, 3).T.copy()
-    return Transition(
-        actuators,
-        owners,
-        flags,
-        np.ascontiguousarray(links[..., :3, :3]),
-        np.ascontiguousarray(links[..., :3, 3]),
-        known,
-        np.array([(1 << len(switching[i])) - 1 for i in modules], dtype=np.int64),
-        np.ascontiguousarray(manipulator.tips(ends)[:, :3, 3]),
-    )
 
 
 @njit("f8(f8[::1], f8[:,::1])", cache=True, nogil=True, inline="always")

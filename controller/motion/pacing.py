@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import build_transition
 from controller.motion.stages import SKIPPED, order_stages, peaks
+from controller.motion.transition import build_transition
 from controller.motion.ways import PATIENCE, Ways
 from controller.obstacles.sweep import Sweep
 

@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import Array, Index, Transition, build_transition
+from controller.motion.excursion import Array, Index, Transition
+from controller.motion.transition import build_transition
 
 EXACT = 11  # most switches of which every order is weighed: 9 ms, at 12 they would take 24
 WINDOW = 8  # most of a window of stages that are put in the best order

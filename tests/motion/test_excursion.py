@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.excursion import COUNTED, Transition, build_transition
+from controller.motion.excursion import COUNTED, Transition
+from controller.motion.transition import build_transition
 from tests.arms import paper_arm, spatial_arm
 
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.excursion import build_transition
 from controller.motion.pacing import MOST_STAGES, Pace, Unfit
 from controller.motion.plan import plan
 from controller.motion.trajectory import through
+from controller.motion.transition import build_transition
 from tests.arms import paper_arm
 
 LEAD = 0.06
