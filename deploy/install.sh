@@ -1,9 +1,11 @@
 #!/bin/sh
-# Installs hyperbit on a robot computer, in a virtual environment of its own under /opt/hyperbit, as a systemd service.
+# Installs hyperbit on a robot computer: a virtual environment under /opt/hyperbit and two systemd services, executor and
+# planner.
 #
 #   sudo deploy/install.sh [ARM.yaml]
 #
-# Run again to upgrade. Files in /etc/hyperbit and /etc/systemd/network are made where there are none, and then kept.
+# Run it again to upgrade, also from a version of one service. Existing files in /etc/hyperbit and /etc/systemd/network are
+# kept, and so are the counts of switches and the ledger in /var/lib.
 set -eu
 
 project=$(cd "$(dirname "$0")/.." && pwd)
@@ -21,7 +23,17 @@ command -v systemctl >/dev/null || fail "there is no systemd on this computer"
 command -v "$python" >/dev/null || fail "$python is missing: apt install python3 python3-venv"
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || fail "Python 3.11 or newer is needed, $python is older"
 "$python" -c 'import ensurepip' 2>/dev/null || fail "Python cannot make virtual environments: apt install python3-venv"
+command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt install systemd"
 [ -r "$arm" ] || fail "$arm: no such file"
+# A running program imports modules late and must not find those of another version. Whether the boards may lose the
+# heartbeat now is the operator's decision.
+running=
+for service in hyperbit hyperbit-executor; do
+  case $(systemctl is-active "$service.service" 2>/dev/null) in
+  active | activating | reloading | deactivating) running="$running $service" ;;
+  esac
+done
+[ -z "$running" ] || fail "stop what runs: systemctl stop$running; the boards then do what on_loss says"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
@@ -60,14 +72,23 @@ fi
 keep "$project/deploy/zenoh.json5" /etc/hyperbit/zenoh.json5
 keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
-install -D -m 644 "$project/deploy/hyperbit.service" /etc/systemd/system/hyperbit.service
+# Static: the planner's user and operators reach the executor's socket by this group.
+systemd-sysusers --inline 'g hyperbit -'
+for service in hyperbit hyperbit-executor; do
+  install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
+done
+
+# The version of one service left a link to a folder that its successor cannot use.
+[ ! -L /run/hyperbit ] || rm /run/hyperbit
 
 systemctl daemon-reload
 systemctl enable hyperbit.service
 cat <<'TEXT'
 Installed and enabled. Next:
-  hyperbit check /etc/hyperbit/arm.yaml --bus     each board's answer
-  systemctl restart systemd-networkd hyperbit     bring up can0 and start
-  journalctl -u hyperbit -f                       what it says
-  hyperbit watch /etc/hyperbit/arm.yaml           what the arm does
+  systemctl restart systemd-networkd                     bring up can0
+  hyperbit check /etc/hyperbit/arm.yaml --bus            read what each board is
+  systemctl start hyperbit                               start planner and executor
+  journalctl -f -u hyperbit -u hyperbit-executor         read their messages
+  hyperbit watch /etc/hyperbit/arm.yaml                  watch the arm
+  usermod --append --groups hyperbit USER                let USER run `hyperbit halt --local`
 TEXT
