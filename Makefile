@@ -18,11 +18,12 @@ test: check $(VENV)/kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %)
 	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME)
 
-# What the virtual machine needs, so that its tests begin at once.
+# Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed
 	$(BIN)/python -m tests.vm.prepare
 
-# On the kernel's CAN and under systemd, in a virtual machine: make vm-test ARGS="tests/integration -k reset"
+# Tests on the kernel's CAN and under systemd, in a virtual machine. The part for every check: make vm-test ARGS=--essential
+# Some tests: make vm-test ARGS="tests/system -k reset"
 vm-test: $(VENV)/installed
 	$(BIN)/python -m tests.vm.boot $(ARGS)
 

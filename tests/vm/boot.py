@@ -1,6 +1,9 @@
-"""Boots the virtual machine, shows what its tests say, and ends with their verdict.
+"""Boots the virtual machine, prints the reports of its tests, and ends with their verdict.
 
-python -m tests.vm.boot [arguments of pytest; without tests among them: tests/vm and tests/integration]
+python -m tests.vm.boot [--essential] [arguments of pytest]
+
+Without paths of tests among the arguments, `tests/vm` and `tests/system` run; with `--essential` the part that
+belongs in every check.
 """
 
 import signal
@@ -9,11 +12,12 @@ import sys
 
 from tests.vm.prepare import FOLDER, PROJECT, Missing, prepare, say
 
-TESTS = ["tests/vm", "tests/integration"]
-LONGEST = 1300.0  # [s]
-BASE = 16  # what the guest adds to pytest's exit code, so that it is none of QEMU's own
+TESTS = ["tests/vm", "tests/system"]
+ESSENTIAL = ["tests/vm"]
+LONGEST = 3600.0  # [s]
+BASE = 16  # added by the guest to pytest's exit code, to tell it from QEMU's own
 
-# A processor without AVX: QEMU 7.2 emulates some of it wrongly, NumPy's argsort crashed in it.
+# A processor without AVX: QEMU 7.2 emulates parts of AVX wrongly, and NumPy's argsort crashed.
 QEMU = [
     *("qemu-system-x86_64", "-accel", "tcg,thread=multi", "-smp", "2", "-cpu", "Nehalem", "-m", "4G"),
     *("-nodefaults", "-display", "none", "-serial", "stdio", "-no-reboot"),
@@ -21,7 +25,7 @@ QEMU = [
     *("-kernel", str(FOLDER / "vmlinuz"), "-initrd", str(FOLDER / "initrd")),
 ]
 KERNEL = "console=ttyS0 loglevel=3 panic=-1 mitigations=off fstab=no apparmor=0 audit=0 tsc=reliable clocksource=tsc"
-# Without timers: a clock that is set an hour forward would start all that Debian does once a day.
+# Without timers: a clock that is set an hour forward would start Debian's daily jobs.
 SYSTEMD = "systemd.show_status=no systemd.unit=hyperbit-tests.service systemd.mask=timers.target"
 
 
@@ -32,7 +36,7 @@ def share(tag: str, path: str) -> list[str]:
 
 
 def boot(arguments: list[str]) -> int:
-    """Runs the tests in the machine; returns pytest's exit code, or another when there was no verdict."""
+    """Runs the tests in the machine; returns pytest's exit code, or 124 or 125 if there was no verdict."""
     (FOLDER / "arguments").write_text("\n".join(arguments))
     shares = share("root", "/") + share("robot", str(FOLDER / "robot"))
     command = [*QEMU, *shares, "-append", f"{KERNEL} {SYSTEMD} hyperbit={PROJECT}"]
@@ -51,10 +55,10 @@ def boot(arguments: list[str]) -> int:
 
 
 def main() -> int:
-    arguments = sys.argv[1:]
+    arguments = [argument for argument in sys.argv[1:] if argument != "--essential"]
     if not any(argument.startswith("tests") for argument in arguments):
-        arguments += TESTS
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the machine is ended, too
+        arguments += ESSENTIAL if "--essential" in sys.argv else TESTS
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the machine, too
     try:
         prepare(robot=any(argument.startswith("tests/vm") for argument in arguments))
     except Missing as error:

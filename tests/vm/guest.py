@@ -1,9 +1,11 @@
-"""In the virtual machine, as root under systemd: runs the tests and ends the machine with their verdict.
+"""Runs the tests in the virtual machine, as root under systemd, and ends the machine with their verdict.
 
-To import what they need takes half a minute on an emulated processor: that is done once, and every process that runs
-tests is forked from this one.
+The tests in tests/vm run one after the other with nothing beside them, the others in several processes. To import
+hyperbit takes half a minute on an emulated processor: this process imports it once and forks those that run tests. Each
+test runs once: a second run would hide races.
 """
 
+import importlib
 import os
 import subprocess
 import sys
@@ -16,22 +18,22 @@ from pathlib import Path
 
 import pytest
 
-import tests.vm.compile  # noqa: F401 all of hyperbit
 from tests.vm.boot import BASE
 from tests.vm.prepare import FOLDER, PROJECT, say
 
 OPTIONS = ["-qq", "-p", "no:cacheprovider", "--bus", "socketcan", "--timeout", "600", "--color=no"]
-VERDICT = Path("/dev/port"), 0xF4  # of isa-debug-exit: QEMU ends with twice the byte that is written there, plus 1
+PROCESSES = 3  # that share the tests outside of tests/vm
+VERDICT = Path("/dev/port"), 0xF4  # isa-debug-exit: QEMU ends with twice the byte that is written there, plus 1
 
 
 @dataclass(frozen=True)
 class Share:
-    """A plugin by which several processes share tests: each runs the next file that no other one took.
+    """A plugin by which several processes share tests: each process takes the next free file of tests.
 
-    It tells of every test as it ends, not when all have ended, which a time-out may prevent.
+    It reports every test as it ends, since a time-out may prevent a report at the end.
 
     Attributes:
-        folder: which the processes have in common.
+        folder: common to the processes; holds one file for each file of tests that is taken.
     """
 
     folder: Path
@@ -57,59 +59,44 @@ class Share:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport) -> tuple[str, str, str]:
-        return report.outcome, "", ""  # told below
+        return report.outcome, "", ""  # reported below
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" or report.outcome != "passed" or report.duration > 5:
-            self._tell(f"{report.outcome:7} {report.duration:4.0f} s {report.when:8} {report.nodeid}\n")
+            self._report(f"{report.outcome:7} {report.duration:4.0f} s {report.when:8} {report.nodeid}\n")
         if report.failed:
-            self._tell(f"{report.longreprtext}\n{report.caplog}\n{circumstances()}\n")
+            self._report(f"{report.longreprtext}\n{report.caplog}\n{circumstances()}\n")
         if report.when == "call" or report.outcome != "passed":
             with (self.folder / "outcomes").open("a") as outcomes:
-                outcomes.write(f"{report.outcome} {report.nodeid}\n")
+                outcomes.write(f"{report.outcome}\n")
 
-    def _tell(self, what: str) -> None:
-        os.write(sys.__stdout__.fileno(), what.encode())  # at once, not between the lines of another process
+    def _report(self, text: str) -> None:
+        os.write(sys.__stdout__.fileno(), text.encode())  # one write, so that lines of two processes do not mix
 
 
 def circumstances() -> str:
-    """What else went on."""
+    """Returns the end of the journal and the busiest processes."""
     commands = ["journalctl --no-pager --lines 60", "ps -eo pcpu,time,args --sort -time --columns 120"]
     done = [subprocess.run(words.split(), capture_output=True, text=True).stdout for words in commands]
     return "\n".join([done[0], *done[1].splitlines()[:8]])
 
 
-def run(processes: int, arguments: list[str], again: bool = False) -> tuple[int, list[str]]:
-    """Runs tests.
-
-    Args:
-        processes: how many share them.
-        arguments: of pytest.
-        again: whether some of them failed: that an emulated processor was late once is no failure.
-
-    Returns:
-        Worst exit code of pytest, and which tests failed.
-    """
-    if again:
-        say("what failed, once more and with nothing beside it")
+def run(processes: int, arguments: list[str]) -> int:
+    """Runs tests in so many processes; returns the worst exit code of pytest."""
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         share = Share(Path(name))
         children = [fork([*OPTIONS, *arguments], share) for _ in range(processes)]
         codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
-        told = share.folder / "outcomes"
-        outcomes = [line.split(" ", 1) for line in told.read_text().splitlines()] if told.exists() else []
-    counts = Counter(outcome for outcome, _ in outcomes)
+        outcomes = share.folder / "outcomes"
+        counts = Counter(outcomes.read_text().split() if outcomes.exists() else [])
     found = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items())) or "nothing to run"
     say(f"{found} in {time.monotonic() - begun:.0f} s by {processes} processes")
-    nothing = pytest.ExitCode.NO_TESTS_COLLECTED
-    return max((abs(code) for code in codes if code != nothing), default=0), [
-        name for outcome, name in outcomes if outcome == "failed"
-    ]
+    return max((abs(code) for code in codes if code != pytest.ExitCode.NO_TESTS_COLLECTED), default=0)
 
 
 def fork(arguments: list[str], share: Share) -> int:
-    """Runs pytest in a new process and returns that."""
+    """Starts pytest in a new process; returns the number of the process."""
     if child := os.fork():
         return child
     code = 70  # an internal error
@@ -123,19 +110,23 @@ def main() -> None:
     system, processors = os.uname(), os.cpu_count()
     say(f"booted: {system.sysname} {system.release}, {processors} processors")
     arguments = (FOLDER / "arguments").read_text().splitlines()
-    code, failed = run(3, [*arguments, "-m", "not alone"])
-    if code == pytest.ExitCode.TESTS_FAILED:
-        code, _ = run(1, [*failed, "-m", "not alone"], again=True)
-    service, _ = run(1, [*arguments, "-m", "alone"])
-    if service == pytest.ExitCode.TESTS_FAILED:  # all of them, as each finds what the one before it left
-        service, _ = run(1, [*arguments, "-m", "alone"], again=True)
+    paths = [argument for argument in arguments if argument.startswith("tests")]
+    options = [argument for argument in arguments if argument not in paths]
+    alone = [path for path in paths if path.startswith("tests/vm")]
+    shared = [path for path in paths if path not in alone]
+    codes = []
+    if shared:
+        importlib.import_module("tests.vm.compile")
+        codes.append(run(PROCESSES, [*options, *shared]))
+    if alone:
+        codes.append(run(1, [*options, *alone]))
     for path in FOLDER.glob("cache/**/*.nbc"):
         if path.stat().st_mtime > (FOLDER / "arguments").stat().st_mtime:
             say(f"compiled here, which is slow: {path.relative_to(PROJECT)}")
     path, port = VERDICT
     with path.open("r+b", buffering=0) as ports:
         ports.seek(port)
-        ports.write(bytes([BASE + max(code, service)]))
+        ports.write(bytes([BASE + max(codes)]))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 #!/bin/sh
-# robot.sh FOLDER: installs hyperbit as on a robot's computer and keeps in FOLDER what that writes.
-# To be run in a mount namespace of its own (unshare --mount), where this computer's folders only seem to change.
+# robot.sh FOLDER: installs hyperbit as on a robot's computer, over a version of one service, and keeps in FOLDER the files
+# that this writes. Run it in a mount namespace of its own (unshare --mount), where nothing of this computer changes.
 set -eu
 layer=$1
 project=$(cd "$(dirname "$0")/../.." && pwd)
@@ -12,17 +12,51 @@ for folder in etc opt usr/local; do
   mkdir -p "$memory/files/$folder" "$memory/work/$folder"
   mount -t overlay -o "lowerdir=/$folder,upperdir=$memory/files/$folder,workdir=$memory/work/$folder" overlay "/$folder"
 done
-# The first start compiles for minutes where the processor is emulated: that is done here, for any processor.
+
+# What the version of one service left: its unit, and a ledger of its transient user.
+mkdir -p -m 700 "$memory/files/var/lib/private" "$memory/files/var/lib/private/hyperbit"
+cat > /etc/systemd/system/hyperbit.service << 'UNIT'
+[Service]
+ExecStart=/opt/hyperbit/bin/hyperbit run /etc/hyperbit/arm.yaml --zenoh /etc/hyperbit/zenoh.json5
+DynamicUser=yes
+StateDirectory=hyperbit
+RuntimeDirectory=hyperbit
+RuntimeDirectoryPreserve=restart
+UNIT
+python3 -c '
+import os, sqlite3, sys
+with sqlite3.connect(sys.argv[1]) as ledger:
+    ledger.executescript("""
+CREATE TABLE switches (actuator TEXT PRIMARY KEY, count INTEGER NOT NULL);
+CREATE TABLE goals (
+  number INTEGER PRIMARY KEY, id TEXT NOT NULL, accepted REAL NOT NULL, waypoints INTEGER NOT NULL,
+  ended REAL, status TEXT, code INTEGER, message TEXT, switches INTEGER
+);
+""")
+    ledger.execute("INSERT INTO switches VALUES (?, ?)", ("1.left", 1000))
+    ledger.execute("INSERT INTO goals VALUES (1, ?, 1e9, 1, 1e9, ?, 0, ?, 1000)", ("old", "succeeded", ""))
+ledger.close()
+os.chown(sys.argv[1], 61999, 61999)
+' "$memory/files/var/lib/private/hyperbit/planar16.sqlite"
+chown 61999:61999 "$memory/files/var/lib/private/hyperbit"
+
+# The first start compiles for minutes where the processor is emulated. Compile here, for any processor.
 mkdir -p -m 700 "$memory/files/var/cache/private"
 export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba"
-rm -rf "$project/build/lib" # what was built before must not be installed again
+rm -rf "$project/build/lib" # an earlier build must not be installed
 PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh"
 /opt/hyperbit/bin/python -P "$project/tests/vm/compile.py"
-mkdir /etc/systemd/system/hyperbit.service.d
+
+# Six times the units' own times, as the tests' times.
+for service in hyperbit hyperbit-executor; do mkdir "/etc/systemd/system/$service.service.d"; done
 cat > /etc/systemd/system/hyperbit.service.d/emulated.conf << 'UNIT'
 [Service]
 Environment=NUMBA_CPU_NAME=generic
-# Six times the unit's own, as the tests' times.
+WatchdogSec=60
+TimeoutStopSec=90
+UNIT
+cat > /etc/systemd/system/hyperbit-executor.service.d/emulated.conf << 'UNIT'
+[Service]
 WatchdogSec=12
 TimeoutStopSec=90
 UNIT
