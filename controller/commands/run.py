@@ -89,9 +89,9 @@ def serve(
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     book, ending = ledger or default_path(arm.settings.name), threading.Event()
     try:
+        for number in SIGNALS:  # before anybody is served, whose goals are to end in order
+            signal.signal(number, lambda *_: ending.set())
         with running(arm, densities, config, book, path, digest):
-            for number in SIGNALS:
-                signal.signal(number, lambda *_: ending.set())
             while not ending.wait(POLL):
                 if (code := ended()) is not None:
                     raise Failed(f"the executor ended with code {code}: see above")
