@@ -95,6 +95,11 @@ class Observer:
         """Waits until a state that is published from now on is in a mode."""
         return self.wait_for(mode, reason, after=len(self.heard["state"]))
 
+    def next_state(self) -> Message:
+        """Returns the next state."""
+        before = len(self.heard["state"])
+        return eventually(lambda: self.heard["state"][before:])[0]
+
     def wait_fault(self, code: str, since: float) -> Message:
         """Waits for a state of `since` [UNIX s] or later that names a fault."""
 

@@ -32,6 +32,7 @@ from tests.system.processes import Nursery, Process, tail
 from tests.waiting import PATIENCE, eventually
 
 NUMBERS = itertools.count()
+LEASE = "transport/link/tx/lease"  # of a Zenoh configuration
 
 
 class System:
@@ -134,9 +135,15 @@ class System:
         return self.planning
 
     def start_planner_process(self) -> Process:
-        """Starts a planner in a process of its own."""
-        arguments = [str(self.file), "--socket", str(self.socket), "--listen", self.endpoint]
-        arguments += ["--ledger", str(self.ledger)]
+        """Starts a planner in a process of its own; it connects to the endpoint, where somebody must listen.
+
+        Its lease is long: a planner that is stopped keeps its session, so that what it publishes later is heard.
+        """
+        file = self.folder / "zenoh.json5"
+        config = session.configuration("client", connect=self.endpoint)
+        config.insert_json5(LEASE, str(round(1e3 * PATIENCE)))
+        file.write_text(str(config))
+        arguments = [str(self.file), "--socket", str(self.socket), "--zenoh", str(file), "--ledger", str(self.ledger)]
         self.planner = self._nurseries["planner"].start(arguments, self.folder / "planner.log", self._environment)
         return self.planner
 
@@ -207,6 +214,3 @@ def settled(observer: Observer) -> bool:
     state = observer.wait_now("ready") if observer.state["mode"] == "ready" else observer.state
     clean = not state["faults"] and not state["degraded"] and state["goal"] is None
     return state["mode"] == "ready" and clean and observer.ask("obstacles", regions=[])["accepted"]
-
-
-__all__ = ["PATIENCE", "System", "settled"]

@@ -1,7 +1,6 @@
 """A moving goal, streamed by a Zenoh publisher, to the actuators and back."""
 
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
@@ -21,11 +20,11 @@ FOLLOWING = "following a setpoint"
 
 
 @pytest.fixture
-def publisher(client: Observer, system: System, stack: ExitStack) -> Iterator[Publisher]:
+def publisher(client: Observer, system: System, stack: ExitStack) -> Publisher:
     """A publisher; the arm is where it begins."""
     client.move(START)
     client.wait_now("ready")
-    yield Publisher(stack.enter_context(system.session()), client, system.name)
+    return Publisher(stack.enter_context(system.session()), client, system.name)
 
 
 def setpoint(client: Observer) -> dict[str, Any]:

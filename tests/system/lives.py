@@ -1,0 +1,131 @@
+"""An arm whose executor and planner are killed or stopped at any instant, and what must hold all the while."""
+
+import itertools
+import signal
+from contextlib import ExitStack
+
+import zenoh
+
+from controller.gateway import session
+from controller.gateway.client import Client
+from tests.system.motions import Motions
+from tests.system.observer import Observer
+from tests.system.operator import Operator
+from tests.system.places import LEFT, MIDDLE, RIGHT
+from tests.system.publisher import Publisher
+from tests.system.system import LEASE, System
+from tests.waiting import PATIENCE, eventually
+
+NEED_RESET = {"halted", "emergency", "board-stopped", "board-rebooted"}
+STALLED = NEED_RESET | {"board-lost"}  # faults that a stall of a process on a busy machine makes
+
+
+class Lives:
+    """One executor and one planner after another, each in a process of its own.
+
+    The observer's session listens, and planners connect to it: it hears what any of them publishes, the first word too.
+
+    Attributes:
+        system: the arm.
+        client: hears all planners.
+        motions: of the boards, from the first start on.
+    """
+
+    def __init__(self, system: System, stack: ExitStack) -> None:
+        self.system, self._stack = system, stack
+        config = session.configuration("peer", listen=system.endpoint)
+        config.insert_json5(LEASE, str(round(1e3 * PATIENCE)))  # as the planner's: who is stopped keeps the session
+        self.session: zenoh.Session = stack.enter_context(zenoh.open(config))
+        self.client = Observer(Client(self.session, system.name))
+        self.motions = Motions(system.wiring, stack.enter_context(system.listener()))
+        system.start_executor()
+        system.start_planner_process()
+
+    def ready(self) -> None:
+        """Waits until the arm is ready for goals, with a reset if the fault needs one."""
+
+        def there() -> bool:
+            state = self.client.next_state()
+            if state["mode"] == "fault" and set(self.client.codes) & NEED_RESET:
+                self.client.ask("reset")
+            return bool(state["mode"] == "ready")
+
+        eventually(there, told=self.system.logs)
+
+    def send(self, name: str, *positions: tuple[float, ...], times: list[float] | None = None) -> str:
+        """Sends a goal until it is accepted; returns its id. A stall of this machine may have ended the mode ready."""
+        for attempt in itertools.count():
+            self.ready()
+            goal = f"{name} {attempt}"
+            answer = self.client.goal(*positions, times=times, id=goal)
+            if answer["accepted"]:
+                return goal
+            assert attempt < 20, answer
+        raise AssertionError
+
+    def move(self, name: str, position: tuple[float, ...]) -> None:
+        """Sends a goal until one succeeds; only a fault that a stall of this machine makes may end it."""
+        for attempt in itertools.count():
+            began = len(self.client.heard["state"])
+            result = self.client.result(self.send(f"{name} {attempt}", position))
+            if result["status"] == "succeeded":
+                return
+            codes = {fault["code"] for state in self.client.heard["state"][began:] for fault in state["faults"]}
+            assert attempt < 20, result
+            assert codes & STALLED, result
+
+    def zigzag(self, name: str) -> str:
+        """Sends a goal of many waypoints, as fast as the arm may follow, that begins at once; returns its id."""
+        return self.send(name, *((LEFT, RIGHT, MIDDLE)[k % 3] for k in range(30)), times=[0.08 * k for k in range(30)])
+
+    def begun(self) -> None:
+        """Waits until a switch is on the bus."""
+        before = self.motions.switched.sum()
+
+        def moved() -> bool:
+            self.motions.read()
+            return bool(self.motions.switched.sum() > before)
+
+        eventually(moved)
+
+    def publisher(self) -> Publisher:
+        return Publisher(self.session, self.client, self.system.name)
+
+    def operator(self) -> Operator:
+        return self._stack.enter_context(Operator(self.system.socket))
+
+    def disturb(self, victim: str, number: signal.Signals) -> None:
+        """Kills a process and starts it again; or stops it until the others have noticed, and lets it go on."""
+        if number is signal.SIGKILL:
+            self.kill(victim)
+        elif victim == "planner":
+            self.system.planner.freeze()
+            with Operator(self.system.socket) as operator:
+                eventually(lambda: operator.snapshot().mode != "executing")
+            self.system.planner.thaw()
+        else:
+            self.system.executor.freeze()
+            eventually(self.masterless)
+            self.system.executor.thaw()
+
+    def kill(self, victim: str) -> None:
+        if victim == "planner":
+            self.system.planner.kill()
+            self.system.start_planner_process()
+        else:
+            self.system.executor.kill()
+            self.system.start_executor()
+
+    def masterless(self) -> bool:
+        """Whether no board is operational: all have missed the executor."""
+        with self.system.boards._lock:
+            boards = self.system.boards._boards._by_name.values()
+            return all(board.state != 5 for board in boards)
+
+    def check(self) -> None:
+        """Asserts one result of each goal, and the same counts on the bus, of the boards and of the executor."""
+        for goal in self.client.accepted:
+            assert len(self.client.results(goal)) == 1, (goal, self.client.results(goal))
+        self.motions.agree(self.system.boards)
+        with Operator(self.system.socket) as operator:
+            assert operator.counts() == self.motions.switched.tolist()

@@ -1,0 +1,69 @@
+"""An operator at the executor's socket: hears what the executor says, with no planner and no Zenoh between."""
+
+import socket
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from controller.program import VERSION, Diagnostics, Hello, Snapshot, Up, Welcome, decode_up, encode
+from tests.waiting import eventually
+
+
+class Operator:
+    """A client in the role "operator" that remembers what it hears.
+
+    Attributes:
+        heard: all messages, oldest first.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.heard: list[Up] = []
+        self._socket = eventually(lambda: connected(path))
+        self._socket.send(encode(Hello(VERSION, "operator", "")))
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> "Operator":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._socket.close()
+
+    def snapshot(self) -> Snapshot:
+        """Waits for the next snapshot."""
+        before = len(self.heard)
+        return eventually(lambda: next((it for it in self.heard[before:] if isinstance(it, Snapshot)), None))
+
+    def wait_for(self, mode: str) -> Snapshot:
+        """Waits for a snapshot of a mode, from now on."""
+        while (snapshot := self.snapshot()).mode != mode:
+            pass
+        return snapshot
+
+    def counts(self) -> list[int]:
+        """Switches of each actuator by the executor's journal."""
+        before = len(self.heard)
+        found = eventually(lambda: next((it for it in self.heard[before:] if isinstance(it, Diagnostics)), None))
+        return list(found.counts)
+
+    def welcome(self) -> Welcome:
+        return eventually(lambda: next((it for it in self.heard if isinstance(it, Welcome)), None))
+
+    def _listen(self) -> None:
+        with suppress(OSError):
+            while data := self._socket.recv(1 << 17):
+                self.heard.append(decode_up(data))
+
+
+def connected(path: Path) -> socket.socket | None:
+    """A socket that is connected to the executor's; None if nobody listens there."""
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        client.connect(str(path))
+    except OSError:
+        client.close()
+        return None
+    return client

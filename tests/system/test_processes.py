@@ -1,0 +1,180 @@
+"""Planner or executor is killed or stopped in every phase: nothing moves unasked, each goal has one result."""
+
+import random
+import signal
+import time
+from contextlib import ExitStack
+
+import pytest
+
+from controller.planning.ledger_file import read
+from drivers.canopen import cia301
+from tests import emulated
+from tests.system.lives import Lives
+from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.system import System
+from tests.waiting import SLOWNESS, eventually
+
+pytestmark = pytest.mark.fresh
+
+KILLS = 20 if SLOWNESS == 1 else 5
+
+
+@pytest.fixture
+def lives(system: System, stack: ExitStack) -> Lives:
+    lives = Lives(system, stack)
+    lives.ready()
+    return lives
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("victim", ["planner", "executor"])
+def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: str, number: signal.Signals) -> None:
+    client, boards, system = lives.client, lives.system.boards, lives.system
+
+    # In motion: the goal ends once, and nothing of it moves afterwards.
+    goal = lives.zigzag("in motion")
+    lives.begun()
+    lives.disturb(victim, number)
+    assert client.result(goal)["status"] == "aborted"
+    lives.ready()
+    lives.motions.agree(boards)
+    before = boards.switches().tolist()
+    state = client.wait_now("ready")
+    assert boards.switches().tolist() == before
+    assert state["commanded"] == state["measured"] == boards.positions().astype(int).tolist()
+    lives.move("after motion", MIDDLE)
+
+    # Following: a stream has no result, and the arm rests when it has ended.
+    told = len(client.heard["result"])
+    with lives.publisher().streaming():
+        client.wait_now("executing", "following")
+        lives.disturb(victim, number)
+    lives.ready()
+    lives.motions.agree(boards)
+    before = boards.switches().tolist()
+    client.wait_now("ready")
+    assert boards.switches().tolist() == before
+    assert len(client.heard["result"]) == told
+    lives.move("after following", LEFT)
+
+    # In a fault: it is not forgotten, and clears as ever.
+    silenced = time.time()
+    boards.fault("silence", "can0/5")
+    client.wait_fault("board-lost", silenced)
+    lives.disturb(victim, number)
+    client.wait_now("fault", "can0/5")
+    boards.fault("unsilence", "can0/5")
+    lives.ready()
+    lives.move("after the fault", MIDDLE)
+
+    # While booting.
+    system.executor.kill()
+    system.start_executor()
+    lives.disturb(victim, number)
+    lives.ready()
+    lives.move("after the boot", LEFT)
+    lives.check()
+
+
+def test_counts_and_results_are_exact_after_many_kills_and_nothing_moves_by_itself(
+    lives: Lives, system: System
+) -> None:
+    client, boards, chance = lives.client, system.boards, random.Random(1)
+    goals: list[str] = []
+    for k in range(KILLS):
+        lives.ready()
+        lives.motions.agree(boards)
+        before = boards.switches().tolist()
+        state = client.next_state()
+        assert boards.switches().tolist() == before, "nothing moved by itself"
+        assert state["commanded"] == state["measured"] == boards.positions().astype(int).tolist()
+        goals.append(lives.zigzag(f"zigzag {k}"))
+        victim = ("planner", "executor")[k % 2]
+        if k % 4 == 1 and isinstance(system.interface, emulated.Interface):
+            at_the_sync(system, chance.randrange(1, 5))
+            system.start_executor()
+        else:
+            lives.begun()
+            time.sleep(chance.uniform(0.0, 0.3))  # the one thing here that is no waiting for: the instant of the kill
+            lives.kill(victim)
+        assert client.result(goals[-1])["status"] == "aborted"
+    lives.move("last", MIDDLE)
+    lives.check()
+    assert lives.motions.switched.sum() > 5 * KILLS
+    system.planner.end(signal.SIGTERM)
+    assert system.counts() == boards.switches().tolist(), "by the ledger"
+    ends = {(goal["id"], goal["status"]) for goal in read(system.ledger)[1]}  # a killed planner may not have written
+    assert ends <= {(goal, client.results(goal)[0]["status"]) for goal in client.accepted}
+
+
+def at_the_sync(system: System, count: int) -> None:
+    """Kills the executor at one of its next SYNCs, which reaches the boards: it dies before it can know."""
+    left = [count]
+
+    def on_sent(cob_id: int, data: bytes) -> None:
+        left[0] -= cob_id == cia301.SYNC
+        if left[0] == 0:
+            system.executor.send(signal.SIGKILL)
+
+    system.interface.on_sent = on_sent
+    system.executor.gone()
+    system.interface.on_sent = lambda cob_id, data: None
+
+
+def test_boards_hold_when_the_executor_is_killed_in_the_middle_of_a_goal(lives: Lives, system: System) -> None:
+    client = lives.client
+    goal = lives.send("a", MIDDLE, RIGHT, LEFT, times=[0.0, 0.5, HOUR])
+    eventually(lambda: client.feedback(goal))
+    system.executor.kill()
+    lives.motions.agree(system.boards)
+    held = system.boards.switches().tolist()
+    assert client.result(goal)["status"] == "aborted"
+    eventually(lives.masterless)
+    lives.motions.agree(system.boards)
+    assert system.boards.switches().tolist() == held
+    refused = client.goal(LEFT, id="b")
+    assert (refused["accepted"], refused["id"]) == (False, "b")
+    assert client.state["mode"] != "ready"
+
+
+def test_a_stopped_planner_has_its_goal_ended_and_carries_out_a_stop_when_it_goes_on(
+    lives: Lives, system: System
+) -> None:
+    client = lives.client
+    lives.move("before", LEFT)
+    goal = lives.send("passed", MIDDLE, RIGHT, times=[0.0, HOUR])
+    lives.begun()
+    system.planner.freeze()
+    with lives.operator() as operator:
+        eventually(lambda: operator.snapshot().mode == "ready")
+    lives.motions.agree(system.boards)
+    before = system.boards.switches().tolist()
+    lives.session.put(f"hyperbit/{system.name}/stop", b"")
+    system.planner.thaw()
+    assert client.result(goal)["status"] == "aborted"
+    client.wait_now("stopped")
+    assert system.boards.switches().tolist() == before
+    client.reset()
+    lives.move("after", LEFT)
+    lives.check()
+
+
+def test_a_local_halt_works_while_the_planner_is_stopped(lives: Lives, system: System) -> None:
+    from controller.commands.halt_local import halt_local
+
+    client = lives.client
+    goal = lives.send("a", MIDDLE, RIGHT, times=[0.0, HOUR])
+    eventually(lambda: client.feedback(goal))
+    system.planner.freeze()
+    assert "stopped" in halt_local(system.name, system.socket)
+    with lives.operator() as operator:
+        snapshot = operator.wait_for("stopped")
+        assert snapshot.program == -1
+    system.planner.thaw()
+    assert client.result(goal)["status"] == "aborted"
+    refused = client.goal(LEFT, id="b")
+    assert (refused["accepted"], "stopped" in refused["message"]) == (False, True)
+    client.reset()
+    lives.move("after", LEFT)
+    lives.check()
