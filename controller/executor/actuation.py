@@ -45,6 +45,7 @@ class Actuation:
         self.fault: Fault | None = None
         self._master, self._arm, self._journal = master, arm, journal
         self._switched_at = [-1e12] * len(arm.actuators)
+        self._outputs: int | None = None  # as adopted, or switched since; None before the first time
         self._busy_since: float | None = None
 
     def ready_at(self, states: int, strict: bool) -> float:
@@ -77,9 +78,8 @@ class Actuation:
 
     def switched(self, mask: int, now: float) -> None:
         """Notes that the SYNC of the actuators of a mask has left."""
-        for k in indices(mask):
-            self._switched_at[k] = now
-        self.free_at = max(self.free_at, now + self._arm.timing.travel_time)
+        self._moved(mask, now)
+        self._outputs = self._master.outputs
         self.switches += mask.bit_count()
 
     def conclude(self, now: float) -> Commit | None:
@@ -96,16 +96,28 @@ class Actuation:
         return Commit(states, reached=self._master.outputs == states)
 
     def adopt(self, now: float) -> None:
-        """Takes the outputs that the boards read back: counts what a commit before a fault or a start has switched."""
+        """Takes the outputs that the boards read back: counts what a commit before a fault or a start has switched.
+
+        Actuators whose outputs have changed rest from now on; after a start all do, for the process before may have
+        switched them just now.
+        """
         self.target, self.fault = None, None
-        mask = self._journal.resolve(self._master.outputs)
-        if mask:
-            self.switched(mask, now)
+        outputs, everything = self._master.outputs, (1 << len(self._switched_at)) - 1
+        self.switches += self._journal.resolve(outputs).bit_count()
+        self._moved(everything if self._outputs is None else self._outputs ^ outputs, now)
+        self._outputs = outputs
         self.rest()
 
     def rest(self) -> None:
         """Forgets how long the bus has been busy: nothing is to be switched."""
         self._busy_since = None
+
+    def _moved(self, mask: int, now: float) -> None:
+        """Notes that the actuators of a mask have begun to move."""
+        if mask:
+            self.free_at = max(self.free_at, now + self._arm.timing.travel_time)
+        for k in indices(mask):
+            self._switched_at[k] = now
 
     def _refused(self, why: str, now: float) -> None:
         if self._busy_since is None:

@@ -159,9 +159,10 @@ class Rig:
 
 
 def ready(**fields: Any) -> Rig:
-    """A rig that is ready, with a planner."""
+    """A rig that is ready, with a planner; what an executor before has switched would have settled."""
     rig = Rig(**fields)
     rig.connect()
     rig.go(3 * PERIOD)
     assert rig.mode == "ready", rig.reason
+    rig.go(TRAVEL)
     return rig

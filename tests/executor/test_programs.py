@@ -5,7 +5,19 @@ from itertools import pairwise
 import pytest
 
 from controller.executor.core import PERIOD
-from controller.program import Accepted, Begun, Declined, Ended, Replaced, Replacement, Settled, Stage, pack
+from controller.program import (
+    Accepted,
+    Begun,
+    Declined,
+    Ended,
+    Halt,
+    Replaced,
+    Replacement,
+    Reset,
+    Settled,
+    Stage,
+    pack,
+)
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
 A, B, C = 0b000111, 0b011100, 0b110000
@@ -127,6 +139,26 @@ def test_an_actuator_rests() -> None:
     times = [at for at, _ in rig.master.commits]
     assert rig.switched == [1, 0, 1]
     assert min(b - a for a, b in pairwise(times)) >= TRAVEL + 0.3 - 1e-9
+
+
+def test_all_actuators_rest_after_a_start_and_those_whose_outputs_fell_after_a_boot() -> None:
+    """The executor before may have switched them just now."""
+    rig = ready(rest=0.3)
+    began = rig.now
+    rig.run(A)
+    rig.go(1)
+    assert rig.master.commits[0][0] - began >= 0.3 - 3 * PERIOD
+    assert rig.results == [(1, "done")]
+    rig.send(Halt(1))
+    rig.master.outputs = rig.master.inputs = A & 1  # a board has lost its supply
+    rig.send(Reset(2))
+    rig.go(3 * PERIOD)
+    booted = rig.now
+    rig.run(1 | 0b100000, A)
+    rig.go(1)
+    at_once, rested = (at for at, _ in rig.master.commits[-2:])
+    assert at_once - booted < 0.02
+    assert rested - booted >= TRAVEL + 0.3 - 4 * PERIOD
 
 
 def test_a_program_comes_in_parts_and_holds_until_more_comes(rig: Rig) -> None:
