@@ -95,7 +95,9 @@ def programs_are_accepted_only_as_they_should_be(world: World) -> None:
 
 
 def epochs_and_modes_are_respected(world: World) -> None:
-    """An accepted program is of the epoch shown last."""
+    """An accepted program is of the epoch shown last, and each cancel, halt and fault begins a new epoch."""
+    for epoch, least in world.record.step.epochs:
+        require(epoch >= least, f"the epoch is {epoch} after {least} cancels, halts and faults")
     for program, _ in world.record.step.accepted:
         require(program.epoch == world.epoch_before, f"program {program.program} is of epoch {program.epoch}")
         require(world.mode_before in ("ready", "executing"), f"a program was accepted in mode {world.mode_before}")

@@ -85,18 +85,18 @@ class ExecutorProcess:
         return max(self._awake_at, self._started_at)
 
     def recover(self) -> None:
-        """Forgets when to kill the process, and starts one if none runs; a stall goes on to its end."""
+        """Forgets when to kill the process; a stall goes on to its end."""
         self._actions_left = None
-        self.start()
 
     def kill(self) -> None:
-        """Kills the process at once; frames that it has handed out stay with the controller."""
+        """Ends the process at once; frames that it has handed out stay with the controller. It is started again."""
         if self.core is not None:
             self.core = None
             self._actions_left = None
             self._clients.clear()
             self._record.killed()
             self._dies()
+            self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
 
     def kill_after(self, actions: int) -> None:
         """Kills the process after so many more of its actions, perhaps between two of one step."""
@@ -169,6 +169,8 @@ class ExecutorProcess:
             for action in self.core.step(event, self._agenda.now):
                 if self.core is not None:
                     self._do(action)
+            if self.core is not None and self.core.ended:
+                self.kill()
 
     def _do(self, action: Action) -> None:
         if self._actions_left is not None:

@@ -12,6 +12,7 @@ from controller.executor.events import Event, FromClient
 from controller.program import (
     Accepted,
     Acknowledge,
+    Answer,
     Cancel,
     Ended,
     Halt,
@@ -75,7 +76,7 @@ class Step:
     accepted: list[tuple[Program, Accepted]] = field(default_factory=list)
     ended: list[Ended] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
-    snapshots: list[Snapshot] = field(default_factory=list)
+    epochs: list[tuple[int, int]] = field(default_factory=list)  # shown, and the least that is right
 
 
 class Record:
@@ -88,6 +89,7 @@ class Record:
         acknowledged: results by instance and number.
         synced: how often SYNCs switched each actuator.
         slack: by how much the journal may differ from that: a frame was lost, or a board fell before it was asked.
+        floor: cancels, halts and faults of this instance: as often its epoch has grown at least.
         suspect: mask of the actuators whose boards lost a frame since the boards were booted.
         last_heartbeat: of the executor, on each bus [s].
         disturbed_at: when its heartbeats could not leave, on each bus [s].
@@ -107,6 +109,7 @@ class Record:
         self.acknowledged: set[tuple[int, int]] = set()
         self.synced, self.slack = [0] * count, [0] * count
         self.suspect = 0
+        self.floor = 0
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
         self.switched_at = [-1e12] * count
@@ -120,14 +123,14 @@ class Record:
         """An executor begins."""
         self._note("the executor starts")
         self.instance += 1
-        self.mode, self.epoch, self.commit = "starting", 0, None
+        self.mode, self.epoch, self.floor, self.commit = "starting", 0, 0, None
         self.locked = self._arm.locked
         self._hold()
 
     def killed(self) -> None:
-        """The executor was killed."""
-        self._note("the executor is killed")
-        self.counts["kills"] += 1
+        """The executor was killed, or has ended."""
+        self._note("the executor is dead")
+        self.counts["executors that ended"] += 1
         self._hold()
 
     def told(self, event: Event) -> None:
@@ -153,6 +156,8 @@ class Record:
         match message:
             case Accepted():
                 self._accept(message)
+            case Answer() if isinstance(self._message, Halt | Cancel):
+                self.floor += getattr(self._message, "program", None) is None
             case Replaced(accepted=True) if isinstance(self._message, Replacement) and self.running is not None:
                 new = [(unpack(stage.states), stage.at) for stage in self._message.stages]
                 self.running.stages[self._message.first :] = new
@@ -224,10 +229,12 @@ class Record:
         self.counts["strict"] += program.strict
 
     def _show(self, snapshot: Snapshot) -> None:
-        self.step.snapshots.append(snapshot)
         if self.mode == "starting" and snapshot.mode == "ready":
             self.suspect = 0  # the outputs were read back
-        self.counts["fault"] += snapshot.mode == "fault" != self.mode
+        if snapshot.mode == "fault" != self.mode:
+            self.counts["fault"] += 1
+            self.floor += 1
+        self.step.epochs.append((snapshot.epoch, self.floor))
         self.mode, self.epoch, self.locked = snapshot.mode, snapshot.epoch, unpack(snapshot.locked)
         if self.mode not in ("ready", "executing"):
             self._hold()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
+from controller.executor.events import Quit
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Received
 
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 KINDS = {
-    **{"executor stalls": 2.0, "executor is killed": 1.0, "planner hangs": 1.0, "planner dies": 1.0},
+    **{"executor stalls": 2.0, "executor is killed": 1.0, "executor is restarted": 0.5},
+    **{"planner hangs": 1.0, "planner dies": 1.0},
     **{"bus is down": 0.6, "bus-off": 0.6, "bus is unacknowledged": 0.6, "queue is full": 1.0, "bus-passive": 0.5},
     **{"frames are lost": 0.4, "frames come twice": 0.5, "answers are late": 0.6, "strange frame": 1.0},
     **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
@@ -82,7 +84,8 @@ class Trouble:
                 world.executor.stall(random.choice([0.015, 0.05, 0.2, 1.0, LONGEST_STALL]))
             case "executor is killed":
                 world.executor.kill_after(random.randint(0, 20))
-                self._later(1.0, world.executor.start)
+            case "executor is restarted":
+                world.executor.post(Quit())
             case "planner hangs":
                 world.planner.stall(random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
             case "planner dies":
@@ -135,10 +138,10 @@ class Trouble:
                 world.boards.emergency(board, random.choice([0x2310, 0x3320, 0x0000, random.randrange(0x10000)]))
             case "actuator is stuck":
                 world.boards.fault("stick", label, random.randint(0, 1))
-                self._later(1.0, lambda: world.boards.fault("release", label))
+                self._later(4.0, lambda: world.boards.fault("release", label))
             case "actuator is slow":
                 world.boards.fault("slow", label, random.choice([0.5, 2.5, 20]))
-                self._later(1.0, lambda: world.boards.fault("slow", label, 1))
+                self._later(4.0, lambda: world.boards.fault("slow", label, 1))
             case "sensor is lost":
                 world.boards.fault("lose_sensor", label)
-                self._later(1.0, lambda: world.boards.fault("restore_sensor", label))
+                self._later(4.0, lambda: world.boards.fault("restore_sensor", label))

@@ -1,0 +1,79 @@
+"""The executor in its simulated world; and defects put into it, which the invariants must find."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from controller.executor.actuation import Actuation
+from controller.executor.locked import LockedActuators
+from controller.executor.modes import Modes
+from controller.executor.motion import Motion
+from controller.executor.program_execution import ProgramExecution
+from controller.executor.results import Results
+from controller.executor.switch_journal import MemoryJournal
+from drivers.canopen.cia301 import SYNC, Frame
+from drivers.canopen.commit import Commit
+from drivers.canopen.heartbeat import Heartbeat
+from tests.simulation.invariants import Violation
+from tests.simulation.world import World
+
+STEPS = 3_000
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_invariants_hold(seed: int) -> None:
+    World(seed).run(STEPS)
+
+
+def test_a_seed_replays_exactly_and_whatever_the_clock_of_the_system_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = World(3, remembered=10**6)
+    first.run(STEPS)
+    jumps = iter(range(0, 10**9, 997))
+    for clock in ("time", "monotonic", "time_ns", "monotonic_ns"):
+        monkeypatch.setattr(time, clock, lambda: next(jumps))
+    second = World(3, remembered=10**6)
+    second.run(STEPS)
+    assert second.story() == first.story()
+
+
+def _count_everything(self: MemoryJournal, outputs: int) -> int:
+    for k in range(len(self.counts)):
+        self.counts[k] += self._intended >> k & 1
+    self._intended = 0
+    return 0
+
+
+def _do_not_wait(self: Commit, clock: float, now: float) -> None:
+    buses, self._rpdos = list(self._rpdos), {}
+    self._syncs.update(buses)
+    for bus in buses:
+        self._links[bus].send(Frame(SYNC), now)
+
+
+DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
+    "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
+    "switches are counted that were not made": (MemoryJournal, "resolve", _count_everything),
+    "results are sent again for ever": (Results, "acknowledge", lambda self, number: None),
+    "a program goes on after cancel and halt": (Motion, "end", lambda self, status, message: False),
+    "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
+    "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
+    "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),
+    "the SYNC does not wait for the RPDOs": (Commit, "_sync_if_left", _do_not_wait),
+    "no epoch ends": (Modes, "new_epoch", lambda self: None),
+}
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None:
+    monkeypatch.setattr(*DEFECTS[defect])
+    with pytest.raises(Violation):
+        _run_until_one_fails()
+
+
+def _run_until_one_fails() -> None:
+    for seed in range(30):
+        World(seed).run(STEPS)
