@@ -38,7 +38,7 @@ def main() -> int:
             print(f"seed {seed}, step {world.agenda.steps}: {type(error).__name__}: {error}", flush=True)
         steps += world.agenda.steps
         counts += world.record.counts + world.trouble.made
-        counts += Counter({f"sent {kind}": count for kind, count in world.planner.sent.items()})
+        counts += Counter({f"sent {kind}": count for kind, count in world.planner.connection.sent.items()})
         counts["simulated seconds"] += round(world.agenda.now - 1000.0)
         if options.seed is not None:
             break

@@ -10,7 +10,8 @@ from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import OnItsWay
-from tests.simulation.record import Commit, Record, Switch
+from tests.simulation.facts import Commit, Switch
+from tests.simulation.record import Record
 
 
 class BoardSide:
@@ -26,7 +27,6 @@ class BoardSide:
         agenda: time.
         record: hears of outputs that change.
         send: takes the frames of the boards.
-        intended: returns the mask of switches that the journal has not resolved.
     """
 
     def __init__(
@@ -36,7 +36,6 @@ class BoardSide:
         agenda: Agenda,
         record: Record,
         send: Callable[[str, Frame], None],
-        intended: Callable[[], int],
     ) -> None:
         self.names: dict[str, int] = {}
         self._masks = dict.fromkeys((bus.name for bus in wiring.buses), 0)
@@ -46,7 +45,7 @@ class BoardSide:
             self._masks[channel.bus] |= 1 << k
         self.silent = False
         self._buses = SimulatedBuses(wiring, timing, send)
-        self._agenda, self._record, self._intended = agenda, record, intended
+        self._agenda, self._record = agenda, record
         self._drives = 0
         self._timer = float("inf")
         self._step()
@@ -123,4 +122,4 @@ class BoardSide:
         changed, self._drives = after ^ self._drives, after
         for bus, mask in self._masks.items():
             if changed & mask:
-                self._record.switch(Switch(changed & mask, after, cause, bus, commit), self._intended())
+                self._record.switch(Switch(changed & mask, after, cause, bus, commit))

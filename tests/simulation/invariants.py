@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from drivers.canopen import cia301
-from tests.simulation.record import LATE, RPDOS, Switch
+from tests.simulation.facts import Switch
+from tests.simulation.record import LATE, RPDOS
 
 if TYPE_CHECKING:
     from tests.simulation.world import World

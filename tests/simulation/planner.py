@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
 from random import Random
 
 from controller.executor.arm import ExecutedArm
-from controller.executor.events import Client, ClientGone, FromClient
 from controller.program import (
     ALIVE_EVERY,
-    VERSION,
     Acknowledge,
     Alive,
     Answer,
@@ -17,27 +14,21 @@ from controller.program import (
     Clearance,
     Counts,
     Declined,
-    Down,
     Ended,
     Goodbye,
-    Halt,
-    Hello,
     Lock,
     Question,
     Reset,
     Snapshot,
     Up,
     Welcome,
-    decode_down,
-    decode_up,
-    encode,
     unpack,
 )
 from tests.simulation.agenda import Agenda
+from tests.simulation.connection import Connection
 from tests.simulation.process import ExecutorProcess
 from tests.simulation.programs import Author, Drawn
 
-LATENCY = 0.001  # [s], longest of the socket
 ACTS = {
     **{"program": 30, "bad program": 8, "replacement": 12, "set-point": 20, "wait": 40, "cancel": 3},
     **{"cancel program": 2, "reset": 1, "lock": 2, "counts": 0.5, "stray answer": 1, "acknowledge": 8, "operator": 1},
@@ -51,7 +42,7 @@ class ScriptedPlanner:
         calm: it asks for nothing but a reset where one is needed, and unlocks what was locked.
         snapshot: the latest; None before the first of a connection.
         results: those that it has not acknowledged.
-        sent: messages by kind.
+        connection: to the executor.
 
     Args:
         arm: the arm.
@@ -64,14 +55,10 @@ class ScriptedPlanner:
         self.calm = False
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
-        self.sent: Counter[str] = Counter()
-        self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
+        self._arm, self._agenda, self._random = arm, agenda, random
         self._author = Author(arm, random)
-        self._client: Client | None = None
-        self._connections = 0
-        self._inbox: deque[tuple[Client, bytes]] = deque()
+        self.connection = Connection(arm.name, agenda, random, executor, self._hear, lambda: self._awake_at)
         self._awake_at = 0.0
-        self._last_out = self._last_in = 0.0
         self._number = self._request = 0
         self._wanted = -1  # the program that it asked for while it was calm
         self._drawn: Drawn | None = None
@@ -96,51 +83,13 @@ class ScriptedPlanner:
 
     def die(self) -> None:
         """Ends the process; the next one starts with the next of its periods."""
-        if self._client is not None:
-            self._executor.hear(self._client, ClientGone(self._client))
+        self.connection.close()
         self.cut_off()
 
     def cut_off(self) -> None:
         """Notes that the executor's end of the connection is closed."""
-        self._client = self.snapshot = self._drawn = None
+        self.connection.client = self.snapshot = self._drawn = None
         self.results.clear()
-
-    # --- its socket
-
-    def deliver(self, client: Client, message: Up) -> None:
-        """Brings a message of the executor, when the socket and the process are ready for it."""
-        if client != self._client:
-            return
-        self._last_in = max(self._last_in, self._agenda.now + self._random.uniform(0.0, LATENCY))
-        packet = encode(message)
-
-        def arrive() -> None:
-            if self._agenda.now < self._awake_at:
-                self._agenda.at(self._awake_at, arrive)
-            elif client == self._client:
-                self._hear(decode_up(packet))
-
-        self._agenda.at(self._last_in, arrive)
-
-    def _send(self, message: Down) -> None:
-        client = self._client
-        assert client is not None
-        self.sent[type(message).__name__] += 1
-        packet = encode(message)
-        self._last_out = max(self._last_out, self._agenda.now + self._random.uniform(0.0, LATENCY))
-
-        def arrive() -> None:
-            if client == self._client:
-                self._executor.hear(client, FromClient(client, decode_down(packet)))
-
-        self._agenda.at(self._last_out, arrive)
-
-    def _connect(self, role: str = "planner") -> Client:
-        self._connections += 1
-        client = Client(self._connections, 1000 + self._connections)
-        hello = Hello(VERSION, role, self._arm.name)  # type: ignore[arg-type]
-        self._executor.hear(client, FromClient(client, hello))
-        return client
 
     # --- what it hears
 
@@ -165,11 +114,11 @@ class ScriptedPlanner:
     def _answer(self, question: Question) -> None:
         touched = "the disc" if self._random.random() < 0.1 and not self.calm else None
         patience = 0.01 if self.calm else self._random.choice([0.0, 0.01, 0.1, 2.0, 1e6])
-        client = self._client
+        client = self.connection.client
 
         def answer() -> None:
-            if client is not None and client == self._client and self.awake:
-                self._send(Clearance(question.question, touched))
+            if client is not None and client == self.connection.client and self.awake:
+                self.connection.send(Clearance(question.question, touched))
 
         if patience < 1e6:
             self._agenda.after(patience, answer)
@@ -179,42 +128,42 @@ class ScriptedPlanner:
     def _live(self) -> None:
         """Shows that it is alive, and connects if it is not connected."""
         if self.awake:
-            if self._client is None and self._executor.core is not None:
+            if self.connection.client is None:
                 self._answered = self._request
-                self._client = self._connect()
-            elif self._client is not None:
-                self._send(Alive())
+                self.connection.open()
+            elif self.connection.client is not None:
+                self.connection.send(Alive())
         self._agenda.after(ALIVE_EVERY * self._random.uniform(0.9, 1.0), self._live)
 
     def _act(self) -> None:
-        if self._client is not None and self.snapshot is not None and self.awake:
+        if self.connection.client is not None and self.snapshot is not None and self.awake:
             self._calm_act(self.snapshot) if self.calm else self._perform(self.snapshot)
         self._agenda.after(0.2 if self.calm else self._random.expovariate(20.0), self._act)
 
     def _calm_act(self, snapshot: Snapshot) -> None:
         self._acknowledge()
         if snapshot.mode in ("fault", "stopped"):
-            self._send(Reset(self._next()))
+            self.connection.send(Reset(self._next()))
         elif snapshot.mode == "executing" and snapshot.program != self._wanted:
-            self._send(Cancel(self._next(), None, "quiet is wanted"))
+            self.connection.send(Cancel(self._next(), None, "quiet is wanted"))
         elif snapshot.mode == "ready":
             free = [k for k in range(len(self._arm.actuators)) if unpack(snapshot.locked) & ~self._arm.locked & 1 << k]
             for k in free[:1]:
-                self._send(Lock(self._next(), k, -1))
+                self.connection.send(Lock(self._next(), k, -1))
 
     def ask_for_motion(self) -> int:
         """Sends one good program; returns its number."""
         assert self.snapshot is not None
         self._number += 1
         self._drawn = self._author.program(self.snapshot, self._number, self._agenda.now)
-        self._send(self._drawn.program)
+        self.connection.send(self._drawn.program)
         self._wanted = self._number
         return self._number
 
     def _perform(self, snapshot: Snapshot) -> None:
         random, now = self._random, self._agenda.now
         if snapshot.mode in ("fault", "stopped") and random.random() < 0.2:
-            self._send(Reset(self._next()))
+            self.connection.send(Reset(self._next()))
             return
         match random.choices(list(ACTS), list(ACTS.values()))[0]:
             case "program":
@@ -222,41 +171,34 @@ class ScriptedPlanner:
             case "bad program":
                 self._number += 1
                 good = self._author.program(snapshot, self._number, now)
-                self._send(self._author.spoiled(good.program, snapshot))
+                self.connection.send(self._author.spoiled(good.program, snapshot))
             case "replacement" if self._drawn is not None:
-                self._send(self._author.replacement(self._drawn, unpack(snapshot.locked)))
+                self.connection.send(self._author.replacement(self._drawn, unpack(snapshot.locked)))
             case "set-point":
                 self._number += random.random() < 0.5
-                self._send(self._author.setpoint(snapshot, self._number, now))
+                self.connection.send(self._author.setpoint(snapshot, self._number, now))
             case "cancel":
-                self._send(Cancel(self._next(), None, "canceled by a client"))
+                self.connection.send(Cancel(self._next(), None, "canceled by a client"))
             case "cancel program":
                 number = random.choice([max(0, snapshot.program), self._number, 10**9])
-                self._send(Cancel(self._next(), number, "off its path"))
+                self.connection.send(Cancel(self._next(), number, "off its path"))
             case "reset":
-                self._send(Reset(self._next()))
+                self.connection.send(Reset(self._next()))
             case "lock":
                 actuator = random.randrange(len(self._arm.actuators) + 1)
-                self._send(Lock(self._next(), actuator, random.choice([-1, -1, 0, 1])))
+                self.connection.send(Lock(self._next(), actuator, random.choice([-1, -1, 0, 1])))
             case "counts":
-                self._send(Counts(tuple(0 for _ in range(random.randint(0, len(self._arm.actuators))))))
+                self.connection.send(Counts(tuple(0 for _ in range(random.randint(0, len(self._arm.actuators))))))
             case "stray answer":
-                self._send(Clearance(random.randint(0, 10), random.choice([None, "the box"])))
+                self.connection.send(Clearance(random.randint(0, 10), random.choice([None, "the box"])))
             case "acknowledge":
                 self._acknowledge()
             case "operator" if random.random() < 0.5:
-                self._halt()
-
-    def _halt(self) -> None:
-        """Lets an operator halt the arm over a connection of their own."""
-        client = self._connect("operator")
-        self._executor.hear(client, FromClient(client, Halt(1)))
-        self._executor.hear(client, ClientGone(client))
-        self.sent["Halt"] += 1
+                self.connection.halt()
 
     def _acknowledge(self) -> None:
         for result in self.results:
-            self._send(Acknowledge(result))
+            self.connection.send(Acknowledge(result))
         self.results.clear()
 
     def _next(self) -> int:

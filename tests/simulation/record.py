@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from controller.executor.arm import ExecutedArm
 from controller.executor.events import Event, FromClient
@@ -28,55 +26,11 @@ from controller.program import (
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
 from tests.simulation.agenda import Agenda
+from tests.simulation.facts import Commit, Running, Step, Switch
 
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
 LATE = 1e-6  # [s], of rounding
-
-
-@dataclass
-class Running:
-    """An accepted program; `last` is the stage that the boards have reached."""
-
-    number: int
-    begin: float
-    strict: bool
-    stages: list[tuple[int, float]]  # states and when they may begin
-    last: int = -1
-
-
-@dataclass
-class Commit:
-    """RPDOs and the SYNCs after them, with what was asked for and locked when they were sent."""
-
-    began: float
-    locked: int
-    running: Running | None
-    candidates: list[tuple[int, int]]  # index and states of the stages that were asked for
-    synced_at: float | None = None
-    switched: int = 0
-
-
-class Switch(NamedTuple):
-    """Outputs that changed. `cause` is "SYNC", another frame, "time" or "fault"."""
-
-    mask: int
-    after: int
-    cause: str
-    bus: str
-    commit: Commit | None
-
-
-@dataclass
-class Step:
-    """What happened in the last step of the world."""
-
-    frames: list[tuple[str, Frame]] = field(default_factory=list)
-    switches: list[Switch] = field(default_factory=list)
-    accepted: list[tuple[Program, Accepted]] = field(default_factory=list)
-    ended: list[Ended] = field(default_factory=list)
-    errors: list[str] = field(default_factory=list)
-    epochs: list[tuple[int, int]] = field(default_factory=list)  # shown, and the least that is right
 
 
 class Record:
@@ -89,6 +43,7 @@ class Record:
         acknowledged: results by instance and number.
         synced: how often SYNCs switched each actuator.
         slack: by how much the journal may differ from that: a frame was lost, or a board fell before it was asked.
+        fallen: mask of the actuators whose outputs changed without a SYNC, which the executor may not know yet.
         floor: cancels, halts and faults of this instance: as often its epoch has grown at least.
         suspect: mask of the actuators whose boards lost a frame since the boards were booted.
         last_heartbeat: of the executor, on each bus [s].
@@ -108,7 +63,7 @@ class Record:
         self.results: dict[tuple[int, int], int] = {}
         self.acknowledged: set[tuple[int, int]] = set()
         self.synced, self.slack = [0] * count, [0] * count
-        self.suspect = 0
+        self.suspect = self.fallen = 0
         self.floor = 0
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
@@ -200,16 +155,20 @@ class Record:
             for k in range(len(self.slack)):
                 self.slack[k] += self.suspect >> k & 1
 
-    def switch(self, switch: Switch, intended: int) -> None:
-        """Outputs have changed; `intended` is the mask of switches that the journal has not resolved."""
+    def switch(self, switch: Switch) -> None:
+        """Outputs have changed."""
         self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
         self.step.switches.append(switch)
         for k in range(len(self.synced)):
-            if switch.mask >> k & 1 and switch.cause == "SYNC":
-                self.synced[k] += 1
-            elif (switch.mask & intended) >> k & 1:
-                self.slack[k] += 1
+            self.synced[k] += switch.cause == "SYNC" and switch.mask >> k & 1
+        self.fallen |= switch.mask * (switch.cause != "SYNC")
         self.counts["switches"] += switch.mask.bit_count() * (switch.cause == "SYNC")
+
+    def doubt(self, intended: int) -> None:
+        """Of actuators that fell unnoticed, nobody can tell whether the SYNC that was intended has switched them."""
+        for k in range(len(self.slack)):
+            self.slack[k] += (self.fallen & intended) >> k & 1
+        self.fallen &= ~intended
 
     # ---
 
@@ -230,7 +189,7 @@ class Record:
 
     def _show(self, snapshot: Snapshot) -> None:
         if self.mode == "starting" and snapshot.mode == "ready":
-            self.suspect = 0  # the outputs were read back
+            self.suspect = self.fallen = 0  # the outputs were read back
         if snapshot.mode == "fault" != self.mode:
             self.counts["fault"] += 1
             self.floor += 1

@@ -13,10 +13,11 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.arms import draw_arm
 from tests.simulation.board_side import BoardSide
 from tests.simulation.bus_model import BusModel, OnItsWay
+from tests.simulation.facts import Step
 from tests.simulation.invariants import INVARIANTS, Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.process import ExecutorProcess
-from tests.simulation.record import Record, Step
+from tests.simulation.record import Record
 from tests.simulation.trouble import LONGEST_STALL, Trouble
 
 PATIENCE = 4.0  # [s] beyond the boards' boot time until the arm is ready after all trouble
@@ -50,8 +51,8 @@ class World:
         }
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, record)
         self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
-        self.executor.connect(self.planner.deliver, self.planner.cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, agenda, record, self._from_board, lambda: self.intended)
+        self.executor.connect(self.planner.connection.deliver, self.planner.cut_off)
+        self.boards = BoardSide(arm.wiring, arm.timing, agenda, record, self._from_board)
         self.trouble = Trouble(self, drawn("trouble"))
         self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
@@ -83,6 +84,7 @@ class World:
         self.record.step = Step()
         self.epoch_before, self.mode_before = self.record.epoch, self.record.mode
         self.agenda.step()
+        self.record.doubt(self.intended)
         for holds in INVARIANTS:
             holds(self)
 

@@ -1,0 +1,54 @@
+"""What happens in the world, as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from controller.program import Accepted, Ended, Program
+from drivers.canopen.cia301 import Frame
+
+
+@dataclass
+class Running:
+    """An accepted program; `last` is the stage that the boards have reached."""
+
+    number: int
+    begin: float
+    strict: bool
+    stages: list[tuple[int, float]]  # states and when they may begin
+    last: int = -1
+
+
+@dataclass
+class Commit:
+    """RPDOs and the SYNCs after them, with what was asked for and locked when they were sent."""
+
+    began: float
+    locked: int
+    running: Running | None
+    candidates: list[tuple[int, int]]  # index and states of the stages that were asked for
+    synced_at: float | None = None
+    switched: int = 0
+
+
+class Switch(NamedTuple):
+    """Outputs that changed. `cause` is "SYNC", another frame, "time" or "fault"."""
+
+    mask: int
+    after: int
+    cause: str
+    bus: str
+    commit: Commit | None
+
+
+@dataclass
+class Step:
+    """What happened in the last step of the world."""
+
+    frames: list[tuple[str, Frame]] = field(default_factory=list)
+    switches: list[Switch] = field(default_factory=list)
+    accepted: list[tuple[Program, Accepted]] = field(default_factory=list)
+    ended: list[Ended] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    epochs: list[tuple[int, int]] = field(default_factory=list)  # shown, and the least that is right
