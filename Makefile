@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-MINUTES ?= 10
+STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -49,8 +49,9 @@ fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'
 	$(BIN)/python -m tests.fuzz fuzz.json
 
+# The executor in a simulated world, with faults. A seed that fails is printed: python -m tests.simulation --seed N
 soak: $(VENV)/installed
-	$(BIN)/python -m tests.soak --minutes $(MINUTES) --json soak.json
+	$(BIN)/python -m tests.simulation --steps $(STEPS)
 
 # The program alone.
 $(VENV)/program: pyproject.toml
