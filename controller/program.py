@@ -321,6 +321,12 @@ class Ended(Message, frozen=True, tag="ended"):
     known: States
 
 
+class Counted(Message, frozen=True, tag="counted"):
+    """Switches of each actuator so far; comes before each `Ended`, and when the executor ends."""
+
+    counts: tuple[Number, ...]
+
+
 class Question(Message, frozen=True, tag="question"):
     """Asks what a stage touches, from actuator states nobody planned; the arm holds until `Clearance`."""
 
@@ -410,6 +416,7 @@ Up = (
     | Replaced
     | Begun
     | Settled
+    | Counted
     | Ended
     | Question
     | Snapshot

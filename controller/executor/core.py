@@ -68,7 +68,7 @@ class Executor:
         self._actions: list[Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, self._to_client)
-        self._results = Results(clients.to_planner)
+        self._results = Results(clients.to_planner, journal)
         self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
         self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
@@ -231,6 +231,7 @@ class Executor:
         """Ends what runs with a result; asked again, does not wait for the stage under way."""
         if self._requests.quitting:
             self.motion.close()
+            self._results.send_counts()
             return
         self._requests.quitting = True
         self._act(Notify("STOPPING=1"))

@@ -13,7 +13,7 @@ from controller.planning.link import ExecutorLink
 from controller.planning.locked import LockedActuators
 from controller.planning.monitor import ArmMonitor
 from controller.planning.sending import ProgramNumbers
-from controller.program import Counts, Diagnostics, Question, Snapshot, Up, Welcome
+from controller.program import Counted, Counts, Diagnostics, Question, Snapshot, Up, Welcome
 
 
 class CountLedger(Protocol):
@@ -77,7 +77,7 @@ class ExecutorListener:
             case Snapshot():
                 self._admission.snapshot(message.epoch)
                 self._locked.update(self._monitor.take(message))
-            case Diagnostics():
+            case Counted() | Diagnostics():
                 self._ledger.counts(message.counts)
                 return
             case Question():

@@ -2,11 +2,13 @@
 
 import pytest
 
+from controller.executor.events import Quit
 from controller.program import (
     MOST_BYTES,
     Acknowledge,
     Alive,
     Answer,
+    Counted,
     Counts,
     Ended,
     Goodbye,
@@ -95,6 +97,20 @@ def test_the_greater_counts_hold(rig: Rig) -> None:
     rig.run(A)
     rig.go(0.3)
     assert rig.journal.counts == [6, 1, 1, 0, 0, 7]
+
+
+def test_the_planner_hears_the_counts_before_each_result_and_at_the_end(rig: Rig) -> None:
+    rig.run(A)
+    rig.go(0.3)
+    heard = [message for _, message in rig.heard]
+    at = heard.index(rig.last(Ended))
+    assert heard[at - 1] == Counted((1, 1, 1, 0, 0, 0))
+    rig.follow(9, 0)
+    rig.go(0.1)
+    rig.do(Quit())
+    rig.heard.clear()
+    rig.do(Quit())
+    assert rig.of(Counted) == [Counted((2, 2, 2, 0, 0, 0))]
 
 
 # --- reports

@@ -72,6 +72,7 @@ def test_goals_one_after_the_other(chain: Chain) -> None:
         result = chain.inbox.next("result")
         assert (result["id"], result["status"]) == (f"g{k}", "succeeded"), result
         assert result["error"] <= 0.002
+        assert chain.ledger.known() == tuple(chain.executor.journal.counts), "the ledger waits for no diagnostics"
     assert sum(chain.executor.journal.counts) == sum(entry[3] for entry in chain.ledger.entries if entry[0] == "ended")
 
 
