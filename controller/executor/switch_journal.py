@@ -167,6 +167,7 @@ class FileJournal(MemoryJournal):
 
 
 def default_path(arm: str) -> Path:
-    """Returns where an arm's journal is: in systemd's StateDirectory, else in the home directory."""
+    """Returns where an arm's journal is: in systemd's StateDirectory, else in the user's folder of states."""
     folder = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-    return (Path(folder) if folder else Path.home() / ".local/state/hyperbit") / f"{arm}.switches"
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
+    return (Path(folder) if folder else Path(base) / "hyperbit") / f"{arm}.switches"

@@ -97,4 +97,7 @@ def test_the_journal_is_in_the_services_folder(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/hyperbit:/other")
     assert default_path("a") == Path("/var/lib/hyperbit/a.switches")
     monkeypatch.delenv("STATE_DIRECTORY")
+    monkeypatch.setenv("XDG_STATE_HOME", "/states")
+    assert default_path("a") == Path("/states/hyperbit/a.switches")
+    monkeypatch.delenv("XDG_STATE_HOME")
     assert default_path("a") == Path.home() / ".local/state/hyperbit/a.switches"
