@@ -76,9 +76,9 @@ class EventLoop:
     def _round(self) -> None:
         """Waits for the next event, and acts on all there are."""
         try:
-            self._wait()
+            ready = self._wait()
             self._take_frames()
-            for event in self._server.poll():
+            for event in self._server.poll(ready):
                 self._step(event)
                 self._take_frames()
             began = self._clock()
@@ -87,8 +87,8 @@ class EventLoop:
         except Exception:  # the arm holds, and the boards are not let go
             self._step(Defect(traceback.format_exc()))
 
-    def _wait(self) -> None:
-        """Waits until something can be read or written, or the tick is due."""
+    def _wait(self) -> list[int]:
+        """Waits until something can be read or written, or the tick is due; returns what can be read."""
         now = self._clock()
         patience = max(min(self._time.left(now), self._buses.wait(now)), 0.0)
         readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
@@ -100,6 +100,7 @@ class EventLoop:
             self._server.flush()
         if self._lines is not None and INPUT in read:
             self._lines.read()
+        return read
 
     def _take_frames(self) -> None:
         """Acts on what happens on the buses, also because of that, until nothing does or the tick is due."""

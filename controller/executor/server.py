@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 from collections import deque
+from collections.abc import Collection
 from pathlib import Path
 
 from controller.executor.events import Client, ClientGone, FromClient
@@ -87,12 +88,18 @@ class Server:
         """Returns the file descriptors to wait on until they can be written, for `flush`."""
         return [c.socket.fileno() for c in self._connections.values() if c.waiting]
 
-    def poll(self) -> list[FromClient | ClientGone]:
-        """Returns what the clients sent since the last call."""
-        self._accept()
+    def poll(self, ready: Collection[int] | None = None) -> list[FromClient | ClientGone]:
+        """Returns what the clients sent since the last call.
+
+        Args:
+            ready: file descriptors that can be read, others are not looked at; None: looks at all.
+        """
+        if ready is None or self._listening.fileno() in ready:
+            self._accept()
+            ready = None
         events: list[FromClient | ClientGone] = []
         for connection in list(self._connections.values()):
-            if not self._read(connection, events):
+            if (ready is None or connection.socket.fileno() in ready) and not self._read(connection, events):
                 self._drop(connection)
         events += [ClientGone(client) for client in self._gone]
         self._gone = []
