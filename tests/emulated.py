@@ -176,7 +176,8 @@ class EmulatedBus(can.BusABC):
         if self._queued and self._state[1] >= QUEUE:
             raise _failed(errno.ENOBUFS)
         identifier = msg.arbitration_id | EXTENDED * msg.is_extended_id | REMOTE * msg.is_remote_frame
-        packet = FRAME.pack(identifier | ERROR * msg.is_error_frame, msg.dlc, bytes(msg.data), False, 0.0)
+        identifier |= ERROR * msg.is_error_frame
+        packet = FRAME.pack(identifier, msg.dlc, bytes(msg.data), False, time.monotonic())  # when it was sent
         try:
             self._socket.send(packet)
         except OSError as error:
@@ -208,6 +209,9 @@ class EmulatedBus(can.BusABC):
             data=data[:length],
         )
         return message, False
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
 
     def shutdown(self) -> None:
         super().shutdown()

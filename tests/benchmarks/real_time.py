@@ -1,90 +1,121 @@
-"""The control loop's periods in real time and without, while the planner works and others burn the processors.
+"""How late the executor's ticks are while the planner works and others burn the processors.
 
-python -m tests.benchmarks.real_time [--seconds N] [--rounds N] [--json PATH]. Each daemon runs in a process of its own
-with its boards and its client, which a robot's do not; the ways take turns, so that all meet the same neighbours.
+python -m tests.benchmarks.real_time [--seconds N] [--json PATH]
+
+The executor ships as it is measured: a process of its own, on 16 boards outside of it, which another process simulates
+on an emulated bus. A planner plans without pause: set-points at 200 Hz for two seconds, then 200 goals a second for
+two, and queries to plan a curve all the time. One process a processor burns what is left. "bare" is an empty loop of
+the same period under the same scheduling, in a process of its own at the same time.
 """
 
 import argparse
-import gc
 import json
+import math
 import multiprocessing
 import os
-import socket
-import subprocess
-import sys
-import tempfile
+import threading
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import msgspec
 import numpy as np
 import zenoh
-from rich.console import Console
-from rich.table import Table
 
-from controller.config import load
-from controller.daemon import session
-from controller.daemon.client import Client
-from controller.daemon.loop import PERIOD
-from controller.daemon.service import Daemon, embedded, patient, running, simulated, timing_of, wiring_of
-from controller.settings import RealTimeSettings
-from controller.workspace.cache import default_directory, load_or_map
-from tests.conftest import PAPER_ARM
-from tests.soak.measuring import Periods
+from controller.gateway.client import Client, Unanswered
+from tests.benchmarks.chain.parts import Parts, report
+from tests.benchmarks.chain.records import figures
 
-WAYS = {
-    "ordinary": [],
-    "nice -10": ["--nice", "-10"],
-    "real time": ["--real-time"],
-    "real time, nice -10": ["--real-time", "--nice", "-10"],
-}
-STEP, WAYPOINTS = 0.07, 100
+RATE, TURN = 200.0, 2.0  # [Hz] of set-points or goals, [s] of each in turn
+WAYPOINTS, STEP = 100, 0.07  # of the curve that is planned all the time, and seconds between them
+MOST_LATE, MOST_RATIO, MARGIN = 1.0, 3.0, 0.2  # bars: [ms]; times bare's, and [ms] more
+MOST_GAP = 2.0  # bar: periods of the master's heartbeat between two of them
+HEARTBEAT = 0.1  # [s] of the master, as in the arm's file
 
 
 def main() -> None:
-    """Measures, prints, writes; with --one, one daemon in this process."""
+    """Measures, prints, writes."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--real-time", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--nice", type=int, default=0, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.one:
-        print(json.dumps(measured(options.seconds, options.real_time, options.nice)))
-        return
-    offs: dict[str, list[float]] = {way: [] for way in WAYS}
-    told: dict[str, dict] = {way: {"planned": 0, "collections": 0, "longest collection": 0.0} for way in WAYS}
-    with burning():
-        for _ in range(options.rounds):
-            for way, words in WAYS.items():
-                command = [sys.executable, "-m", "tests.benchmarks.real_time", "--one", *words]
-                ended = subprocess.run([*command, "--seconds", str(options.seconds)], capture_output=True, text=True)
-                if ended.returncode != 0:
-                    raise SystemExit(ended.stderr)
-                one = json.loads(ended.stdout.splitlines()[-1])
-                offs[way] += one["offs"]
-                told[way]["real_time"] = one["real_time"]
-                told[way]["planned"] += one["planned"]
-                told[way]["collections"] += one["collections"]
-                told[way]["longest collection"] = max(told[way]["longest collection"], one["longest collection"])
-    report = {way: {**figures(np.array(off)), **told[way]} for way, off in offs.items()}
-    names = ("median", "99 %", "99.9 %", "worst", "longest collection")
-    table = Table("way", *names, "waypoints planned", title="|period - 10 ms| [ms], both processors burnt")
-    for way, row in report.items():
-        table.add_row(way, *(f"{1e3 * row[name]:.2f}" for name in names), str(row["planned"]))
-    Console().print(table)
-    if options.json:
-        options.json.write_text(json.dumps(report, indent=1) + "\n")
+    with Parts(real_time=True) as parts:
+        said = parts.start("bare", "real-time", said=True)
+        client, diagnosed = parts.client(), parts.client().diagnosed()
+        with burning(), asking(parts):
+            began = time.monotonic()
+            sent = load(parts.session(), parts.name, options.seconds)
+            ended = time.monotonic()
+        diagnosed = client.diagnosed()
+        client.ask("cancel")
+    ticks, bare, beats = parts.record("ticks"), parts.record("bare"), parts.record("beats")["at"]
+    within = {name: (it["began"] > began) & (it["began"] < ended) for name, it in (("t", ticks), ("b", bare))}
+    executor, empty = figures(ticks["late"][within["t"]]), figures(bare["late"][within["b"]])
+    gap = float(np.diff(beats[(beats > began) & (beats < ended)]).max())
+    most = MOST_RATIO * empty["p999"] + MARGIN
+    bars = {
+        f"p999 of the executor at most {MOST_LATE:g} ms": executor["p999"] <= MOST_LATE,
+        f"p999 of the executor at most {MOST_RATIO:g} times bare's and {MARGIN:g} ms": executor["p999"] <= most,
+        f"no gap over {MOST_GAP:g} heartbeats": gap <= MOST_GAP * HEARTBEAT,
+    }
+    whole = {
+        "executor": executor,
+        "bare": empty,
+        "work": figures(ticks["work"][within["t"]]),
+        "ticks": int(within["t"].sum()),
+        "longest heartbeat gap": round(1e3 * gap, 3),
+        "real_time": diagnosed["real_time"],
+        "bare real_time": said,
+        "sent": sent,
+        "set-points": diagnosed["setpoint"],
+        "loop": diagnosed["loop"],
+    }
+    report(whole, bars, options.json)
 
 
-def figures(off: np.ndarray) -> dict[str, float]:
-    """Returns how far periods were from nominal [s]."""
-    quantiles = {"median": 0.5, "99 %": 0.99, "99.9 %": 0.999, "worst": 1.0}
-    return {"ticks": len(off), **{name: float(np.quantile(off, q)) for name, q in quantiles.items()}}
+def load(session: zenoh.Session, name: str, seconds: float) -> dict[str, int]:
+    """Sends set-points and goals in turn, for so long; returns how many."""
+    began, k, sent = time.monotonic(), 0, {"setpoint": 0, "goal": 0}
+    while (t := time.monotonic() - began) < seconds:
+        key = "setpoint" if t % (2 * TURN) < TURN else "goal"
+        x, y = place(0.5 * t)
+        payload = {"position": [x, y], "stamp": time.time()}
+        if key == "goal":
+            x, y = place(2.4 * k)
+            payload = {"id": str(k), "waypoints": [{"position": [x, y]}]}
+        session.put(f"hyperbit/{name}/{key}", json.dumps(payload))
+        sent[key] += 1
+        k += 1
+        time.sleep(max(began + k / RATE - time.monotonic(), 0.0))
+    return sent
+
+
+def place(turn: float) -> tuple[float, float]:
+    """Returns a point of an ellipse that the arm reaches."""
+    return 0.2 + 0.4 * math.cos(turn), 2.5 + 0.25 * math.sin(turn)
+
+
+@contextmanager
+def asking(parts: Parts) -> Iterator[None]:
+    """Asks what a curve would take, again and again, while the context lasts."""
+    over, client = threading.Event(), Client(parts.session(), parts.name)
+
+    def ask() -> None:
+        while not over.is_set():
+            points: list[dict[str, Any]] = [{"t": STEP * k, "position": place(k)} for k in range(WAYPOINTS)]
+            try:
+                client.request("plan", {"waypoints": points}, timeout=30.0)
+            except Unanswered:
+                continue
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def burn() -> None:
@@ -94,9 +125,10 @@ def burn() -> None:
 
 
 @contextmanager
-def burning():
+def burning() -> Iterator[None]:
     """Has a process burn each processor while the context lasts."""
-    burners = [multiprocessing.Process(target=burn, daemon=True) for _ in range(os.cpu_count() or 1)]
+    spawning = multiprocessing.get_context("spawn")
+    burners = [spawning.Process(target=burn, daemon=True) for _ in range(os.cpu_count() or 1)]
     for burner in burners:
         burner.start()
     try:
@@ -105,71 +137,6 @@ def burning():
         for burner in burners:
             burner.kill()
             burner.join()
-
-
-class Collections:
-    """Notes the number of garbage collections and the seconds that the longest took."""
-
-    def __init__(self) -> None:
-        self.number, self.longest, self._began = 0, 0.0, 0.0
-
-    def __call__(self, phase: str, info: dict[str, int]) -> None:
-        if phase == "start":
-            self._began = time.perf_counter()
-        else:
-            self.number += 1
-            self.longest = max(self.longest, time.perf_counter() - self._began)
-
-
-def measured(seconds: float, real_time: bool, nice: int) -> dict:
-    """Runs one daemon for so long, planning all the time; returns how far each period was from nominal [s]."""
-    os.nice(nice)
-    sys.setswitchinterval(0.0005)  # as `hyperbit run` does
-    arm = load(PAPER_ARM)
-    densities = load_or_map(arm.manipulator, arm.pixel, arm.level_pixels, default_directory())
-    if real_time:
-        arm = replace(arm, settings=msgspec.structs.replace(arm.settings, real_time=RealTimeSettings()))
-    wiring, timing = embedded(wiring_of(arm)), patient(timing_of(arm))
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    config = session.configuration("peer", listen=endpoint)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        simulated(wiring, timing),
-        running(Daemon(arm, densities, wiring, config, Path(folder) / "ledger.sqlite", timing)),
-        zenoh.open(session.configuration("client", connect=endpoint)) as opened,
-        Periods(int(200 * seconds)) as periods,
-    ):
-        client, heard = Client(opened, arm.settings.name), []
-        states, words = client.subscribe("state", heard.append), []
-        diagnostics = client.subscribe("diagnostics", words.append)
-        while not heard or heard[-1]["mode"] != "ready" or not words:
-            time.sleep(0.05)
-        states.undeclare()
-        collections = Collections()
-        gc.callbacks.append(collections)
-        periods.clear()
-        began, planned = time.monotonic(), 0
-        while time.monotonic() - began < seconds:
-            answer = client.request("goal", {"waypoints": curve(planned), "tolerance": {"position": 0.01}}, timeout=60)
-            if not answer["accepted"]:
-                raise SystemExit(f"the goal was refused: {answer['message']}")
-            planned += WAYPOINTS
-            time.sleep(2.0)  # it looks ahead along the rest meanwhile, and then rests itself
-            client.request("cancel")
-            time.sleep(0.2)
-        gc.callbacks.remove(collections)
-        offs = np.abs(periods.seconds() - PERIOD).tolist()
-        diagnostics.undeclare()
-        collected = {"collections": collections.number, "longest collection": collections.longest}
-        return {"offs": offs, "planned": planned, "real_time": words[-1]["real_time"], **collected}
-
-
-def curve(turned: int) -> list[dict]:
-    """Returns waypoints on an ellipse, from another point of it each time."""
-    turns = turned + np.linspace(0, 2 * np.pi, WAYPOINTS)
-    points = np.stack([0.2 + 0.4 * np.cos(turns), 2.5 + 0.25 * np.sin(turns)], axis=1).tolist()
-    return [{"t": STEP * k, "position": point} for k, point in enumerate(points)]
 
 
 if __name__ == "__main__":

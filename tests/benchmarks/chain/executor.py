@@ -1,0 +1,66 @@
+"""The executor as it ships, in a process that also keeps when its ticks and modes were.
+
+python -m tests.benchmarks.chain.executor RECORDS ARM.yaml --socket PATH [--simulate]. The interface "virtual" of the
+arm's file is the emulated one. RECORDS is a folder: ticks.npz has a row for each tick, halts.npz one for each halt,
+taken.npz one for each program.
+"""
+
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import can.interfaces
+
+from controller.executor.__main__ import main
+from controller.executor.modes import Modes
+from controller.executor.requests import Requests
+from controller.executor.timekeeping import Timekeeper
+from controller.program import Program
+from tests import emulated  # noqa: F401
+from tests.benchmarks.chain.records import Record
+
+
+def note_ticks(record: Record) -> None:
+    """Keeps when each tick began, how late that was, and how long it took [s]."""
+    ticked, note = Timekeeper.ticked, record.note
+
+    def noting(keeper: Timekeeper, began: float, ended: float) -> None:
+        note(began, began - keeper._next, ended - began)
+        ticked(keeper, began, ended)
+
+    Timekeeper.ticked = noting  # type: ignore[method-assign]
+
+
+def note_halts(record: Record) -> None:
+    """Keeps when the mode "stopped" was entered [s]."""
+    enter = Modes.enter
+
+    def noting(modes: Modes, mode: str, reason: str) -> None:
+        enter(modes, mode, reason)  # type: ignore[arg-type]
+        if mode == "stopped":
+            record.note(time.monotonic())
+
+    Modes.enter = noting  # type: ignore[method-assign,assignment]
+
+
+def note_programs(record: Record) -> None:
+    """Keeps when each program was read [s]."""
+    take = Requests._take_program
+
+    def noting(requests: Requests, message: Program, now: float) -> None:
+        record.note(time.monotonic())
+        take(requests, message, now)
+
+    Requests._take_program = noting  # type: ignore[method-assign]
+
+
+if __name__ == "__main__":
+    can.interfaces.BACKENDS["virtual"] = ("tests.emulated", "EmulatedBus")
+    folder = Path(sys.argv[1])
+    with ExitStack() as stack:
+        note_ticks(stack.enter_context(Record(folder / "ticks.npz", "began", "late", "work")))
+        note_halts(stack.enter_context(Record(folder / "halts.npz", "at")))
+        note_programs(stack.enter_context(Record(folder / "taken.npz", "at")))
+        code = main(sys.argv[2:])
+    sys.exit(code)

@@ -1,0 +1,59 @@
+"""`hyperbit run` as it ships, in a process that also keeps when goals came, were searched and were sent on.
+
+python -m tests.benchmarks.chain.planner RECORDS ARM.yaml --socket PATH --listen ENDPOINT --ledger PATH. RECORDS is a
+folder: goals.npz has a row for each goal that came in, services.npz one for its planning, solves.npz one for each
+search, programs.npz one for each program, from before it is packed until it is sent.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from controller.planning.link import ExecutorLink
+from controller.planning.planner import Planner
+from controller.planning.planning import Planning
+from controller.program import Down, Program
+from controller.search.solver import Solver
+from tests.benchmarks.chain.records import Record
+from tests.system.nursery import run
+
+
+def timed(owner: type, name: str, record: Record, takes: Callable[..., bool] = lambda *_: True) -> None:
+    """Keeps begin and end of the calls of a method [s]."""
+    method = getattr(owner, name)
+
+    def timing(self: object, *arguments: Any, **options: Any) -> Any:
+        began = time.monotonic()
+        try:
+            return method(self, *arguments, **options)
+        finally:
+            if takes(*arguments):
+                record.note(began, time.monotonic())
+
+    setattr(owner, name, timing)
+
+
+def is_program(message: Down) -> bool:
+    return isinstance(message, Program)
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    with ExitStack() as stack:
+        goals, services, solves, programs = (
+            stack.enter_context(Record(folder / f"{name}.npz", "began", "ended"))
+            for name in ("goals", "services", "solves", "programs")
+        )
+        timed(Planning, "goal", goals)
+        timed(Planner, "_serve", services)
+        timed(Solver, "solve", solves)
+        timed(ExecutorLink, "send", programs, is_program)
+        code = 0
+        try:
+            code = run(sys.argv[2:])
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 1
+    sys.exit(code)
