@@ -119,7 +119,6 @@ def test_a_bus_that_is_not_there_fails_in_words(hyperbit, tmp_path):
     file = tmp_path / "arm.yaml"
     file.write_text(yaml.safe_dump(arm))
     for command in (
-        ("run", str(file), "--listen", "tcp/127.0.0.1:0"),
         ("simulate", str(file)),
         ("check", str(file), "--bus"),
     ):
