@@ -8,7 +8,7 @@ import signal
 import socket
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,8 @@ class System:
         planner: its process, if it is not in a thread of this process.
         planning: the planner, if it is in this process.
         ledger: the planner's.
+        config: of the planner's Zenoh session, in place of listening at the endpoint.
+        clients: returns the configuration of clients' sessions.
 
     Args:
         kind: of bus.
@@ -68,7 +70,7 @@ class System:
         self.interface = self._make_interface()
         channel = self.interface.channel if isinstance(self.interface, emulated.Interface) else self.interface.name
         named = {"interface": "virtual" if kind == "emulated" else kind, "channel": channel}
-        self.name = f"{base}-{os.getpid()}-{next(NUMBERS)}"
+        self.name = str(fields.get("name", f"{base}-{os.getpid()}-{next(NUMBERS)}"))
         self.file = arms.write(self.folder, base, self.name, named, fields)
         self.arm: Arm = load(self.file)
         executed = read_arm(self.file)
@@ -77,7 +79,8 @@ class System:
         self.timing = executed.timing
         self.socket, self.ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self.config: zenoh.Config | None = None  # of the planner, in place of listening at the endpoint
+        self.config: zenoh.Config | None = None
+        self.clients = lambda: session.configuration("client", connect=self.endpoint)
         self.executor: Process | None = None
         self.planner: Process | None = None
         self.planning: Planning | None = None
@@ -127,12 +130,16 @@ class System:
 
     def start_planner(self) -> Planning:
         """Starts a planner in threads of this process."""
-        arm, config = self.arm, self.config or session.configuration("peer", listen=self.endpoint)
+        config = self.config or session.configuration("peer", listen=self.endpoint)
+        self.planning = self._planner_end.enter_context(self.serving(config, self.ledger))
+        return self.planning
+
+    def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Planning]:
+        """A planner in threads of this process, while the context lasts."""
+        arm = self.arm
         densities = load_or_map(arm.left, arm.pixel, arm.level_pixels, self._cache)
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
-        served = daemon.running(arm, densities, config, self.ledger, self.socket, digest)
-        self.planning = self._planner_end.enter_context(served)
-        return self.planning
+        return daemon.running(arm, densities, config, ledger, self.socket, digest)
 
     def start_planner_process(self) -> Process:
         """Starts a planner in a process of its own; it connects to the endpoint, where somebody must listen.
@@ -163,7 +170,7 @@ class System:
 
     def session(self) -> zenoh.Session:
         """A client's session; who asks for it closes it."""
-        return zenoh.open(session.configuration("client", connect=self.endpoint))
+        return zenoh.open(self.clients())
 
     @contextmanager
     def client(self) -> Iterator[Observer]:

@@ -1,0 +1,132 @@
+"""Sessions with certificates, those of strangers, and what a planner is asked for."""
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from controller.gateway import daemon, session
+from controller.gateway.client import Client
+from controller.gateway.server import Receive
+from controller.planning.planning import Planning
+from tests.keys import certificates, openssl
+from tests.system.observer import Observer
+from tests.system.system import System
+
+PREFIX = "hyperbit/planar16"
+AT_ONCE = 0.5  # [s] for an answer that shall not come
+
+
+class Guard:
+    """Sessions that show a certificate."""
+
+    def __init__(self, system: System, keys: Path, stack: ExitStack) -> None:
+        self.system, self.keys, self.stack = system, keys, stack
+
+    def config(self, who: str) -> zenoh.Config:
+        """The configuration in a folder of the keys', but for the port."""
+        config = session.from_file(self.keys / who / "zenoh.json5")
+        endpoint = self.system.endpoint.replace("tcp/127.0.0.1", "tls/localhost")
+        config.insert_json5(f"{'listen' if who == 'daemon' else 'connect'}/endpoints", json.dumps([endpoint]))
+        return config
+
+    def session(self, who: str = "operator") -> zenoh.Session:
+        return self.stack.enter_context(zenoh.open(self.config(who)))
+
+    def observer(self, who: str = "operator") -> Observer:
+        return Observer(Client(self.session(who), "planar16"))
+
+
+class Seen:
+    """What a planner is asked for: keys and payloads of its requests, in order."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.all: list[tuple[str, bytes]] = []
+        seen = self.all
+
+        class Watched(Planning):
+            def setpoints(self, receive: Receive) -> None:
+                super().setpoints(watched("setpoint", receive))
+
+            def measured_tips(self, receive: Receive) -> None:
+                super().measured_tips(watched("measured_tip", receive))
+
+        def watched(key: str, receive: Receive) -> Receive:
+            def look() -> bytes | None:
+                payload = receive()
+                if payload is not None:
+                    seen.append((key, payload))
+                return payload
+
+            return look
+
+        def watch(key: str, *, payload: bool) -> None:
+            take = getattr(Planning, key)
+
+            def seeing(self: Planning, *given: object) -> None:
+                seen.append((key, given[0] if payload else b""))  # type: ignore[arg-type]
+                take(self, *given)
+
+            setattr(Watched, key, seeing)
+
+        for key in ("goal", "plan", "jog", "degrade", "obstacles"):
+            watch(key, payload=True)
+        for key in ("cancel", "stop", "reset"):
+            watch(key, payload=False)
+        monkeypatch.setattr(daemon, "Planning", Watched)
+
+
+def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:
+    """Whether each answer is one, of all that come at once."""
+    return [reply.ok is not None for reply in session.get(f"{PREFIX}/{key}", payload=payload, timeout=AT_ONCE)]
+
+
+def connects(config: zenoh.Config) -> bool:
+    try:
+        with zenoh.open(config):
+            return True
+    except zenoh.ZError:
+        return False
+
+
+def foreign(guard: Guard, folder: Path) -> zenoh.Config:
+    """An operator of another authority, who trusts this daemon."""
+    certificates(folder, clients=("operator",))
+    (folder / "operator" / "ca.pem").write_bytes((guard.keys / "ca" / "certificate.pem").read_bytes())
+    return Guard(guard.system, folder, guard.stack).config("operator")
+
+
+def expired(guard: Guard, folder: Path) -> zenoh.Config:
+    """An operator whose certificate ended yesterday."""
+    folder.mkdir()
+    ca, operator = guard.keys / "ca", guard.keys / "operator"
+    old, request, purpose = (str(folder / name) for name in ("old.pem", "request", "purpose"))
+    Path(purpose).write_text("basicConstraints = CA:FALSE\nextendedKeyUsage = clientAuth\n")
+    openssl("req", "-new", "-key", str(operator / "key.pem"), "-subj", "/CN=operator", "-out", request)
+    sign = ["x509", "-req", "-in", request, "-CA", str(ca / "certificate.pem"), "-CAkey", str(ca / "key.pem")]
+    assert openssl(*sign, "-set_serial", "7", "-days", "-1", "-extfile", purpose, "-out", old).returncode == 0
+    config = guard.config("operator")
+    config.insert_json5("transport/link/tls/connect_certificate", json.dumps(old))
+    return config
+
+
+def without(guard: Guard, folder: Path) -> zenoh.Config:
+    """Somebody who shows no certificate."""
+    config = guard.config("operator")
+    config.insert_json5("transport/link/tls/enable_mtls", "false")
+    return config
+
+
+def unencrypted(guard: Guard, folder: Path) -> zenoh.Config:
+    """Somebody who speaks no TLS."""
+    return session.configuration("client", connect=guard.system.endpoint)
+
+
+def daemons(guard: Guard, folder: Path) -> zenoh.Config:
+    """Somebody who has the daemon's own certificate and key, good for listening only."""
+    config = guard.config("operator")
+    for name, file in (("connect_certificate", "certificate.pem"), ("connect_private_key", "key.pem")):
+        config.insert_json5(f"transport/link/tls/{name}", json.dumps(str(guard.keys / "daemon" / file)))
+    return config

@@ -1,0 +1,224 @@
+"""What the daemon publishes, how it bears bad peers, and who may run beside it."""
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import ExitStack
+
+import pytest
+import zenoh
+
+from controller.config import Arm
+from controller.gateway.client import Client, Unanswered
+from controller.gateway.one_daemon import AlreadyRunning
+from controller.gateway.session import configuration
+from controller.planning.ledger_lock import LedgerInUse
+from tests.system.motions import Motions
+from tests.system.observer import Observer
+from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.processes import ROOT
+from tests.system.system import System
+from tests.waiting import PATIENCE, SLOWNESS, eventually
+
+
+def test_the_arm_is_described(client: Observer, arm: Arm, system: System) -> None:
+    described = client.ask("arm")
+    assert (described["name"], described["dimension"]) == (system.name, 2)
+    assert described["length"] == arm.manipulator.length
+    assert described["states"] == [8] * 16
+    assert described["actuators"] == list(arm.manipulator.actuators)
+    assert described["frames"][0][0] == arm.manipulator.frames[0][0].tolist()
+    assert described["tolerance"]["position"] == arm.tolerance
+    assert described["daemon"]["pid"] == os.getpid()
+    wired = arm.wiring[arm.manipulator.actuators.index("2.diagonal")]
+    assert described["boards"][4] == {
+        "module": 2, "actuator": "diagonal", "bus": "can0", "node": wired.node, "output": wired.output,
+        "input": wired.input, "weight": 1.0, "stuck": None,
+    }  # fmt: skip
+
+
+def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer, arm: Arm) -> None:
+    client.move(MIDDLE)
+    it = client.diagnosed()
+    it = client.diagnosed()
+    assert it["loop"]["ticks"] > 0
+    assert it["buses"][0]["name"] == "can0"
+    assert it["buses"][0]["tx_frames"] > 0
+    assert 0 < it["buses"][0]["worst_case"]["load"] < 0.1, "nine tenths of 1 Mbit/s are left"
+    assert [board["state"] for board in it["boards"]] == ["operational"] * len({w.node for w in arm.wiring})
+    assert it["switches"] > 0
+    assert set(it["queues"]) == {"inbox", "outbox", "planning"}
+    assert it["ledger"] == "ok"
+    assert it["real_time"] == "off"
+
+
+def test_state_comes_steadily_and_on_change(client: Observer) -> None:
+    begun = len(client.heard["state"])
+    eventually(lambda: len(client.heard["state"]) > begun + 40)
+    stamps = [state["stamp"] for state in client.heard["state"][begun:]]
+    assert all(a <= b for a, b in itertools.pairwise(stamps))
+    client.move(LEFT)
+    client.move(MIDDLE, goal="a")
+    assert any(state["goal"] == "a" for state in client.heard["state"])
+
+
+def test_a_wildcard_may_stop_and_ask_and_nothing_else(client: Observer, system: System, stack: ExitStack) -> None:
+    client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
+    session = stack.enter_context(system.session())
+    replies = [r.ok for r in session.get("hyperbit/**", timeout=PATIENCE) if r.ok]
+    answers = {str(ok.key_expr).rpartition("/")[2]: json.loads(ok.payload.to_bytes()) for ok in replies}
+    assert answers["arm"]["name"] == system.name
+    named = ("goal", "jog", "reset", "degrade", "obstacles")
+    for key in (*named, "cancel", "stop"):  # `**` does not name the commands that it reaches
+        assert answers[key]["accepted"] is False
+        assert "must be named" in answers[key]["message"]
+    goal = json.dumps({"waypoints": [{"position": RIGHT}]})
+    for key in named:
+        session.put(f"hyperbit/*/{key}", goal)
+    eventually(lambda: len(client.results(None)) >= len(named))
+    assert client.wait_now("executing")["goal"] == "a"
+    replies = [reply.ok for reply in session.get("hyperbit/*/stop", timeout=PATIENCE) if reply.ok]
+    assert [json.loads(ok.payload.to_bytes())["accepted"] for ok in replies] == [True]
+    client.wait_now("stopped")
+    client.reset()
+
+
+def test_a_second_daemon_of_the_arm_does_not_start(client: Observer, system: System) -> None:
+    """Not on the same ledger, nor in the same network."""
+    with pytest.raises(LedgerInUse), system.serving(configuration("peer"), system.ledger):
+        pass
+    elsewhere = system.folder / "other.sqlite"
+    with pytest.raises(AlreadyRunning, match=f"process {os.getpid()} on "), system.serving(system.clients(), elsewhere):
+        pass
+    client.move(RIGHT)
+    client.move(MIDDLE, goal="b")
+
+
+def test_a_second_executor_of_the_arm_does_not_start(client: Observer, system: System) -> None:
+    command = [sys.executable, "-m", "controller.executor", str(system.file), "--socket", str(system.socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT)
+    assert (done.returncode, "an executor is running on" in done.stderr) == (1, True)
+    client.move(RIGHT)
+    client.move(MIDDLE, goal="b")
+
+
+def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, system: System, stack: ExitStack) -> None:
+    flooding, prefix = stack.enter_context(system.session()), f"hyperbit/{system.name}"
+    there_and_back = enumerate([LEFT, RIGHT] * int(400 / SLOWNESS))
+    far = json.dumps({"waypoints": [{"t": 0.2 * k * SLOWNESS, "position": p} for k, p in there_and_back]})
+    flood = [flooding.get(f"{prefix}/plan", payload=far, timeout=2 * PATIENCE) for _ in range(60)]
+    assert client.ask("stop")["accepted"]
+    client.wait_now("stopped")
+    answers = [json.loads(reply.ok.payload.to_bytes()) for replies in flood for reply in replies]
+    assert len(answers) == 60
+    assert all("busy" in a["message"] for a in answers if not a["accepted"])
+    client.reset()
+
+
+FROZEN = """
+import sys, zenoh
+from controller.gateway import session
+
+def hear(sample):
+    print("heard", flush=True)
+
+with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:
+    it.declare_subscriber(sys.argv[2], hear)
+    sys.stdin.read()
+"""
+
+
+def test_frozen_and_slow_readers_delay_nobody(client: Observer, system: System, stack: ExitStack) -> None:
+    reader = subprocess.Popen(
+        [sys.executable, "-c", FROZEN, system.endpoint, "hyperbit/**"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
+    )  # fmt: skip
+    ending, slow = threading.Event(), Client(stack.enter_context(system.session()), system.name)
+    for key in ("state", "feedback", "result", "diagnostics"):
+        slow.subscribe(key, lambda message: ending.wait(0.5) and None)
+    far = [{"t": 0.2 * k * SLOWNESS, "position": LEFT} for k in range(int(50 / SLOWNESS))]
+    try:
+        assert reader.stdout
+        assert reader.stdout.readline() == "heard\n"
+        reader.send_signal(signal.SIGSTOP)
+        for k in range(6):
+            client.move((LEFT, RIGHT)[k % 2], goal=f"goal {k}")
+            for _ in range(10):
+                assert client.ask("plan", waypoints=far)["accepted"]
+        assert client.diagnosed()["queues"]["outbox"] < 100
+        assert client.wait_now("ready")["faults"] == []
+    finally:
+        ending.set()
+        reader.send_signal(signal.SIGKILL)
+        reader.communicate()
+
+
+def test_a_client_asks_again_when_nobody_answers(client: Observer, system: System, stack: ExitStack) -> None:
+    """Known defects of routing lose a query: the client's next attempt, or its fresh session, gets an answer."""
+    opened = stack.enter_context(system.session())
+    lossy = Lossy(opened, losses=3)
+    asking = Client(lossy, system.name, system.session)  # type: ignore[arg-type]
+    stack.callback(asking.close)
+    client.sent["again"] = client.times["state"][-1]
+    result = asking.run({"id": "again", "waypoints": [{"position": RIGHT}]})
+    assert (result["status"], lossy.losses) == ("succeeded", 0)
+    client.accepted.append("again")
+
+
+class Lossy:
+    """A session whose first queries reach nobody."""
+
+    def __init__(self, session: zenoh.Session, losses: int) -> None:
+        self._session, self.losses = session, losses
+
+    def get(self, key: str, **options: object) -> object:
+        if self.losses > 0:
+            self.losses -= 1
+            return []
+        return self._session.get(key, **options)  # type: ignore[arg-type]
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._session, name)
+
+
+def test_nobody_there_is_said_after_the_timeout(client: Observer, system: System, stack: ExitStack) -> None:
+    lonely = Client(stack.enter_context(system.session()), "other")
+    with pytest.raises(Unanswered, match="no daemon for arm 'other' answered on hyperbit/other/arm within 1 s"):
+        lonely.request("arm", timeout=1.0)
+    assert not lonely.alive()
+
+
+@pytest.mark.fresh
+def test_the_token_tells_that_the_daemon_is_there_and_no_thread_is_left(system: System) -> None:
+    before = {thread.name for thread in threading.enumerate()}
+    system.start()
+    with system.client() as client:
+        eventually(lambda: client.client.alive())
+        client.move(MIDDLE)
+        system.end_planner()
+        eventually(lambda: not client.client.alive())
+    assert {thread.name for thread in threading.enumerate()} <= before
+
+
+@pytest.mark.fresh
+def test_a_planner_that_comes_back_finds_the_arm_as_it_is(system: System, motions: Motions) -> None:
+    system.start()
+    with system.client() as client:
+        client.move(RIGHT)
+        client.goal(MIDDLE, LEFT, times=[HOUR, 2 * HOUR], id="never")
+        before, switches = system.boards.positions().tolist(), system.boards.switches().tolist()
+        system.end_planner()
+        assert client.result("never")["message"] == "the daemon is shutting down; the arm holds"
+    motions.clear()
+    system.start_planner()
+    with system.client() as client:
+        state = client.wait_for("ready")
+        assert state["measured"] == [int(position) for position in before]
+        assert motions.still()
+        assert system.boards.switches().tolist() == switches
+        client.move(MIDDLE)
+        assert client.results("never") == []
