@@ -118,17 +118,21 @@ class EventLoop:
         self._garbage.collect(self._core.modes.mode != "executing")
 
     def _step(self, event: Event) -> None:
-        """Brings an event to the core, and does what it says."""
-        for action in self._core.step(event, self._clock()):
+        """Brings an event to the core, and does what it says: frames first, which the arm waits for."""
+        actions = self._core.step(event, self._clock())
+        for action in actions:
+            if isinstance(action, Send):
+                self._buses.send(action.bus, action.frame, self._clock())
+        for action in actions:
             match action:
-                case Send():
-                    self._buses.send(action.bus, action.frame, self._clock())
                 case ToClient():
                     self._server.send(action.client, action.message)
                 case Notify():
                     self._notifier.send(action.text)
                 case Log():
                     log.log(action.level, "%s", action.text)
+                case _:
+                    pass
 
     def _end(self) -> None:
         """Ends the program with a result, and closes all."""
