@@ -65,7 +65,8 @@ class Parts:
             self.start("executor", self.file, "--socket", path, *["--simulate"] * self._simulate)
             ledger = self.folder / "ledger.sqlite"
             self.start("planner", self.file, "--socket", path, "--listen", self.endpoint, "--ledger", ledger)
-            self.client().wait_for("ready")
+            client = self.client()
+            eventually(lambda: client.state["mode"] == "ready" or self._check())
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -103,10 +104,16 @@ class Parts:
         self._processes.append(process)
         return process.stdout.readline().strip() if process.stdout else ""
 
+    def _check(self) -> None:
+        """Checks that all processes run."""
+        for process in self._processes:
+            assert process.poll() is None, f"process {process.args} has ended with {process.returncode}"
+
     def session(self) -> zenoh.Session:
         """A client's session, until the end of the context."""
 
         def connect() -> zenoh.Session | None:
+            self._check()
             try:
                 return zenoh.open(session.configuration("client", connect=self.endpoint))
             except zenoh.ZError:
