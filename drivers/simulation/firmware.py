@@ -175,8 +175,7 @@ class SimulatedBoard:
         self._master_deadline = None
         self._emergencies.report(_MASTER_LOST)
         self._fail_safe()
-        behaviour = self.objects.number(0x1029, 1)
-        if behaviour == 0 and self.state is State.OPERATIONAL:
+        if (behaviour := self.objects.number(0x1029, 1)) == 0 and self.state is State.OPERATIONAL:
             self._enter(State.PRE_OPERATIONAL)
         elif behaviour == 2:
             self._enter(State.STOPPED)
@@ -184,7 +183,7 @@ class SimulatedBoard:
     def _fail_safe(self) -> None:
         """Outputs take their error value where the error mode says so; 6200h then tells what they are."""
         for sub in _BYTES:
-            mode, value = self.objects.number(0x6206, sub), self.objects.number(0x6207, sub)
+            mode, value = (self.objects.number(index, sub) for index in (0x6206, 0x6207))
             self.objects.put(0x6200, sub, self.objects.number(0x6200, sub) & ~mode | value & mode)
         self._drive()
 
@@ -213,14 +212,13 @@ class SimulatedBoard:
 
     def _drive(self) -> None:
         for actuator, output, _ in self.wired:
-            sub = 1 + output // 8
-            levels = self.objects.number(0x6200, sub) ^ self.objects.number(0x6202, sub)
+            levels = self.objects.number(0x6200, 1 + output // 8) ^ self.objects.number(0x6202, 1 + output // 8)
             actuator.drive(levels >> output % 8 & 1 if self.state is not None else 0, self._now)
 
     def _read_inputs(self) -> None:
-        inputs = sum(actuator.sensor << bit for actuator, _, bit in self.wired if bit is not None)
-        if inputs != self._inputs:
-            self._inputs = inputs
+        before = self._inputs
+        self._inputs = inputs = sum(actuator.sensor << bit for actuator, _, bit in self.wired if bit is not None)
+        if inputs != before:
             for sub, value in zip(_BYTES, inputs.to_bytes(len(_BYTES), "little"), strict=True):
                 self.objects.put(0x6000, sub, value)
             self._publish()
@@ -230,8 +228,7 @@ class SimulatedBoard:
         cob_id = self.objects.number(0x1800, 1)
         if self.state is not State.OPERATIONAL or cob_id & cia301.INVALID or not self.objects.number(0x6005):
             return
-        carried = self.objects.mapping(0x1800)
-        data = bytes(self.objects.number(index, sub) for index, sub, _ in carried)
+        data = bytes(self.objects.number(index, sub) for index, sub, _ in self.objects.mapping(0x1800))
         if data != self._published:
             self._published = data
             self.send_message(cob_id & 0x7FF, data)
