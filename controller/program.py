@@ -68,6 +68,9 @@ class Alive(Message, frozen=True, tag="alive"):
 class Program(Message, frozen=True, tag="program"):
     """A motion program: replaces the running one, or is declined as a whole. The answer is `Accepted` or `Declined`.
 
+    No stage switches a locked actuator. The executor sets its output to the state in which it is locked, in stages of
+    its own before the first one, so that it stays where it is when it comes loose.
+
     Attributes:
         program: its number, greater than of all programs before.
         epoch: the executor's epoch when the goal came in; a program of an older epoch is declined.

@@ -1,6 +1,7 @@
 """Locked actuators: which actuators cannot move, and in which state."""
 
 from collections.abc import Sequence
+from itertools import islice
 
 from controller.executor.arm import WORDS
 from controller.executor.bits import indices, merged
@@ -63,6 +64,20 @@ class LockedActuators:
         mask = self.mask | self._stuck
         self._set(mask, merged((mask & readable) | self._stuck, measured, self.states))
         self._stuck = 0
+
+    def aligned(self, states: int) -> int:
+        """Returns states with each locked actuator in the state in which it is locked."""
+        return merged(self.mask, self.states, states)
+
+    def realigned(self, outputs: int, most: int) -> int:
+        """Returns outputs after the next stage that sets those of locked actuators to their states.
+
+        Args:
+            outputs: before; returned if all locked actuators have theirs.
+            most: actuators that may switch at once.
+        """
+        differ = indices(outputs ^ self.aligned(outputs))
+        return outputs ^ sum(1 << k for k in islice(differ, most))
 
     def faults(self) -> tuple[Fault, ...]:
         """Returns a warning for each locked actuator; none of them stops the arm."""

@@ -15,6 +15,7 @@ from controller.executor.switch_journal import SwitchJournal
 from controller.program import Begun, Settled, Up, pack
 from drivers.canopen.master import Master
 
+REALIGNMENT = -1  # in place of the index of a stage
 TOUCHES = "on the way that was planned, "
 
 
@@ -140,7 +141,7 @@ class Motion:
         commit = self.actuation.conclude(now)
         if not (self.busy and self._master.committing):
             self.close()
-        if commit is not None and commit.reached:
+        if commit is not None and commit.reached and self._index != REALIGNMENT:
             self._took(commit)
 
     def advance(self, now: float) -> str | None:
@@ -155,7 +156,20 @@ class Motion:
         if execution.finished and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
             self.end("done", "all stages have settled")
             return f"holding; {execution.program.name} is done"
-        return self._switch(execution, now)
+        return None if self._realigns(now) else self._switch(execution, now)
+
+    def _realigns(self, now: float) -> bool:
+        """Sets outputs of locked actuators to their states before any stage; returns whether that goes on.
+
+        A locked actuator that comes loose then stays where it is.
+        """
+        states = self._locked.realigned(self._master.outputs, self._arm.most)
+        if states == self._master.outputs:
+            return False
+        if not self.busy and now >= self.actuation.ready_at(states, strict=False) - 1e-9:
+            self._index = REALIGNMENT
+            self.actuation.switch(states, now)
+        return True
 
     def _switch(self, execution: ProgramExecution, now: float) -> str | None:
         """Begins the stage of a program that is due; returns a sentence if that ends the program."""
@@ -177,7 +191,7 @@ class Motion:
         if now > stream.until:
             self.end("canceled", "")
             return "holding; the stream of setpoints has stopped"
-        if self.busy:
+        if self.busy or (stream.stages and self._realigns(now)):
             return None
         index = stream.due(self._master.outputs, self._arm.most)
         if index is None:
@@ -206,26 +220,17 @@ class Motion:
         if now < self.actuation.ready_at(states, strict) - 1e-9 or (strict and self.moving):
             return None
         if strict:
-            expected, start, stage = self._ways(planned, states)
-            if start not in (expected, stage) and not self.clearances.known(start, stage, now):
-                self.clearances.waits += 1
-                self.actuation.rest()
-                return None
-            if start not in (expected, stage) and self.clearances.touched is not None:
-                return self.clearances.touched
+            start = merged(self.measured ^ states, self.measured, self._before)  # what may come free on the way
+            if start not in (planned, states):
+                if not self.clearances.known(start, states, now):
+                    self.clearances.waits += 1
+                    self.actuation.rest()
+                    return None
+                if self.clearances.touched is not None:
+                    return self.clearances.touched
         if self.actuation.switch(states, now) and self.execution is not None:
             self.execution.begins(index)
         return None
-
-    def _ways(self, planned: int, states: int) -> tuple[int, int, int]:
-        """Returns actuator states, of locked actuators as they are locked: planned, before a stage, and after it.
-
-        Before the stage, actuators that are measured elsewhere than after it may come free on the way.
-        """
-        mask, locked = self._locked.mask, self._locked.states
-        stage, measured = merged(mask, locked, states), self.measured
-        outputs = merged(mask, locked, self._master.outputs)
-        return merged(mask, locked, planned), merged(measured ^ stage, measured, outputs), stage
 
     def _took(self, commit: Commit) -> None:
         """Notes that the outputs have reached the stage begun last."""
@@ -238,13 +243,5 @@ class Motion:
             self._send(Begun(execution.program.program, self._index, execution.switches))
 
     def _settled(self, execution: ProgramExecution) -> Settled:
-        measured, known = self.packed()
-        return Settled(
-            program=execution.program.program,
-            mark=execution.mark,
-            measured=measured,
-            known=known,
-            switches=execution.switches,
-            stages=execution.stages,
-            planned=execution.planned,
-        )
+        counted = execution.switches, execution.stages
+        return Settled(execution.program.program, execution.mark, *self.packed(), *counted, execution.planned)

@@ -3,6 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Sequence
 
+from controller.executor.locked import LockedActuators
 from controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, unpack
 
 EPSILON = 1e-9  # [s]
@@ -34,9 +35,10 @@ class ProgramExecution:
     Args:
         program: with stages that were checked.
         begin: see above.
+        locked: the locked actuators; every stage has them in their states.
     """
 
-    def __init__(self, program: Program, begin: float) -> None:
+    def __init__(self, program: Program, begin: float, locked: LockedActuators) -> None:
         self.program, self.begin = program, begin
         self.strict, self.final = program.strict, program.final
         self.taken = self.mark = -1
@@ -45,9 +47,10 @@ class ProgramExecution:
         self._generation = -1
         self._begun = -1  # the last stage whose commit was begun
         self._stages = list(program.stages)
-        self._states = [unpack(stage.states) for stage in program.stages]
+        self._locked = locked
+        self._states = [locked.aligned(unpack(stage.states)) for stage in program.stages]
         self._at = [stage.at for stage in program.stages]
-        self._start = unpack(program.start)
+        self._start = locked.aligned(unpack(program.start))
         self._settles: float | None = None  # when the mark reached settles [s]
 
     def state(self, index: int) -> int:
@@ -115,7 +118,7 @@ class ProgramExecution:
         """Whether all stages were taken, no more come, and the last mark has settled."""
         return self.final and self.taken == len(self._stages) - 1 and self._settles is None
 
-    def replace(self, message: Replacement, most: int, locked: int, actuators: int) -> None:
+    def replace(self, message: Replacement, most: int, actuators: int) -> None:
         """Takes other stages from `message.first` on, see `Replacement`.
 
         Raises:
@@ -129,23 +132,23 @@ class ProgramExecution:
         if first + len(message.stages) > MOST_PROGRAM_STAGES:
             raise Misfit(f"a program may have {MOST_PROGRAM_STAGES} stages")
         earliest = self._at[first - 1] if first else -1e12
-        check_stages(message.stages, self.state(first - 1), message.start, earliest, most, locked, actuators)
+        start = checked_states(message.start, actuators)
+        if self._locked.aligned(start) != self.state(first - 1):
+            raise Misfit("its stages were planned from other states")
+        check_stages(message.stages, start, earliest, most, self._locked.mask, actuators)
         self._generation, self.final = message.generation, message.final
         self.strict |= message.strict
         self._stages[first:] = message.stages
-        self._states[first:] = [unpack(stage.states) for stage in message.stages]
+        self._states[first:] = [self._locked.aligned(unpack(stage.states)) for stage in message.stages]
         self._at[first:] = [stage.at for stage in message.stages]
 
 
-def check_stages(
-    stages: Sequence[Stage], before: int, start: bytes, earliest: float, most: int, locked: int, actuators: int
-) -> None:
+def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: int, locked: int, actuators: int) -> None:
     """Checks stages that follow on states.
 
     Args:
         stages: to check.
         before: states that they follow on.
-        start: packed states from which they were planned.
         earliest: the first may begin then at the earliest, after the program's zero of time [s].
         most: actuators that may switch at once.
         locked: mask of the locked actuators.
@@ -154,8 +157,6 @@ def check_stages(
     Raises:
         Misfit: they do not fit; the text says why.
     """
-    if checked_states(start, actuators) != before:
-        raise Misfit("its stages were planned from other states")
     for k, stage in enumerate(stages):
         states = checked_states(stage.states, actuators)
         differ = states ^ before

@@ -103,7 +103,7 @@ class Requests:
         self._motion.end("replaced", f"replaced by {message.name}")
         self._program = message.program
         begin = message.begin or now
-        self._motion.run(ProgramExecution(message, begin))
+        self._motion.run(ProgramExecution(message, begin, self._locked))
         self._modes.enter("executing", message.name)
         self._clients.to_planner(Accepted(message.program, begin))
 
@@ -119,7 +119,7 @@ class Requests:
             return Declined(number, "malformed", f"a program of number {self._program} came before")
         try:
             start = checked_states(message.start, self._size)
-            check_stages(message.stages, start, message.start, -1e12, self._arm.most, self._locked.mask, self._size)
+            check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
         except Misfit as misfit:
             return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
         if start != self._master.outputs or self._motion.busy:
@@ -132,7 +132,7 @@ class Requests:
         accepted = execution is not None and execution.program.program == message.program
         if execution is not None and accepted:
             try:
-                execution.replace(message, self._arm.most, self._locked.mask, self._size)
+                execution.replace(message, self._arm.most, self._size)
             except Misfit as misfit:
                 accepted = False
                 self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))
@@ -144,7 +144,7 @@ class Requests:
         if old or self.quitting or now > message.until or self._modes.mode not in ("ready", "executing"):
             return
         try:
-            stream = SetpointStream(message, self._arm.most, self._locked.mask, self._size)
+            stream = SetpointStream(message, self._arm.most, self._locked, self._size)
         except Misfit as misfit:
             self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
             return

@@ -1,5 +1,6 @@
 """A followed set-point: the stages on the way to what it asks for, until the next one comes."""
 
+from controller.executor.locked import LockedActuators
 from controller.executor.program_execution import Misfit, checked_states
 from controller.program import Setpoint
 
@@ -12,33 +13,34 @@ class SetpointStream:
         until: when the stream has stopped [s].
         reason: a sentence on what is followed.
         strict: no stage is left out.
-        start: outputs from which the stages were planned.
+        start: outputs from which the stages were planned; here and in stages, locked actuators have their states.
         stages: states that each stage ends in; empty: stay.
 
     Args:
         message: of the planner.
         most: actuators that may switch at once.
-        locked: mask of the locked actuators.
+        locked: the locked actuators.
         actuators: number.
 
     Raises:
         Misfit: its stages do not fit the arm.
     """
 
-    def __init__(self, message: Setpoint, most: int, locked: int, actuators: int) -> None:
+    def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:
         self.number, self.until, self.reason, self.strict = (
             message.stream,
             message.until,
             message.reason,
             message.strict,
         )
-        self.start = before = checked_states(message.start, actuators)
-        self.stages = [checked_states(states, actuators) for states in message.stages]
-        for states in self.stages:
-            if (states ^ before) & locked:
+        before = checked_states(message.start, actuators)
+        self.start, self.stages = locked.aligned(before), list[int]()
+        for states in (checked_states(packed, actuators) for packed in message.stages):
+            if (states ^ before) & locked.mask:
                 raise Misfit("a set-point switches a locked actuator", locked=True)
             if (states ^ before).bit_count() > most:
                 raise Misfit(f"a stage of a set-point switches more than {most} actuators at once")
+            self.stages.append(locked.aligned(states))
             before = states
 
     def due(self, outputs: int, most: int) -> int | None:

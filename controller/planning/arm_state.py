@@ -94,7 +94,7 @@ class ArmState:
         return np.where(self.locked, self.measured, free(self.manipulator)).astype(np.int8)
 
     def pack(self, stages: States) -> list[bytes]:
-        """Returns stages (k, A) packed for the executor; outputs of locked actuators stay as they are."""
+        """Returns stages (k, A) packed for the executor; the executor sets those of locked actuators itself."""
         return pack_states(np.where(self.locked, self.outputs, stages).astype(np.uint8))
 
     def _spelled(self, states: States | Measured) -> Configuration | None:

@@ -13,12 +13,10 @@ from controller.program import (
     Declined,
     Ended,
     Halt,
-    Lock,
     Reset,
-    unpack,
 )
 from drivers.canopen.faults import Fault
-from tests.executor.rig import CAN, LOST, PLANNER, SIZE, TRAVEL, Rig, ready
+from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
 
@@ -169,53 +167,6 @@ def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, ve
     rig.send(Reset(1))
     rig.go(2 * PERIOD)
     assert rig.mode == "ready"
-
-
-# --- locks
-
-
-def test_a_locked_actuator_is_switched_by_no_program(rig: Rig) -> None:
-    rig.send(Lock(1, 0, 0))
-    assert answer(rig) == (True, "locked: 1.left (contracted)")
-    assert (unpack(rig.snapshot.locked), rig.snapshot.locks) == (1, 1)
-    assert [fault.code for fault in rig.snapshot.faults] == ["degraded"]
-    rig.run(A)
-    assert rig.last(Declined).cause == "locked"
-    rig.follow(9, A)
-    rig.run(A & ~1)
-    rig.go(0.3)
-    assert (rig.switched, rig.results) == ([A & ~1], [(2, "done")])
-    rig.send(Lock(2, 0, -1))
-    assert answer(rig) == (True, "no actuator is locked")
-    rig.run(A)
-    rig.go(0.3)
-    assert rig.switched[-1] == A
-
-
-def test_a_lock_is_refused_while_the_arm_moves_and_against_an_end_stop(rig: Rig) -> None:
-    rig.send(Lock(1, 0, 1))
-    assert answer(rig) == (False, "state: the end-stop of 1.left reads contracted")
-    rig.send(Lock(1, SIZE, 1))
-    assert not answer(rig)[0]
-    rig.run(A)
-    rig.send(Lock(2, 0, 0))
-    assert "the arm is executing" in answer(rig)[1]
-
-
-def test_a_stuck_actuator_is_locked_and_the_arm_goes_on_if_its_file_says_so() -> None:
-    rig = ready(continue_on_stuck=True)
-    rig.master.stuck, rig.master.back = 1, True
-    rig.run(A)
-    rig.go(RETRY + 0.3)
-    assert (rig.mode, rig.reason) == ("ready", "holding what the boards measured, locked: 1.left (contracted)")
-    rig.run(A ^ 0b110)
-    rig.go(0.3)
-    assert rig.results == [(1, "aborted"), (2, "done")]
-
-
-def test_a_locked_actuator_without_end_stop_is_measured_as_locked() -> None:
-    rig = ready(sensed=0b111110, locked=1, locked_states=1)
-    assert (unpack(rig.snapshot.measured), unpack(rig.snapshot.outputs)) == (1, 0)
 
 
 # --- the end

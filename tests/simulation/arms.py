@@ -37,7 +37,7 @@ def draw_arm(random: Random) -> ExecutedArm:
         settle_margin=random.choice([0.03, 0.05]),
     )
     locked = random.getrandbits(count) & random.getrandbits(count) & random.getrandbits(count)
-    locked = locked if random.random() < 0.2 and locked != (1 << count) - 1 else 0
+    locked = locked if random.random() < 0.4 and locked != (1 << count) - 1 else 0
     return ExecutedArm(
         name="simulated",
         actuators=tuple(channel.actuator for channel in channels),
@@ -46,7 +46,7 @@ def draw_arm(random: Random) -> ExecutedArm:
         inrush=random.choice([None, 1, 2, 3]),
         rest=random.choice([0.0, 0.0, 0.05, 0.3]),
         locked=locked,
-        locked_states=0,
+        locked_states=locked,  # of actuators with end-stops, those read
         continue_on_stuck=random.random() < 0.4,
         digest=64 * "0",
     )

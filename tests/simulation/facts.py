@@ -26,6 +26,8 @@ class Commit:
 
     began: float
     locked: int
+    locked_states: int
+    realigns: bool  # something was asked for, and outputs of locked actuators were not as they are locked
     running: Running | None
     candidates: list[tuple[int, int]]  # index and states of the stages that were asked for
     synced_at: float | None = None

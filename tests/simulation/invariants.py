@@ -32,6 +32,9 @@ def outputs_change_only_as_asked(world: World) -> None:
             continue
         require(commit is not None, f"a SYNC without RPDOs switched {mask:b}")
         assert commit is not None
+        mask &= ~commit.locked  # see locked_actuators_switch_only_to_their_states
+        if not mask:
+            continue
         fitting = [(k, states) for k, states in commit.candidates if not (states ^ switch.after) & mask]
         require(fitting, f"{switch.mask:b} switched to {switch.after:b}; asked for were {commit.candidates}")
         commit.candidates = fitting
@@ -46,7 +49,8 @@ def nothing_is_commanded_without_a_request(world: World) -> None:
         if frame.id & 0x780 in RPDOS:
             commit = record.commit
             assert commit is not None
-            require(commit.candidates, f"{bus}: RPDO {frame.id:03X}h in mode {record.mode}, and no stage is due")
+            asked = commit.candidates or commit.realigns
+            require(asked, f"{bus}: RPDO {frame.id:03X}h in mode {record.mode}, and no stage is due")
         elif frame.id == cia301.SYNC:
             commit = record.commit
             require(commit is not None, f"{bus}: SYNC without RPDOs")
@@ -150,12 +154,14 @@ def inrush_and_rest_hold(world: World) -> None:
         record.last_commit = commit, now
 
 
-def locked_actuators_never_switch(world: World) -> None:
-    """No SYNC switches an actuator that was locked when its RPDOs were sent."""
+def locked_actuators_switch_only_to_their_states(world: World) -> None:
+    """A SYNC switches an actuator that was locked when its RPDOs were sent to its locked state only, if asked to."""
     for switch in _by_sync(world):
-        if switch.commit is not None:
-            moved = switch.mask & switch.commit.locked & ~world.record.suspect
-            require(not moved, f"the locked actuators {moved:b} switched")
+        if (commit := switch.commit) is not None:
+            moved = switch.mask & commit.locked & ~world.record.suspect
+            require(commit.realigns or not moved, f"the locked actuators {moved:b} switched, and nothing was asked for")
+            away = moved & (switch.after ^ commit.locked_states)
+            require(not away, f"the locked actuators {away:b} switched away from their states")
 
 
 def the_executor_has_no_defect(world: World) -> None:
@@ -179,5 +185,5 @@ INVARIANTS = (
     switches_are_counted,
     heartbeats_do_not_pause,
     inrush_and_rest_hold,
-    locked_actuators_never_switch,
+    locked_actuators_switch_only_to_their_states,
 )

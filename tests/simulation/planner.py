@@ -31,7 +31,7 @@ from tests.simulation.programs import Author, Drawn
 
 ACTS = {
     **{"program": 30, "bad program": 8, "replacement": 12, "set-point": 20, "wait": 40, "cancel": 3},
-    **{"cancel program": 2, "reset": 1, "lock": 2, "counts": 0.5, "stray answer": 1, "acknowledge": 8, "operator": 1},
+    **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 0.5, "stray answer": 1, "acknowledge": 8, "operator": 1},
 }
 
 
@@ -186,7 +186,7 @@ class ScriptedPlanner:
                 self.connection.send(Reset(self._next()))
             case "lock":
                 actuator = random.randrange(len(self._arm.actuators) + 1)
-                self.connection.send(Lock(self._next(), actuator, random.choice([-1, -1, 0, 1])))
+                self.connection.send(Lock(self._next(), actuator, random.choice([-1, 0, 1])))
             case "counts":
                 self.connection.send(Counts(tuple(0 for _ in range(random.randint(0, len(self._arm.actuators))))))
             case "stray answer":

@@ -56,6 +56,7 @@ class Record:
         self.step = Step()
         self.counts: Counter[str] = Counter()
         self.mode, self.epoch, self.locked, self.instance = "starting", 0, arm.locked, 0
+        self.locked_states, self._outputs, self._locks = arm.locked_states, 0, -1
         self.running: Running | None = None
         self.commit: Commit | None = None
         self.last_commit: tuple[Commit, float] | None = None  # that switched anything, and when
@@ -139,7 +140,9 @@ class Record:
                 self.commit.synced_at = now
             return self.commit
         elif frame.id & 0x780 in RPDOS and (self.commit is None or self.commit.began != now):  # all are sent at once
-            self.commit = Commit(now, self.locked, self.running, self._asked(now))
+            apart = bool((self._outputs ^ self.locked_states) & self.locked)
+            realigns = apart and (self.running is not None or bool(self._followed(now)))
+            self.commit = Commit(now, self.locked, self.locked_states, realigns, self.running, self._asked(now))
         return None
 
     # --- the boards
@@ -162,6 +165,8 @@ class Record:
         for k in range(len(self.synced)):
             self.synced[k] += switch.cause == "SYNC" and switch.mask >> k & 1
         self.fallen |= switch.mask * (switch.cause != "SYNC")
+        if switch.cause == "SYNC" and switch.commit is not None:
+            self.counts["realigned"] += (switch.mask & switch.commit.locked).bit_count()
         self.counts["switches"] += switch.mask.bit_count() * (switch.cause == "SYNC")
 
     def doubt(self, intended: int) -> None:
@@ -194,6 +199,9 @@ class Record:
             self.counts["fault"] += 1
             self.floor += 1
         self.step.epochs.append((snapshot.epoch, self.floor))
+        if snapshot.locks != self._locks or (snapshot.mode == "ready" and self.mode not in ("ready", "executing")):
+            self._locks, self.locked_states = snapshot.locks, unpack(snapshot.measured) & unpack(snapshot.locked)
+        self._outputs = unpack(snapshot.outputs)
         self.mode, self.epoch, self.locked = snapshot.mode, snapshot.epoch, unpack(snapshot.locked)
         if self.mode not in ("ready", "executing"):
             self._hold()
@@ -207,6 +215,10 @@ class Record:
                 for k, (states, at) in due
                 if k > self.running.last and self.running.begin + at <= now + LATE
             ]
+        return [(-1, states) for states in self._followed(now)]
+
+    def _followed(self, now: float) -> list[int]:
+        """Returns the stages of the set-points that are followed."""
         if not self._setpoints or self._setpoints[-1].until < now - LATE:
             return []
-        return [(-1, unpack(states)) for setpoint in self._setpoints for states in setpoint.stages]
+        return [unpack(states) for setpoint in self._setpoints for states in setpoint.stages]
