@@ -1,0 +1,128 @@
+"""The command `hyperbit run --simulate` as a person starts it: planner and executor, and their ends."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from controller.gateway import session
+from controller.gateway.client import Client
+from controller.planning.ledger_file import read
+from tests.system import arms
+from tests.system.observer import Observer
+from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.processes import ROOT
+from tests.system.system import free_port
+from tests.waiting import PATIENCE, eventually
+
+RUN = "import sys, typer; from controller.commands.run import run; typer.run(run)"
+NAME = "demonstrated"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    arms.write(tmp_path, "planar", NAME, {"channel": "can0"}, {})
+    return tmp_path
+
+
+@pytest.fixture
+def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-c", RUN, str(folder / "arm.yaml"), "--simulate", "--listen", endpoint(folder)]
+    environment = {
+        **os.environ, "NOTIFY_SOCKET": "", "XDG_CACHE_HOME": str(cache.parent), "STATE_DIRECTORY": str(folder),
+        "RUNTIME_DIRECTORY": str(folder), "PYTHONPATH": str(ROOT),
+    }  # fmt: skip
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, env=environment)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def endpoint(folder: Path) -> str:
+    """Where the daemon of a folder listens; the same at each call."""
+    file = folder / "endpoint"
+    if not file.exists():
+        file.write_text(f"tcp/127.0.0.1:{free_port()}")
+    return file.read_text()
+
+
+@pytest.fixture
+def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]:
+    """A client of the daemon, once it listens."""
+
+    def connect() -> zenoh.Session | None:
+        assert process.poll() is None, (folder / "log").read_text()
+        try:
+            return zenoh.open(session.configuration("client", connect=endpoint(folder)))
+        except zenoh.ZError:
+            return None
+
+    with eventually(connect, 2 * PATIENCE) as opened:
+        client = Observer(Client(opened, NAME))
+        client.wait_for("ready")
+        yield client
+
+
+def children(process: subprocess.Popen[bytes]) -> list[int]:
+    return [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_both_processes_in_order(
+    process: subprocess.Popen[bytes], client: Observer, folder: Path, number: signal.Signals
+) -> None:
+    (executor,) = children(process)
+    client.move(MIDDLE, goal="a")
+    client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
+    client.wait_for("executing", "goal b")
+    process.send_signal(number)
+    assert process.wait(PATIENCE) == 0
+    result = client.result("b")
+    assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
+    switches, goals = read(folder / f"{NAME}.sqlite")
+    assert [(goal["id"], goal["status"]) for goal in goals] == [("b", "aborted"), ("a", "succeeded")]
+    assert sum(switches.values()) == client.result("a")["switches"]
+    eventually(lambda: not os.path.exists(f"/proc/{executor}"))
+
+
+def killed_planner(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+
+
+def killed_executor(process: subprocess.Popen[bytes]) -> None:
+    os.kill(children(process)[0], signal.SIGKILL)
+
+
+@pytest.mark.parametrize("kill", [killed_planner, killed_executor])
+def test_neither_process_outlives_the_other(
+    process: subprocess.Popen[bytes], client: Observer, kill: Callable[[subprocess.Popen[bytes]], None]
+) -> None:
+    (executor,) = children(process)
+    assert client.client.alive()
+    kill(process)
+    assert process.wait(PATIENCE) != 0
+    eventually(lambda: not os.path.exists(f"/proc/{executor}"))
+    eventually(lambda: not client.client.alive())
+
+
+def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input(
+    process: subprocess.Popen[bytes], client: Observer
+) -> None:
+    def say(line: str) -> None:
+        assert process.stdin
+        process.stdin.write(f"{line}\n".encode())
+        process.stdin.flush()
+
+    say("silence can0/5")
+    assert "can0/5" in client.wait_for("fault")["reason"]
+    say("no such fault")
+    say("unsilence can0/5")
+    client.wait_now("ready")
+    client.move(MIDDLE)
