@@ -1,0 +1,143 @@
+"""The contract between planner and executor: motion programs and messages over one Unix socket.
+
+The planner computes positions of the tip; the executor knows actuators only. Actuator states travel as packed bits:
+actuator k is bit k % 8 of byte k // 8. Times are seconds on CLOCK_MONOTONIC, which both processes share. Identity is by
+numbers: of programs, of requests, and of generations.
+
+Each message is one packet of a SOCK_SEQPACKET socket, in MessagePack. A client sends `Hello` first and hears `Welcome`
+or `Goodbye`. See `Down` for what a client may send, `Up` for what it hears.
+"""
+
+from typing import TypeVar
+
+import msgspec
+
+from controller.program.down import (
+    Acknowledge,
+    Alive,
+    Cancel,
+    Clearance,
+    Counts,
+    Down,
+    Halt,
+    Hello,
+    Lock,
+    Program,
+    Replacement,
+    Reset,
+    Setpoint,
+)
+from controller.program.parts import (
+    ALIVE_EVERY,
+    MOST_ACTUATORS,
+    MOST_BYTES,
+    MOST_PROGRAM_STAGES,
+    MOST_STAGES,
+    SILENT_AFTER,
+    VERSION,
+    Mode,
+    Stage,
+    pack,
+    unpack,
+)
+from controller.program.up import (
+    Accepted,
+    Answer,
+    Begun,
+    Counted,
+    Declined,
+    Diagnostics,
+    Ended,
+    Fault,
+    Goodbye,
+    Question,
+    Replaced,
+    Settled,
+    Snapshot,
+    Up,
+    Welcome,
+)
+
+__all__ = [
+    "ALIVE_EVERY",
+    "MOST_ACTUATORS",
+    "MOST_BYTES",
+    "MOST_PROGRAM_STAGES",
+    "MOST_STAGES",
+    "SILENT_AFTER",
+    "VERSION",
+    "Accepted",
+    "Acknowledge",
+    "Alive",
+    "Answer",
+    "Begun",
+    "Cancel",
+    "Clearance",
+    "Counted",
+    "Counts",
+    "Declined",
+    "Diagnostics",
+    "Down",
+    "Ended",
+    "Fault",
+    "Goodbye",
+    "Halt",
+    "Hello",
+    "Lock",
+    "Malformed",
+    "Mode",
+    "Program",
+    "Question",
+    "Replaced",
+    "Replacement",
+    "Reset",
+    "Setpoint",
+    "Settled",
+    "Snapshot",
+    "Stage",
+    "Up",
+    "Welcome",
+    "decode_down",
+    "decode_up",
+    "encode",
+    "pack",
+    "unpack",
+]
+
+encode = msgspec.msgpack.Encoder().encode
+_down: msgspec.msgpack.Decoder[Down] = msgspec.msgpack.Decoder(Down)
+_up: msgspec.msgpack.Decoder[Up] = msgspec.msgpack.Decoder(Up)
+
+
+class Malformed(ValueError):
+    """A packet is no message of this contract; the text says why."""
+
+
+def decode_down(data: bytes) -> Down:
+    """Returns the message that a client sent.
+
+    Raises:
+        Malformed: it is none.
+    """
+    return _decoded(_down, data)
+
+
+def decode_up(data: bytes) -> Up:
+    """Returns the message that the executor sent.
+
+    Raises:
+        Malformed: it is none.
+    """
+    return _decoded(_up, data)
+
+
+T = TypeVar("T")
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
+    if len(data) > MOST_BYTES:
+        raise Malformed(f"the message has {len(data)} bytes, at most {MOST_BYTES} are taken")
+    try:
+        return decoder.decode(data)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        raise Malformed(f"not a message of version {VERSION}: {error}") from None

@@ -1,0 +1,53 @@
+"""What messages of both directions are made of: bounds, packed actuator states, stages."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+VERSION = 1
+MOST_BYTES = 65_536  # of one message; what is larger is refused unread
+MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
+MOST_PROGRAM_STAGES = 100_000
+MOST_ACTUATORS = 10_000
+ALIVE_EVERY, SILENT_AFTER = 0.2, 1.0  # [s] between two messages of the planner, and when it counts as hung
+
+States = Annotated[bytes, Meta(max_length=(MOST_ACTUATORS + 7) // 8)]
+Number = Annotated[int, Meta(ge=0, le=2**62)]
+Index = Annotated[int, Meta(ge=-1, lt=2**31)]
+Seconds = Annotated[float, Meta(ge=-1e12, le=1e12)]  # NaN and infinities fail both bounds
+Text = Annotated[str, Meta(max_length=1_000)]
+Mode = Literal["starting", "ready", "executing", "fault", "stopped"]
+
+
+class Message(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
+    """One packet."""
+
+
+class Stage(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Actuators that switch together.
+
+    Attributes:
+        states: packed actuator states at its end.
+        at: when it may begin, after the program's `begin` [s].
+        mark: the planner's number for the point that this stage reaches; -1 if it reaches none.
+        settled: the mark counts as settled at this time at the earliest, after the program's `begin` [s].
+    """
+
+    states: States
+    at: Seconds
+    mark: Index = -1
+    settled: Seconds = 0.0
+
+
+Stages = Annotated[tuple[Stage, ...], Meta(max_length=MOST_STAGES)]
+
+
+def unpack(states: bytes) -> int:
+    """Returns packed states as one integer: actuator k is bit k."""
+    return int.from_bytes(states, "little")
+
+
+def pack(bits: int, actuators: int) -> bytes:
+    """Returns one integer, actuator k at bit k, as packed states of so many actuators."""
+    return bits.to_bytes((actuators + 7) // 8, "little")

@@ -1,0 +1,239 @@
+"""Messages from the executor to a client."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from controller.program.parts import Index, Message, Mode, Number, Seconds, States, Text
+
+
+class Welcome(Message, frozen=True, tag="welcome"):
+    """The answer to `Hello`.
+
+    Attributes:
+        digest: SHA-256 of the arm's file, in hexadecimal; a planner with another file must not drive this executor.
+        instance: random number of this run of the executor.
+        counts: switches of each actuator so far.
+        program: the greatest number of a program or stream so far; a planner counts on from here.
+    """
+
+    version: int
+    arm: Text
+    digest: Text
+    instance: Number
+    counts: tuple[Number, ...]
+    program: Number
+
+
+class Goodbye(Message, frozen=True, tag="goodbye"):
+    """The client is not served, and why; the executor closes the connection."""
+
+    reason: Text
+
+
+class Answer(Message, frozen=True, tag="answer"):
+    """The answer to a request."""
+
+    request: Number
+    accepted: bool
+    message: Text
+
+
+class Accepted(Message, frozen=True, tag="accepted"):
+    """The program runs.
+
+    Attributes:
+        program: its number.
+        begin: its zero of time [s].
+    """
+
+    program: Number
+    begin: Seconds
+
+
+class Declined(Message, frozen=True, tag="declined"):
+    """The program does not run.
+
+    Attributes:
+        program: its number.
+        cause: "moved" asks to plan again from the latest snapshot; others are final.
+        reason: a sentence.
+    """
+
+    program: Number
+    cause: Literal["moved", "epoch", "mode", "locked", "malformed"]
+    reason: Text
+
+
+class Replaced(Message, frozen=True, tag="replaced"):
+    """Whether a replacement was taken."""
+
+    program: Number
+    generation: Number
+    accepted: bool
+
+
+class Begun(Message, frozen=True, tag="begun"):
+    """A stage of a program was switched.
+
+    Attributes:
+        program: its number.
+        stage: index.
+        switches: actuators switched by the program so far.
+    """
+
+    program: Number
+    stage: Number
+    switches: Number
+
+
+class Settled(Message, frozen=True, tag="settled"):
+    """A mark of a program is settled. Marks that were left out because they were late are not reported.
+
+    Attributes:
+        program: its number.
+        mark: as in its stage.
+        measured: packed states.
+        known: packed, 1 where the state is known.
+        switches: actuators switched by the program so far.
+        stages: stages taken since the mark before.
+        planned: whether all stages since the mark before were taken as planned.
+    """
+
+    program: Number
+    mark: Index
+    measured: States
+    known: States
+    switches: Number
+    stages: Number
+    planned: bool
+
+
+class Ended(Message, frozen=True, tag="ended"):
+    """The one result of a program; sent again to each new planner until it is acknowledged.
+
+    Attributes:
+        result: its number, for `Acknowledge`.
+        program: of the program.
+        context: as in the program.
+        status: "done" if its last mark has settled.
+        message: a sentence on the reason.
+        mark: the last mark reached, -1 if none.
+        switches: actuators switched.
+        measured: packed states.
+        known: packed, 1 where the state is known.
+    """
+
+    result: Number
+    program: Number
+    context: bytes
+    status: Literal["done", "canceled", "replaced", "aborted"]
+    message: Text
+    mark: Index
+    switches: Number
+    measured: States
+    known: States
+
+
+class Counted(Message, frozen=True, tag="counted"):
+    """Switches of each actuator so far; comes before each `Ended`, and when the executor ends."""
+
+    counts: tuple[Number, ...]
+
+
+class Question(Message, frozen=True, tag="question"):
+    """Asks what a stage touches, from actuator states nobody planned; the arm holds until `Clearance`."""
+
+    question: Number
+    start: States
+    stage: States
+
+
+class Fault(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """An active fault or warning: a stable code, its source, and a sentence."""
+
+    code: Text
+    source: Text
+    message: Text
+
+
+class Snapshot(Message, frozen=True, tag="snapshot"):
+    """The state of the executor, 20 times a second and on each change.
+
+    Attributes:
+        at: when it was taken [s].
+        mode: of the executor.
+        reason: a sentence on the mode.
+        epoch: a number that grows with each cancel, halt, reset, fault and boot.
+        outputs: packed outputs of the boards, as last switched.
+        measured: packed states from end-stops, else outputs.
+        known: packed, 1 where the measured state is known; outputs count as known only if all boards are up.
+        sensed: packed, 1 where there is an end-stop.
+        locked: packed, 1 where the actuator is locked.
+        locks: number that grows with each change of `locked`.
+        moving: whether an actuator may be on its way.
+        free_at: when the last stage has settled, by travel time [s].
+        program: number of the running program, -1 if none.
+        mark: its last mark reached, -1 if none.
+        stream: number of the stream that is followed, -1 if none.
+        faults: active faults and warnings.
+    """
+
+    at: Seconds
+    mode: Mode
+    reason: Text
+    epoch: Number
+    outputs: States
+    measured: States
+    known: States
+    sensed: States
+    locked: States
+    locks: Number
+    moving: bool
+    free_at: Seconds
+    program: Annotated[int, Meta(ge=-1)]
+    mark: Index
+    stream: Annotated[int, Meta(ge=-1)]
+    faults: Annotated[tuple[Fault, ...], Meta(max_length=100)]
+
+
+class Diagnostics(Message, frozen=True, tag="diagnostics"):
+    """Health of loop, buses and boards, once a second.
+
+    Attributes:
+        at: when it was taken [s].
+        loop: ticks, longest_period, mean_work, longest_work, overruns of the last second, and lateness.
+        buses: one mapping for each bus, fields of BusStatus.
+        boards: one mapping for each board, fields of BoardStatus.
+        real_time: "off", "on", or what is missing, in a sentence.
+        counts: switches of each actuator so far.
+        waits: periods in which the arm held because a clearance was not known.
+        dropped: snapshots that were dropped because the socket was full.
+    """
+
+    at: Seconds
+    loop: dict[str, float]
+    buses: list[dict[str, str | int | float | dict[str, float]]]
+    boards: list[dict[str, str | int | float | None]]
+    real_time: Text
+    counts: tuple[Number, ...]
+    waits: Number
+    dropped: Number
+
+
+Up = (
+    Welcome
+    | Goodbye
+    | Answer
+    | Accepted
+    | Declined
+    | Replaced
+    | Begun
+    | Settled
+    | Counted
+    | Ended
+    | Question
+    | Snapshot
+    | Diagnostics
+)
