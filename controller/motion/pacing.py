@@ -1,6 +1,8 @@
 """The pace of transitions: as many stages as there is time for, none above the bound on the inrush."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +30,18 @@ class Staged:
 
     Attributes:
         stages: actuator states that each stage ends in, shape (k, A); k is at least 1, and 1 where nothing switches.
-        excursion: greatest distance of the tip from the straight line; None: not known.
+        reckoned: the excursion, or a function that reckons it: a goal must not wait for what only its feedback tells.
         strict: whether the stages keep clear of something, so that none may be left out or taken with another.
     """
 
     stages: NDArray[np.uint8]
-    excursion: float | None
+    reckoned: float | Callable[[], float] | None
     strict: bool = False
+
+    @cached_property
+    def excursion(self) -> float | None:
+        """Greatest distance of the tip from the straight line; None: not known."""
+        return self.reckoned() if callable(self.reckoned) else self.reckoned
 
 
 @dataclass(frozen=True)
@@ -166,12 +173,16 @@ class Pace:
 
 def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:
     """Returns a transition in one stage."""
+    return Staged(manipulator.actuator_states(after)[None], lambda: excursion_at_once(manipulator, before, after))
+
+
+def excursion_at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> float:
+    """Returns the excursion of a transition in one stage."""
     transition = build_transition(manipulator, before, after)
-    everything, excursion = np.arange(len(transition.actuators)), 0.0
-    if len(everything):
-        known = replace(transition, unknown=SKIPPED)
-        excursion = max(known.greatest(known.masks([]), everything), 0.0)
-    return Staged(manipulator.actuator_states(after)[None], excursion)
+    if not len(transition.actuators):
+        return 0.0
+    known = replace(transition, unknown=SKIPPED)
+    return max(known.greatest(known.masks([]), np.arange(len(transition.actuators))), 0.0)
 
 
 def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDArray[np.uint8]:

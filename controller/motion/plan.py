@@ -115,7 +115,7 @@ def plan(
         proceed()
         goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
         if trajectory.between(k) and (same := held(solutions[-1], position, tolerance)) is not None:
-            transitions.append(replace(transitions[-1], stages=transitions[-1].stages[-1:], excursion=0.0))
+            transitions.append(replace(transitions[-1], stages=transitions[-1].stages[-1:], reckoned=0.0))
             solutions.append(same)
             continue
         left = max(until - time.perf_counter(), 0.0)

@@ -26,12 +26,17 @@ class PointStages:
     Attributes:
         point: index in the trajectory; the mark of the last stage.
         stages: at least one.
-        excursion: greatest distance of the tip from the straight line meanwhile; None: not known.
+        transition: of which they are.
     """
 
     point: int
     stages: tuple[Stage, ...]
-    excursion: float | None
+    transition: Staged
+
+    @property
+    def excursion(self) -> float | None:
+        """Greatest distance of the tip from the straight line meanwhile; None: not known."""
+        return self.transition.excursion
 
     @property
     def end(self) -> bytes:
@@ -74,7 +79,7 @@ def point_stages(
         )
         for k, states in enumerate(packed)
     )
-    return PointStages(point, stages, transition.excursion)
+    return PointStages(point, stages, transition)
 
 
 def stages_from(
