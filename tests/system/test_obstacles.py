@@ -42,6 +42,14 @@ def keep_out(client: Observer, *regions: object) -> str:
     return str(answer["message"])
 
 
+@pytest.fixture
+def client(client: Observer) -> Observer:
+    """The client of an arm that has gone home: where the arm is at a place depends on where it came from."""
+    assert client.send("goal", waypoints=[{"configuration": "0" * 16}], id="home")["accepted"]
+    assert client.result("home")["status"] == "succeeded"
+    return client
+
+
 def least_room(arm: Arm, rows: list[np.ndarray], shapes: list[Region]) -> float:
     """How near the arm may have come while its actuators went from each of the rows to the next as they liked."""
     chance, away = np.random.default_rng(0), np.inf
