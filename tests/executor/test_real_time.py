@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from controller.executor import real_time
-from controller.executor.real_time import enter_real_time, leave_real_time
+from controller.executor.real_time import enter_real_time, leave_real_time, shorten_slice
 from controller.settings import RealTimeSettings
 
 
@@ -42,6 +42,15 @@ def locked() -> int:
 
 def test_nothing_is_asked_by_default() -> None:
     assert (enter_real_time(None), policy()) == ("off", os.SCHED_OTHER)
+
+
+def test_short_turns_change_neither_policy_nor_niceness() -> None:
+    def ask() -> None:
+        before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+        shorten_slice()
+        assert (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)) == before
+
+    in_thread(ask)
 
 
 @pytest.mark.parametrize("by_unit", [False, True])
