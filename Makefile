@@ -43,6 +43,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.obstacle_transitions
 	$(BIN)/python -m tests.benchmarks.daemon
 	$(BIN)/python -m tests.benchmarks.real_time
+	$(BIN)/python -m tests.benchmarks.load
 	$(BIN)/python -m tests.benchmarks.steps
 
 fuzz: $(VENV)/installed
