@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +21,9 @@ _UNSUPPORTED, _WRITE_ONLY, _READ_ONLY = 0x0601_0000, 0x0601_0001, 0x0601_0002
 _NO_OBJECT, _NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 _NOT_MAPPABLE, _TOO_LONG, _WRONG_LENGTH, _WRONG_VALUE = 0x0604_0041, 0x0604_0042, 0x0607_0010, 0x0609_0030
 _PDOS = (0x1400, 0x1800)
+
+# The library logs each SDO, and a traceback for each malformed one, which anybody on the bus can send.
+logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
 
 
 @functools.cache

@@ -17,16 +17,20 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-# Runs by target and engine; a run of "daemon" and "board" holds many frames. What atheris keeps is replayed after it.
+# Runs by target and engine; one of "executor", "packets" and "board" holds many inputs. What atheris keeps is replayed.
 JOBS = [
-    [("daemon", "atheris", 8_000), ("daemon", "replay", 1_500)],
+    [("executor", "atheris", 8_000), ("executor", "replay", 1_500)],
     [("goal", "atheris", 100_000), ("goal", "replay", 8_000)],
     [("arm", "atheris", 5_000), ("arm", "replay", 1_500)],
-    [("daemon", "hypothesis", 4_000)],
+    [("executor", "hypothesis", 4_000)],
+    [("packets", "atheris", 8_000), ("packets", "replay", 1_500)],
     [("setpoint", "atheris", 150_000), ("setpoint", "replay", 20_000)],
     [("board", "atheris", 20_000), ("board", "replay", 5_000)],
     [("notation", "atheris", 100_000), ("notation", "replay", 50_000)],
     [("goal", "hypothesis", 10_000)],
+    [("packets", "hypothesis", 4_000)],
+    [("jog", "atheris", 50_000), ("jog", "replay", 20_000)],
+    [("jog", "hypothesis", 5_000)],
     [("setpoint", "hypothesis", 10_000)],
     [("arm", "hypothesis", 3_000)],
     [("notation", "hypothesis", 10_000)],

@@ -1,4 +1,4 @@
-"""Frames, ordered by a string of bytes, into the daemon and its boards in every state."""
+"""Frames, ordered by a string of bytes, into the executor and its boards in every state."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import struct
 import can
 from hypothesis import strategies as st
 
-from controller.daemon.events import Cancel, Reset, Stop
-from drivers.cia301 import frame
+from controller.program import Cancel, Halt, Reset
+from drivers.canopen.cia301 import Frame
 from drivers.simulation.actuator import Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
-from tests.fuzz.world import COMMANDS, NODES, Flood, Journal, Moved, World
+from tests.fuzz.judge import Flood, Moved
+from tests.fuzz.world import COMMANDS, NODES, World
 
 SIZE = 12  # bytes of one act: kind, identifier, length, data
 BASES = (0x080, 0x180, 0x200, 0x280, 0x300, 0x580, 0x600, 0x700)
@@ -20,7 +21,7 @@ IDS = [*(base + node for node in NODES for base in BASES), 0x000, 0x080, 0x77F, 
 OBJECTS = (0, 0x1000, 0x6200, 0x6000, 0x1800, 0x1017, 0x1400, 0x1A00)  # that the driver asks for
 LENGTHS = (0, 1, 2, 3, 8, 12, 16, 20, 24, 32, 48, 64)  # of FD frames
 ERRORS = (0x004, 0x040, 0x100, 0x020, 0x204)
-LINES = 40  # most journal lines between two starts of the boards: one a source and code, and the modes
+LINES = 40  # most lines of the log between two boots of the boards: one a source and code, and the modes
 
 
 def message(kind: int, number: int, length: int, data: bytes) -> can.Message:
@@ -48,30 +49,28 @@ def acts(data: bytes) -> list[tuple[int, int, int, bytes]]:
     return [(a[0], a[1] | a[2] << 8, a[3] % 9, a[4:]) for a in cut]
 
 
-class Daemon:
-    """The daemon's control loop, its driver and its boards. It lives on; each input ends with an arm that is ready."""
+class Boards:
+    """The executor's core, its master and its boards. They live on; each input ends with an arm that is ready."""
 
     def __init__(self) -> None:
         self.world = World()
-        logging.getLogger().addHandler(self.world.journal)
-        logging.getLogger().setLevel(logging.INFO)
         self.syncs = 0
 
     def __call__(self, data: bytes) -> int:
         world, frames = self.world, 0
-        world.journal.lines, before, starts = 0, world.syncs, world.starts
+        world.lines, before, boots = 0, world.judge.syncs, world.boots
         for kind, number, length, body in acts(data):
             match kind:
                 case 0xF0 | 0xF1 | 0xF2 | 0xF3:
                     world.go(1 + min(number % 12, number >> 8 & 15))
                 case 0xF4 | 0xF5:
-                    world.goal(*((body[k] & 7, body[k + 1] & 7) for k in range(0, 2 * (1 + length % 4), 2)))
+                    world.program(*(body[k] & 0x3F for k in range(1 + length % 4)))
                     world.go(1)
                 case 0xF6:
-                    world.request((Cancel, Stop)[number % 2])
+                    world.send(Halt(1) if number % 2 else Cancel(1, None, "canceled"))
                     world.go(1)
                 case 0xF7 | 0xF8:
-                    world.request(Reset)
+                    world.send(Reset(1))
                     world.go(2)
                 case 0xF9 | 0xFA | 0xFB | 0xFC:
                     frames += 1
@@ -87,10 +86,22 @@ class Daemon:
                         world.go(1)
         world.check_outputs()
         world.recover()
-        self.syncs += world.syncs - before
-        if world.journal.lines > LINES * (world.starts - starts + 2):
-            raise Flood(f"{world.journal.lines} lines of {frames} frames, the last: {world.journal.last}")
+        self.syncs += world.judge.syncs - before
+        if world.lines > LINES * (world.boots - boots + 2):
+            raise Flood(f"{world.lines} lines of {frames} frames, the last: {world.last}")
         return frames
+
+
+class Lines(logging.Handler):
+    """Counts the lines of the log."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.count, self.last = 0, ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.count += 1
+        self.last = record.getMessage()
 
 
 class Firmware:
@@ -99,16 +110,16 @@ class Firmware:
     def __init__(self) -> None:
         self.actuators = [Actuator("a", 0.02), Actuator("b", 0.02)]
         wired = [Wired(self.actuators[0], 0, 0), Wired(self.actuators[1], 9, 9)]
-        self.board = SimulatedBoard(NODES[0], wired, lambda cob_id, data: self.heard.append(frame(cob_id, data)))
-        self.heard: list[can.Message] = []
+        self.board = SimulatedBoard(NODES[0], wired, lambda cob_id, data: self.heard.append(Frame(cob_id, data)))
+        self.heard: list[Frame] = []
         self.now = 0.0
-        self.journal = Journal()
-        logging.getLogger().addHandler(self.journal)
+        self.log = Lines()
+        logging.getLogger().addHandler(self.log)
         logging.getLogger().setLevel(logging.INFO)
 
     def __call__(self, data: bytes) -> int:
         board, frames, commanded = self.board, 0, False
-        self.journal.lines = 0
+        self.log.count = 0
         self.now += 1.0
         board.power_cut(self.now)
         board.power_on(self.now)
@@ -130,8 +141,8 @@ class Firmware:
         self.heard.clear()
         if not commanded and self._switches() != before:
             raise Moved("outputs were switched by frames that no board listens to")
-        if self.journal.lines:
-            raise Flood(f"{self.journal.lines} lines of {frames} frames, the last: {self.journal.last}")
+        if self.log.count:
+            raise Flood(f"{self.log.count} lines of {frames} frames, the last: {self.log.last}")
         return frames
 
     def _switches(self) -> list[int]:

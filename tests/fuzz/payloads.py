@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
-import random
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 from hypothesis import strategies as st
 
 from controller.commands.common import parse_goal
 from controller.config import load
+from controller.executor.arm import read_arm
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion import bias, degrade, goal, obstacles, setpoint
+from controller.motion import bias, degrade, goal, jog, obstacles, setpoint
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.pacing import Pace
 from controller.obstacles.notation import MOST
 from controller.strict import InputFaults
+from tests.fuzz.requests import NOW
 
-NOW = 1_800_000_000.0
 LONGEST = 2 * goal.LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
 
 
@@ -38,7 +35,10 @@ def told(sentence: str) -> None:
 def read_goal(data: bytes) -> int:
     """A goal, for a planar arm."""
     try:
-        it = goal.schedule(goal.parse(data), dimension=2, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW)
+        parsed = goal.parse(data)
+        it = goal.schedule(
+            parsed, dimension=2, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW, manipulator=ARMS[0]
+        )
     except Refusal as error:
         assert error.code in (INVALID_GOAL, OLD_HEADER_TIMESTAMP)  # noqa: PT017 - no test
         told(str(error))
@@ -49,6 +49,19 @@ def read_goal(data: bytes) -> int:
     assert (np.diff(it.times) > 0).all()
     assert ((it.tolerances > 0) & (it.tolerances < 1e7)).all()
     assert it.waypoints[-1] == len(it.times) - 1
+    assert all(len(states) == len(ARMS[0].actuators) for states in it.fixed.values())
+    return 1
+
+
+def read_jog(data: bytes) -> int:
+    """Actuators that are to be switched."""
+    try:
+        it = jog.decode(data, LABELS)
+    except Refusal as error:
+        told(str(error))
+        return 1
+    assert it
+    assert all(0 <= k < len(LABELS) and state in (0, 1) for k, state in it.items())
     return 1
 
 
@@ -111,6 +124,7 @@ def arm_of(*states: int) -> Manipulator:
 
 
 ARMS = (arm_of(8, 8, 2), arm_of(12, 2, 2))
+LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
 
 
 def read_notation(data: bytes) -> int:
@@ -141,14 +155,17 @@ class ReadArm:
         try:
             self.path.write_bytes(data)
             arm = load(self.path)
+            executed = read_arm(self.path) if arm.wiring else None
         except InputFaults as error:
             assert error.faults  # noqa: PT017 - no test
             for fault in error.faults:
                 assert "\n" not in fault, fault
                 told(fault)
+            self._executor_reads()
             return 1
         finally:
             self.path.unlink(missing_ok=True)
+        assert executed is None or executed.actuators == arm.manipulator.actuators, "the two processes agree"
         assert np.isfinite(arm.manipulator.frames).all()
         assert len(arm.wiring) in (0, len(arm.manipulator.actuators))
         assert np.isfinite(arm.weights()).all()
@@ -156,151 +173,12 @@ class ReadArm:
         assert arm.clearance().blocked(np.zeros((1, len(arm.manipulator.modules)), dtype=int)).shape == (1,)
         return 1
 
+    def _executor_reads(self) -> None:
+        """The executor reads the file without its geometry: it raises nothing else."""
+        with contextlib.suppress(InputFaults):
+            read_arm(self.path)
 
-# --- right ones
 
-GOAL: dict[str, Any] = {
-    "id": "a-1",
-    "stamp": NOW + 1,
-    "waypoints": [{"t": 0.0, "position": [0.55, 2.9]}, {"t": 0.5, "position": [0.5, 2.8]}],
-    "tolerance": {"position": 0.002},
-}
-LINE: dict[str, Any] = {**GOAL, "path_tolerance": 0.01}
-SETPOINT: dict[str, Any] = {"position": [0.55, 2.9, 0.1], "stamp": NOW, "tolerance": {"position": 0.002}}
-DEGRADE: dict[str, Any] = {"actuator": "5.left", "state": 0}
-MEASURED_TIP: dict[str, Any] = {"position": [0.55, 2.9], "stamp": NOW, "orientation": 0.1}
-OBSTACLES: dict[str, Any] = {
-    "regions": [
-        {"disc": {"centre": [1.0, 2.0], "radius": 0.3}, "name": "pillar"},
-        {"box": {"centre": [-1, 1], "size": [0.4, 0.2], "angle": 0.5}},
-        {"half_plane": {"point": [0, -0.2], "normal": [0, 1]}, "name": "floor"},
-    ]
-}
-OBSTACLES_IN_SPACE: dict[str, Any] = {
-    "regions": [
-        {"sphere": {"centre": [1.0, 2.0, 0.5], "radius": 0.3}},
-        {"box": {"centre": [-1, 1, 2], "size": [0.4, 0.2, 1], "orientation": [0, 0.6, 0, 0.8]}},
-        {"half_space": {"point": [0, 0, -0.2], "normal": [0, 0, 1]}},
-    ]
-}
-ARM: dict[str, Any] = {
-    "name": "short",
-    "modules": [
-        {"type": "vgt", "count": 2, "width": 0.2, "lengths": [0.2, 0.25], "first_diagonal": "BC"},
-        {"type": "vgt", "width": 0.2, "lengths": {"left": [0.2, 0.25], "diagonal": [0.3, 0.35], "right": [0.2, 0.25]}},
-        {"type": "transforms", "states": [{"position": [0, 0.2]}, {"position": [0.1, 0.2], "orientation": 0.5}]},
-    ],
-    "base": {"position": [0.5, 0.25], "orientation": 0.1},
-    "tolerance": {"position": 0.002},
-    "inrush": 4,
-    "obstacles": [*OBSTACLES["regions"]],
-    "body_radius": 0.01,
-    "self_collision": True,
-    "weights": {"base": 2, "wear": 1},
-    "workspace": {"pixel": 0.01, "memory": 512},
-    "buses": [{"name": "can0", "channel": "can0", "bitrate": 500000}],
-    "boards": {"heartbeat": 0.1, "heartbeat_timeout": 0.35, "on_loss": "hold"},
-    "actuators": [
-        *(
-            {"module": m + 1, "actuator": name, "bus": "can0", "node": m + 1, "output": k, "input": k}
-            for m in range(3)
-            for k, name in enumerate(("left", "diagonal", "right"))
-        ),
-        {"module": 4, "actuator": "1", "bus": "can0", "node": 4, "output": 0},
-    ],
-}
-SPATIAL = {
-    "name": "s",
-    "modules": [{"type": "transforms", "states": [{"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}] * 2}],
-    "tolerance": {"position": 1},
-    "obstacles": [*OBSTACLES_IN_SPACE["regions"]],
-}
 NOTATIONS = ["071", "0,7,1", "11,0,1", " 0,1,1\n", "0.55,2.9", "1e-3,-2", "-1,0,0", "1_0,1,1", "٣,0,1", "9" * 5000]
-
-
-def written(value: Any) -> bytes:
-    """As JSON, which is YAML, too."""
-    return json.dumps(value).encode()
-
-
-def plain(value: Any) -> bytes:
-    """As YAML without aliases."""
-    return yaml.safe_dump(json.loads(json.dumps(value)), default_flow_style=None).encode()
-
-
-# --- gone wrong
-
-AWKWARD: list[Any] = [
-    None, True, False, 0, -1, 1, 2, 63, 64, 126, 127, 10_000, 10_001, 1 << 64, -(1 << 63), 10**400,
-    0.0, -0.0, 1e-9, 5e-324, 1e6, 1e308, -1e308, float("nan"), float("inf"), -float("inf"),
-    "", "a", "1", "nan", "can0", "vgt", "\ud800", "x" * 2000, "\0", "\n", [], {}, [[]], [0, 0], [1, 2, 3, 4], {"": 0},
-]  # fmt: skip
-
-
-def places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """The paths of all parts of a value."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    return [at, *(path for key, part in inner for path in places(part, (*at, key)))]
-
-
-def spoil(value: Any, chance: random.Random) -> Any:
-    """Returns a value with one part of it changed, left out, doubled, misnamed, moved or nested."""
-    value = json.loads(json.dumps(value))
-    path = chance.choice(places(value))
-    if not path:
-        return chance.choice([value, [value], *AWKWARD])
-    *way, key = path
-    room = value
-    for step in way:
-        room = room[step]
-    match chance.randrange(8):
-        case 0:
-            del room[key]
-        case 1 if isinstance(room, list):
-            room[key:key] = [room[key]] * chance.choice([1, 2, 9])
-        case 1 | 2 if isinstance(room, dict):
-            room[chance.choice([f"{key}s", "", "type", "count", "\ud800"])] = room[key]
-        case 3:
-            room[key] = [room[key]]
-        case 4 if isinstance(room[key], int | float) and not isinstance(room[key], bool):
-            room[key] *= chance.choice([-1, 0.5, 2, 1000, 1e-12, 1e12])
-        case _:
-            room[key] = chance.choice(AWKWARD)
-    return value
-
-
-def spoiler(*right: Any) -> Callable[[bytes, random.Random], bytes]:
-    """What spoils a payload that is JSON once or more, or else one of the right values."""
-
-    def spoiled(data: bytes, chance: random.Random) -> bytes:
-        try:
-            value = json.loads(data)
-            places(value)
-        except (ValueError, RecursionError):
-            value = chance.choice(right)
-        for _ in range(chance.choice([1, 1, 1, 2, 4])):
-            try:
-                value = spoil(value, chance)
-            except (ValueError, OverflowError, RecursionError):  # JSON with numbers that cannot be written again
-                value = chance.choice(right)
-        return written(value)
-
-    return spoiled
-
-
-def wrong(*right: Any) -> st.SearchStrategy[bytes]:
-    """Payloads: right values spoiled, text of them cut and pasted, and any bytes."""
-    spoiled = spoiler(*right)
-    seeds = [written(value) for value in right]
-    values = st.builds(
-        lambda seed, number: spoiled(seed, random.Random(number)), st.sampled_from(seeds), st.integers(0)
-    )
-    torn = st.builds(
-        lambda data, at, length, other: data[: at % len(data)] + other + data[at % len(data) + length :],
-        st.sampled_from(seeds), st.integers(0, 10_000), st.integers(0, 40), st.binary(max_size=8),
-    )  # fmt: skip
-    return values | torn | st.binary(max_size=200)
-
-
 texts = st.sampled_from(NOTATIONS) | st.text("0123456789,-+._ e", max_size=12) | st.text(max_size=12)
 notations = texts.map(lambda text: text.encode("utf-8", "surrogatepass"))

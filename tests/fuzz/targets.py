@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from tests.fuzz import frames, payloads
+from tests.fuzz import frames, packets, payloads, requests
 
 CORPUS = Path(__file__).with_name("corpus")
 
@@ -42,23 +42,24 @@ class Target:
 
 def request(read: Attack, *right: object) -> Target:
     """Payloads in JSON, as peers send them."""
-    seeds = [payloads.written(value) for value in right]
-    return Target(lambda: read, seeds, payloads.wrong(*right), payloads.spoiler(*right))
+    seeds = [requests.written(value) for value in right]
+    return Target(lambda: read, seeds, requests.wrong(*right), requests.spoiler(*right))
 
 
-ARMS = (payloads.ARM, payloads.SPATIAL)
+ARMS = (requests.ARM, requests.SPATIAL)
 
 TARGETS = {
-    "goal": request(payloads.read_goal, payloads.GOAL, payloads.LINE),
-    "setpoint": request(payloads.read_setpoint, payloads.SETPOINT),
-    "measured_tip": request(payloads.read_measured_tip, payloads.MEASURED_TIP),
-    "degrade": request(payloads.read_degrade, payloads.DEGRADE),
-    "obstacles": request(payloads.read_obstacles, payloads.OBSTACLES, payloads.OBSTACLES_IN_SPACE),
+    "goal": request(payloads.read_goal, requests.GOAL, requests.LINE, requests.CONFIGURATIONS),
+    "jog": request(payloads.read_jog, requests.JOG),
+    "setpoint": request(payloads.read_setpoint, requests.SETPOINT),
+    "measured_tip": request(payloads.read_measured_tip, requests.MEASURED_TIP),
+    "degrade": request(payloads.read_degrade, requests.DEGRADE),
+    "obstacles": request(payloads.read_obstacles, requests.OBSTACLES, requests.OBSTACLES_IN_SPACE),
     "arm": Target(
         payloads.ReadArm,
-        [text(arm) for arm in ARMS for text in (payloads.written, payloads.plain)],
-        payloads.wrong(*ARMS),
-        payloads.spoiler(*ARMS),
+        [text(arm) for arm in ARMS for text in (requests.written, requests.plain)],
+        requests.wrong(*ARMS),
+        requests.spoiler(*ARMS),
         size=3000,
     ),
     "notation": Target(
@@ -67,6 +68,7 @@ TARGETS = {
         payloads.notations,
         size=100,
     ),
-    "daemon": Target(frames.Daemon, frames.SEEDS, frames.any_acts, size=150 * frames.SIZE),
+    "executor": Target(frames.Boards, frames.SEEDS, frames.any_acts, size=150 * frames.SIZE),
+    "packets": Target(packets.Packets, packets.SEEDS, packets.any_packets, size=3000),
     "board": Target(frames.Firmware, frames.SEEDS, frames.any_acts, size=150 * frames.SIZE),
 }

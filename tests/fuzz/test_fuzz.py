@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 
-import can
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from drivers import cia301
-from drivers.boards import Boards
-from tests.fuzz.frames import KNOWN, act
+from controller.executor.events import Log
+from controller.program import Setpoint, pack
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Frame
+from tests.fuzz.frames import KNOWN, Boards, act
+from tests.fuzz.judge import Flood, Moved
 from tests.fuzz.targets import TARGETS
-from tests.fuzz.world import Flood, Moved, World
+from tests.fuzz.world import World
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +35,9 @@ def test_seeds_and_what_was_found(name):
         attack(data)
 
 
-@pytest.mark.parametrize(("name", "examples"), [("daemon", 60), ("board", 300), ("arm", 100), ("obstacles", 300)])
+@pytest.mark.parametrize(
+    ("name", "examples"), [("executor", 60), ("packets", 60), ("board", 300), ("arm", 100), ("obstacles", 300)]
+)
 def test_hypothesis_finds_nothing(name, examples):
     attack = TARGETS[name].build()
 
@@ -48,41 +52,45 @@ def test_hypothesis_finds_nothing(name, examples):
 # --- what would be found
 
 
-def test_a_frame_that_no_goal_asks_for_is_found(monkeypatch):
-    attack = TARGETS["daemon"].build()
-    boards = attack.world.boards
-    monkeypatch.setattr(boards, "hold", lambda: attack.world.can.send(cia301.frame(cia301.SYNC)))
-    with pytest.raises(Moved, match="080h  was sent in mode starting without a goal"):
-        attack(act(0xF6, 1) + act(0xF7))
+def test_a_frame_that_no_goal_asks_for_is_found():
+    world = World()
+    with pytest.raises(Moved, match="080h  was sent in mode ready without a goal"):
+        world.judge.judge(Frame(cia301.SYNC), world.core)
+
+
+def test_states_that_no_goal_asks_for_are_found():
+    world = World()
+    world.program(0b000001)
+    world.judge.judge(Frame(cia301.RPDO1 + 5, bytes([0b000011])), world.core)
+    with pytest.raises(Moved, match=r"000011 was switched, \['000001'\] are asked for"):
+        world.judge.judge(Frame(cia301.SYNC), world.core)
 
 
 def test_outputs_that_differ_from_what_was_switched_are_found():
     world = World()
-    world.simulation.board("can0/5").wired[0].actuator.drive(1, world.now)
-    with pytest.raises(Moved, match=r"the outputs are \[1, 0, 0, 0, 0, 0\], switched to \[0, 0"):
+    world.boards.board("can0/5").wired[0].actuator.drive(1, world.now)
+    with pytest.raises(Moved, match="the outputs are 000001, switched to 000000"):
         world.check_outputs()
 
 
 def test_a_line_a_frame_is_found(monkeypatch):
-    attack = TARGETS["daemon"].build()
-    receive = attack.world.can._receive
-
-    def tell(message: can.Message) -> None:
-        logging.getLogger("test").warning("%s", message)
-        receive(message)
-
-    monkeypatch.setattr(attack.world.can, "_receive", tell)
+    attack = Boards()
+    step = attack.world.core.step
+    monkeypatch.setattr(attack.world.core, "step", lambda event, now: [*step(event, now), Log(logging.INFO, "told")])
     with pytest.raises(Flood):
         attack(act(KNOWN, 3, 8) * 100)
 
 
-def test_a_goal_is_carried_out_in_between(monkeypatch):
-    commits = []
-    commit = Boards.commit
-    monkeypatch.setattr(Boards, "commit", lambda self, states, now: (commits.append(1), commit(self, states, now)))
-    attack = TARGETS["daemon"].build()
-    assert attack(act(0xF4, 0, 3, b"\1\2\3\4\5\6") + act(0xF0, 0x0F0B) * 4) == 0
+def test_programs_and_setpoints_are_carried_out_in_between():
+    attack = Boards()
+    assert attack(act(0xF4, 0, 3, b"\1\2\4\3\5\6") + act(0xF0, 0x0F0B) * 4) == 0
     assert attack.syncs == 4
-    assert attack.world.loop.mode == "ready"
-    assert attack.world.drives().tolist() == attack.world.boards.outputs().tolist()
-    assert len(commits) == 4
+    world = attack.world
+    assert world.core.modes.mode == "ready"
+    number, epoch = world.core._requests.greatest + 1, world.core.modes.epoch
+    start, stages = pack(world.master.outputs, 6), (pack(0b111000, 6),)
+    world.send(Setpoint(number, epoch, start, stages, world.now + 1.0, False, "following"))
+    world.go(3)
+    assert world.boards.drives() == [0, 0, 0, 1, 1, 1]
+    assert world.core.modes.mode == "executing"
+    world.recover()

@@ -1,0 +1,131 @@
+"""What an executor may send on its bus: what keeps boards alive and boots them, and what accepted programs switch."""
+
+from __future__ import annotations
+
+from controller.executor.core import Executor
+from controller.program import (
+    Accepted,
+    Down,
+    Ended,
+    Program,
+    Replaced,
+    Replacement,
+    Setpoint,
+    Stage,
+    Up,
+    unpack,
+)
+from drivers.canopen import cia301
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.wiring import MASTER, Wiring
+
+STREAM = -1  # in place of a program's number
+
+
+class Moved(AssertionError):
+    """Something was switched, or sent, that no accepted program asked for."""
+
+
+class Wedged(AssertionError):
+    """After all trouble was over, a reset did not bring the arm up."""
+
+
+class Flood(AssertionError):
+    """The log grew with the frames."""
+
+
+class Judge:
+    """Knows which states programs and set-points ask for, and refuses all else.
+
+    Attributes:
+        asked: actuator states by number of the program.
+        syncs: how many were judged.
+    """
+
+    def __init__(self, wiring: Wiring) -> None:
+        self._wiring = wiring
+        self._rpdos = {cia301.RPDO1 + channel.node for channel in wiring.channels}
+        self.asked: dict[int, set[int]] = {}
+        self.syncs = 0
+        self._proposed: dict[int, list[Program | Replacement]] = {}
+        self._ended: set[int] = set()
+        self._latched: dict[int, bytes] = {}
+
+    def begin(self, executing: bool) -> None:
+        """Forgets what has ended before this event."""
+        for number in self._ended:
+            self.asked.pop(number, None)
+        self._ended = set() if executing else {STREAM}
+
+    def clear(self) -> None:
+        """Forgets everything that was asked for."""
+        self.asked.clear()
+        self._proposed.clear()
+        self._latched.clear()
+
+    def proposed(self, message: Down) -> None:
+        """Notes what the planner sends."""
+        match message:
+            case Program():
+                self._proposed[message.program] = [message]
+            case Replacement():
+                self._proposed.setdefault(message.program, []).append(message)
+            case Setpoint():
+                self._ended.discard(STREAM)
+                self.asked.setdefault(STREAM, set()).update(unpack(states) for states in message.stages)
+            case _:
+                pass
+
+    def heard(self, message: Up) -> None:
+        """Notes what the executor answers to the planner."""
+        match message:
+            case Accepted():
+                self.asked[message.program] = self._states(message.program)
+            case Replaced(accepted=True):
+                self.asked[message.program] |= self._states(message.program)
+            case Ended():
+                self._ended.add(message.program)
+            case _:
+                pass
+
+    def judge(self, frame: Frame, core: Executor) -> None:
+        """Refuses a frame of the executor that it may not send now.
+
+        Raises:
+            Moved: it may not.
+        """
+        cob_id, data = frame
+        if cob_id == cia301.HEARTBEAT + MASTER:
+            return
+        if cob_id in self._rpdos and self.asked:
+            self._latched[cob_id] = data
+            return
+        if cob_id == cia301.SYNC and self.asked:
+            self.syncs += 1
+            self._judge_states(self._sent(core._master.outputs), ~core._locked.mask)
+            return
+        sdo = cob_id & 0x780 == cia301.SDO_REQUEST
+        if sdo and data[0] in (0x40, 0x80):  # to read, and to abort
+            return
+        if core._master.booting and (cob_id == cia301.NMT or sdo):
+            if sdo and data[1:3] == b"\x00\x62" and data[0] & 0xE0 == 0x20:
+                raise Moved("outputs were written by SDO")
+            return
+        raise Moved(f"{cob_id:03X}h {data.hex()} was sent in mode {core.modes.mode} without a goal that asks for it")
+
+    def _judge_states(self, sent: int, free: int) -> None:
+        asked = set[int]().union(*self.asked.values())
+        if sent & free not in {states & free for states in asked}:
+            raise Moved(f"{sent:06b} was switched, {[f'{states:06b}' for states in asked]} are asked for")
+
+    def _sent(self, outputs: int) -> int:
+        """The states in the frames sent last; of boards that were sent none, what the master took over from them."""
+        for cob_id, data in self._latched.items():
+            for k, channel in enumerate(self._wiring.channels):
+                if cia301.RPDO1 + channel.node == cob_id:
+                    outputs = outputs & ~(1 << k) | (data[0] >> channel.output & 1) << k
+        return outputs
+
+    def _states(self, program: int) -> set[int]:
+        stages: list[Stage] = [stage for message in self._proposed[program] for stage in message.stages]
+        return {unpack(stage.states) for stage in stages}
