@@ -33,6 +33,7 @@ from tests.waiting import eventually
 
 RATE, TURN = 200.0, 2.0  # [Hz] of set-points, [s] with and without
 GOAL_EVERY = 0.33, 0.4  # [s], drawn anew for each
+ANSWERED = 15.0  # [s] after the last goal, for answers and results
 WAYPOINTS, STEP, FLOODS = 40, 0.1, 3
 LONGEST_PERIOD, LONGEST_STOP, NEARLY_ALL = 0.012, 0.010, 0.95  # bars: [s], [s], share of stops
 
@@ -96,6 +97,8 @@ def main() -> None:
         began = time.monotonic()
         goals = load(parts, options.seconds)
         ended = time.monotonic()
+        mode = client.state["mode"]
+        client.reset()  # the machine may have stood still for so long that the boards were without the executor
         curve = flooded(parts, client)
         puts = stop_often(parts, client, options.stops)
     accepted, results = goals.accepted, sum(goals.results[goal] for goal in goals.accepted)
@@ -118,7 +121,8 @@ def main() -> None:
         "period": figures(periods),
         "long periods of an empty loop": int((bare > LONGEST_PERIOD).sum()),
         "period of an empty loop": figures(bare),
-        "goals": {"sent": goals.sent, "accepted": len(accepted), "results": results, **goals.statuses},
+        "goals": {"sent": goals.sent, "answers": len(goals.answers), "accepted": len(accepted)}
+        | {"results": results, "mode at the end": mode, **goals.statuses},
         "curve": curve,
         "stop": figures(stops),
         "stops within the bar": prompt,
@@ -139,7 +143,9 @@ def load(parts: Parts, seconds: float) -> Goals:
             goals.send()
         k += 1
         time.sleep(max(began + k / RATE - time.monotonic(), 0.0))
-    eventually(lambda: goals.complete)
+    until = time.monotonic() + ANSWERED
+    while not goals.complete and time.monotonic() < until:
+        time.sleep(0.1)
     return goals
 
 
