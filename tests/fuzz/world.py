@@ -120,17 +120,13 @@ class World:
 
     # --- time
 
-    def tick(self) -> None:
-        """Lets one period pass for all."""
-        self.now += PERIOD
-        self.boards.step(self.now)
-        self.send(Alive())
-        self.do(Tick())
-
     def go(self, ticks: int = 1) -> None:
-        """Lets time pass."""
+        """Lets so many periods pass for all."""
         for _ in range(ticks):
-            self.tick()
+            self.now += PERIOD
+            self.boards.step(self.now)
+            self.send(Alive())
+            self.do(Tick())
 
     # --- the planner
 
@@ -166,18 +162,21 @@ class World:
         self.dirty |= standard and it.arbitration_id in COMMANDS
         means_nothing = not (standard or it.is_error_frame)
         wrong_length = standard and it.arbitration_id in TPDOS and it.dlc != 1
+        self._hear_all()
         before = self.master.measured, self.master.known
         self.wire.waiting.append(it)
-        for event in self.wire.poll():
-            self.do(event)
+        self._hear_all()
         if means_nothing and (self.master.measured, self.master.known) != before:
             raise AssertionError(f"taken for the state of a board: {it}")
         if wrong_length and self.master.measured != before[0]:
             raise AssertionError(f"taken for inputs: {it}")
         if standard:
             self.boards.receive("can0", Frame(it.arbitration_id, bytes(it.data)), self.now)
-            for event in self.wire.poll():
-                self.do(event)
+            self._hear_all()
+
+    def _hear_all(self) -> None:
+        for event in self.wire.poll():
+            self.do(event)
 
     def arm_ambush(self, mode: int, index: int, data: bytes) -> None:
         """Has an SDO answer of a stranger meet the master's next question for an object, 0 any."""
