@@ -20,7 +20,7 @@ test: check $(VENV)/kernels
 
 # Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed
-	$(BIN)/python -m tests.vm.prepare
+	$(BIN)/python -m tests.vm.prepare $(ARGS)
 
 # Tests on the kernel's CAN and under systemd, in a virtual machine. The part for every check: make vm-test ARGS=--essential
 # Some tests: make vm-test ARGS="tests/system -k reset"

@@ -19,10 +19,13 @@ from pathlib import Path
 import pytest
 
 from tests.vm.boot import BASE
-from tests.vm.prepare import FOLDER, PROJECT, say
+from tests.vm.prepare import ALONE, FOLDER, say
 
-OPTIONS = ["-qq", "-p", "no:cacheprovider", "--bus", "socketcan", "--timeout", "600", "--color=no"]
+OPTIONS = ["-qq", "-p", "no:cacheprovider", "--timeout", "600", "--color=no"]
+ON_CAN = ["--bus", "socketcan"]
+WITHOUT_KERNELS = ["--noconftest"]  # tests/conftest.py imports them, for half a minute
 PROCESSES = 3  # that share the tests outside of tests/vm
+SERVICE_CACHE = Path("/var/cache/private/hyperbit")
 VERDICT = Path("/dev/port"), 0xF4  # isa-debug-exit: QEMU ends with twice the byte that is written there, plus 1
 
 
@@ -75,8 +78,8 @@ class Share:
 
 
 def circumstances() -> str:
-    """Returns the end of the journal and the busiest processes."""
-    commands = ["journalctl --no-pager --lines 60", "ps -eo pcpu,time,args --sort -time --columns 120"]
+    """Returns the end of the services' journal and the busiest processes."""
+    commands = ["journalctl --no-pager --lines 60 --unit hyperbit*", "ps -eo pcpu,time,args --sort -time --columns 120"]
     done = [subprocess.run(words.split(), capture_output=True, text=True).stdout for words in commands]
     return "\n".join([done[0], *done[1].splitlines()[:8]])
 
@@ -112,17 +115,17 @@ def main() -> None:
     arguments = (FOLDER / "arguments").read_text().splitlines()
     paths = [argument for argument in arguments if argument.startswith("tests")]
     options = [argument for argument in arguments if argument not in paths]
-    alone = [path for path in paths if path.startswith("tests/vm")]
+    alone = [path for path in paths if path.startswith(ALONE)]
     shared = [path for path in paths if path not in alone]
     codes = []
     if shared:
         importlib.import_module("tests.vm.compile")
-        codes.append(run(PROCESSES, [*options, *shared]))
+        codes.append(run(PROCESSES, [*ON_CAN, *options, *shared]))
     if alone:
-        codes.append(run(1, [*options, *alone]))
-    for path in FOLDER.glob("cache/**/*.nbc"):
+        codes.append(run(1, [*WITHOUT_KERNELS, *options, *alone]))
+    for path in chain(FOLDER.glob("cache/**/*.nbc"), SERVICE_CACHE.glob("**/*.nbc")):
         if path.stat().st_mtime > (FOLDER / "arguments").stat().st_mtime:
-            say(f"compiled here, which is slow: {path.relative_to(PROJECT)}")
+            say(f"compiled here, which is slow: {path}")
     path, port = VERDICT
     with path.open("r+b", buffering=0) as ports:
         ports.seek(port)

@@ -1,6 +1,8 @@
 """Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches it would fill too slowly.
 
-python -m tests.vm.prepare
+python -m tests.vm.prepare [--essential]
+
+With `--essential`, only what `python -m tests.vm.boot --essential` needs is prepared.
 """
 
 import os
@@ -9,15 +11,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 PROJECT = Path(__file__).parents[2]
 FOLDER = PROJECT / "build" / "vm"
 HERE = Path(__file__).parent
+ALONE = "tests/vm"  # tests of the installed services, which need the machine for themselves
+TESTS = [ALONE, "tests/system"]
 
-# In the order in which they were asked for; what they need comes before them.
+# Of the kernel, in this order; modules that they depend on are added before them.
 MODULES = (
     *("virtio_pci", "virtio_rng", "9pnet_virtio", "9p", "overlay"),
     *("can", "can_raw", "vcan", "sch_tbf", "sch_prio", "sch_plug"),
@@ -34,17 +38,19 @@ NEEDED = {
 
 
 class Missing(Exception):
-    """What is missing, in one line."""
+    """This computer lacks something, which the text names in one line."""
 
 
-def prepare(robot: bool) -> None:
-    """Makes what is not there yet.
+def prepare(tests: Sequence[str]) -> None:
+    """Makes what is missing or out of date for tests.
+
+    Those in tests/vm need the installed services; the others need the project's compiled kernels.
 
     Args:
-        robot: whether the machine shall be a robot's computer, with the service installed.
+        tests: paths of tests.
 
     Raises:
-        Missing: something it needs is not on this computer.
+        Missing: this computer lacks something.
     """
     lacking = [package for tool, package in NEEDED.items() if not shutil.which(tool, path=search_path())]
     if lacking:
@@ -52,10 +58,13 @@ def prepare(robot: bool) -> None:
     (FOLDER / "robot").mkdir(parents=True, exist_ok=True)
     if older(FOLDER / "initrd", [HERE / "init", HERE / "prepare.py"]):
         pack()
-    parts = [warm]
-    if robot and older(FOLDER / "robot.installed", [HERE / "robot.sh", HERE / "compile.py", *installed()]):
+    parts: list[Callable[[], None]] = []
+    if any(not path.startswith(ALONE) for path in tests):
+        parts.append(warm)
+    sources = [HERE / "robot.sh", HERE / "compile.py", *installed()]
+    if any(path.startswith(ALONE) for path in tests) and older(FOLDER / "robot.installed", sources):
         parts.append(install)
-    with ThreadPoolExecutor() as pool:  # both compile for long, each on one processor
+    with ThreadPoolExecutor() as pool:  # each compiles on one processor
         for part in [pool.submit(part) for part in parts]:
             part.result()
 
@@ -65,7 +74,7 @@ def search_path() -> str:
 
 
 def older(made: Path, sources: Iterable[Path]) -> bool:
-    """Whether a file is not there, or from before one of its sources changed."""
+    """Returns whether a file is missing, or older than one of its sources."""
     return not made.exists() or made.stat().st_mtime < max(source.stat().st_mtime for source in sources)
 
 
@@ -139,21 +148,21 @@ def in_order(unpacked: Path) -> list[Path]:
 
 
 def warm() -> None:
-    """Fills the caches of bytecode and kernels, for any processor: nothing is to be compiled in the machine."""
+    """Fills the project's caches of bytecode and kernels, for any processor: the machine would compile for minutes."""
     say("filling the caches of compiled code")
     cache = FOLDER / "cache"
     settings = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(cache / "numba"), "XDG_CACHE_HOME": str(cache)}
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | settings
     bin = Path(sys.executable).parent
-    run([str(bin / "pytest"), "--collect-only", "-qq", "-p", "no:cacheprovider"], env=environment)
-    run([str(bin / "hyperbit"), "map", "deploy/planar16.yaml"], env=environment)
+    run([str(bin / "python"), "-m", "tests.vm.compile"], env=environment)
+    run([str(bin / "pytest"), "--collect-only", "-qq", "-p", "no:cacheprovider", *TESTS], env=environment)
 
 
 def install() -> None:
-    """Installs the service as on a robot's computer."""
+    """Installs the services as on a robot's computer."""
     if os.geteuid() != 0:
-        raise Missing("root is needed to install the service: sudo make vm-test")
-    say("installing the service")
+        raise Missing("root is needed to install the services: sudo make vm-test")
+    say("installing the services")
     run(["unshare", "--mount", "sh", str(HERE / "robot.sh"), str(FOLDER / "robot")])
     (FOLDER / "robot.installed").touch()
 
@@ -171,6 +180,6 @@ def run(command: list[str], folder: Path = PROJECT, env: dict[str, str] | None =
 
 if __name__ == "__main__":
     try:
-        prepare(robot=True)
+        prepare([ALONE] if "--essential" in sys.argv else TESTS)
     except Missing as error:
         sys.exit(f"vm-test: cannot run: {error}")

@@ -1,7 +1,6 @@
 """The robot's computer in the virtual machine: its services, its commands and its bus."""
 
 import itertools
-import json
 import os
 import re
 import subprocess
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import can
+
+from controller.planning.ledger_file import read
 
 ARM = Path("/etc/hyperbit/arm.yaml")
 PLANNER, EXECUTOR = "hyperbit", "hyperbit-executor"  # services
@@ -35,10 +36,9 @@ def hyperbit(*words: str | Path, prefix: Sequence[str] = ()) -> str:
     return done.stdout
 
 
-def wear() -> dict[str, Any]:
-    """Returns the ledger as `hyperbit wear` reports it."""
-    found: dict[str, Any] = json.loads(hyperbit("wear", ARM, "--json"))
-    return found
+def ledger() -> tuple[dict[str, int], list[dict[str, Any]]]:
+    """Returns the switches of each actuator by the planner's ledger, and the goals, newest first."""
+    return read(STATE[PLANNER] / "planar16.sqlite")
 
 
 def systemctl(*words: str) -> str:

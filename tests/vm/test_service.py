@@ -18,17 +18,19 @@ import can
 import pytest
 import zenoh
 
-from controller.config import Arm
 from controller.gateway import session
 from controller.gateway.client import Client, Message
 from tests import vcan
+from tests.system import arms
 from tests.system.observer import Observer
-from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.vm import robot
 from tests.vm.prepare import PROJECT
 from tests.vm.robot import ARM, EXECUTOR, PLANNER, disturbances, drain, hyperbit, pid, shown, syncs, systemctl
 from tests.waiting import SLOWNESS, eventually
 
+LEFT, MIDDLE, RIGHT = (0.4, 2.9), (0.55, 2.9), (3.0, 0.7)
+HOUR = 3600.0
+PATIENCE = 1.0 * SLOWNESS  # of the boards for a heartbeat of the master [s]
 UPGRADED = {"actuator": "1.left", "switches": 1000}  # in the ledger that robot.sh left from the version of one service
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534")
 
@@ -39,9 +41,11 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def can0(arm_file: Path) -> Iterator[vcan.Interface]:
+def can0() -> Iterator[vcan.Interface]:
     """The robot's bus. The arm's file has the times of a slow machine."""
-    ARM.write_text(arm_file.read_text())
+    times = {"heartbeat_timeout": PATIENCE, "settle_margin": 0.2 * SLOWNESS}
+    bus = {"interface": "socketcan", "channel": "can0"}
+    assert arms.write(ARM.parent, "planar", "planar16", bus, {"boards": times}) == ARM
     interface = vcan.Interface("can0")
     interface.make()
     yield interface
@@ -81,12 +85,6 @@ def client() -> Iterator[Observer]:
         yield Observer(Client(stack.enter_context(eventually(connect)), "planar16"))
 
 
-@pytest.fixture
-def patience(arm: Arm) -> float:
-    """How long the boards wait for a heartbeat of the master [s]."""
-    return arm.settings.boards.heartbeat_timeout
-
-
 def comes_up(service: str = PLANNER) -> None:
     """Waits until a service reports a mode, which must be ready."""
     found = eventually(lambda: re.match("(ready|fault|stopped): .*", shown(service, "StatusText")))
@@ -102,12 +100,11 @@ def test_units_are_confined() -> None:
     assert robot.exposure(PLANNER) <= 1.6
 
 
-def test_boards_are_asked_before_the_services_run(arm: Arm, frames: can.BusABC) -> None:
+def test_boards_are_asked_before_the_services_run(frames: can.BusABC) -> None:
     drain(frames)
     boards = json.loads(hyperbit("check", ARM, "--bus", "--json"))["boards"]
-    answers = [board["answer"] for board in boards]
-    count = len({(channel.bus, channel.node) for channel in arm.wiring})
-    assert answers == ["device type 00030191h, error register 00h"] * count
+    nodes = {channel["node"] for channel in arms.planar()["actuators"]}
+    assert [board["answer"] for board in boards] == ["device type 00030191h, error register 00h"] * len(nodes)
     assert {frame.arbitration_id & 0x780 for frame in drain(frames)} == {robot.SDO_ANSWER, robot.SDO_REQUEST}
 
 
@@ -131,10 +128,10 @@ def test_goal_is_reached_by_the_frames_on_the_bus(frames: can.BusABC, client: Ob
 
 
 def test_upgrade_keeps_counts_and_goals_of_the_version_of_one_service() -> None:
-    ledger = eventually(lambda: found if len((found := robot.wear())["goals"]) == 3 else None)
-    assert ledger["switches"][UPGRADED["actuator"]] >= UPGRADED["switches"]
-    assert [goal["id"] for goal in ledger["goals"]][:2] == ["old", "first"]
-    assert [goal["status"] for goal in ledger["goals"]] == ["succeeded"] * 3
+    switches, goals = eventually(lambda: found if len((found := robot.ledger())[1]) == 3 else None)
+    assert switches[UPGRADED["actuator"]] >= UPGRADED["switches"]
+    assert goals[-1]["id"] == "old"
+    assert [goal["status"] for goal in goals] == ["succeeded"] * 3
 
 
 def test_both_run_confined_as_users_of_their_own() -> None:
@@ -167,9 +164,7 @@ def test_executor_runs_in_real_time_and_the_planner_does_not(client: Observer) -
     assert eventually(lambda: client.heard["diagnostics"])[-1]["real_time"] == "on"
 
 
-def test_restart_of_the_planner_leaves_boards_operational(
-    frames: can.BusABC, client: Observer, patience: float
-) -> None:
+def test_restart_of_the_planner_leaves_boards_operational(frames: can.BusABC, client: Observer) -> None:
     before, executor, planner = client.wait_now("ready")["measured"], pid(EXECUTOR), pid(PLANNER)
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="never")
     drain(frames)
@@ -177,15 +172,13 @@ def test_restart_of_the_planner_leaves_boards_operational(
     assert client.result("never")["status"] == "aborted"
     comes_up()
     heard = drain(frames)
-    assert (syncs(heard), disturbances(heard, patience)) == ([], [])
+    assert (syncs(heard), disturbances(heard, PATIENCE)) == ([], [])
     assert pid(EXECUTOR) == executor
     assert pid(PLANNER) != planner
     assert client.wait_now("ready")["measured"] == before
 
 
-def test_planner_killed_ends_its_goal_once_and_leaves_boards_operational(
-    frames: can.BusABC, client: Observer, patience: float
-) -> None:
+def test_planner_killed_ends_its_goal_once_and_leaves_boards_operational(frames: can.BusABC, client: Observer) -> None:
     before, executor, planner = client.wait_now("ready")["measured"], pid(EXECUTOR), pid(PLANNER)
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="orphan")
     eventually(lambda: client.state["goal"] == "orphan")
@@ -195,7 +188,7 @@ def test_planner_killed_ends_its_goal_once_and_leaves_boards_operational(
     comes_up()
     assert client.result("orphan")["status"] == "aborted"
     heard = drain(frames)
-    assert (syncs(heard), disturbances(heard, patience)) == ([], [])
+    assert (syncs(heard), disturbances(heard, PATIENCE)) == ([], [])
     assert (pid(EXECUTOR), shown(EXECUTOR, "NRestarts"), shown(PLANNER, "NRestarts")) == (executor, "0", "1")
     assert client.wait_now("ready")["measured"] == before
     client.move(MIDDLE, goal="after the planner was killed")
@@ -205,7 +198,7 @@ def test_executor_killed_moves_nothing_until_a_fresh_goal(frames: can.BusABC, cl
     assert client.goal(LEFT, RIGHT, times=[0.0, HOUR], id="cut")["accepted"]
     eventually(lambda: client.feedback("cut"))
     before, executor, planner = client.wait_now("executing")["measured"], pid(EXECUTOR), pid(PLANNER)
-    counts = robot.wear()["switches"]
+    counts, _ = robot.ledger()
     drain(frames)
     os.kill(executor, signal.SIGKILL)
     assert client.result("cut")["status"] == "aborted"
@@ -218,7 +211,7 @@ def test_executor_killed_moves_nothing_until_a_fresh_goal(frames: can.BusABC, cl
     assert (pid(PLANNER), shown(EXECUTOR, "NRestarts")) == (planner, "1")
     switched = client.move(MIDDLE, goal="after the executor was killed")["switches"]
     assert syncs(drain(frames))
-    eventually(lambda: sum(robot.wear()["switches"].values()) >= sum(counts.values()) + switched)
+    eventually(lambda: sum(robot.ledger()[0].values()) >= sum(counts.values()) + switched)
 
 
 def test_stop_of_the_executor_does_not_fail_the_planner(frames: can.BusABC, client: Observer) -> None:
@@ -234,7 +227,7 @@ def test_stop_of_the_executor_does_not_fail_the_planner(frames: can.BusABC, clie
     assert pid(PLANNER) == planner
 
 
-def test_halt_reaches_the_executor_without_a_planner(frames: can.BusABC, patience: float) -> None:
+def test_halt_reaches_the_executor_without_a_planner(frames: can.BusABC) -> None:
     drain(frames)
     systemctl("stop", PLANNER)
     outsider = [*NOBODY, "--clear-groups", "hyperbit", "halt", "--local", str(ARM)]
@@ -243,7 +236,7 @@ def test_halt_reaches_the_executor_without_a_planner(frames: can.BusABC, patienc
     hyperbit("halt", "--local", ARM, prefix=[*NOBODY, f"--groups={robot.status(EXECUTOR)['Gid'].split()[0]}"])
     eventually(lambda: shown(EXECUTOR, "StatusText").startswith("stopped: "))
     heard = drain(frames)
-    assert (syncs(heard), disturbances(heard, patience)) == ([], [])
+    assert (syncs(heard), disturbances(heard, PATIENCE)) == ([], [])
     systemctl("start", PLANNER)
     eventually(lambda: shown(PLANNER, "StatusText").startswith("stopped: "))
 
@@ -314,14 +307,14 @@ def test_certificates_let_in_whom_their_authority_knows(frames: can.BusABC, tmp_
     assert syncs(drain(frames))
 
 
-def test_stop_of_the_planner_leaves_the_arm_holding(frames: can.BusABC, patience: float) -> None:
+def test_stop_of_the_planner_leaves_the_arm_holding(frames: can.BusABC) -> None:
     executor = pid(EXECUTOR)
     drain(frames)
     systemctl("stop", PLANNER)
     assert state_of(PLANNER) == ["inactive", "success", "0"]
-    time.sleep(2 * patience)
+    time.sleep(2 * PATIENCE)
     heard = drain(frames)
-    assert (syncs(heard), disturbances(heard, patience)) == ([], [])
+    assert (syncs(heard), disturbances(heard, PATIENCE)) == ([], [])
     assert pid(EXECUTOR) == executor
 
 
