@@ -11,9 +11,9 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
 
-# What runs in real time comes last: two of its files at a time leave the processors idle for half of the time. Two
+# What runs in real time comes last, two files at a time, and leaves the processors idle for half of the time. Two
 # processes leave BLAS no threads to gain by.
-REAL_TIME := tests/integration tests/soak
+REAL_TIME := tests/system
 test: check $(VENV)/kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %)
 	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME)
