@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -25,6 +26,10 @@ from controller.planning.planning import Planning
 from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
+
+# Zenoh's threads that receive. A flood on one key blocks the thread of each connection that it comes on; the two of
+# Zenoh's default would soon all be blocked, and a `stop` from another client would wait.
+RECEIVERS = "(rx: (worker_threads: 16))"
 
 
 @contextlib.contextmanager
@@ -56,6 +61,7 @@ def running(
     """
     name = arm.settings.name
     with ExitStack() as closing:
+        os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)
         session = closing.enter_context(zenoh.open(config))
         require_no_other(session, name, connects=connects(config))
         book = Ledger(ledger, arm.manipulator.actuators)

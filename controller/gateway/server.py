@@ -10,6 +10,7 @@ from typing import Protocol
 import zenoh
 
 from controller.gateway.encoding import content
+from controller.gateway.malformed import MalformedGoals
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.motion import codes
@@ -95,7 +96,7 @@ class Server:
     ) -> None:
         self._session, self._outbox, self._goals = session, outbox, goals
         self._prefix = f"hyperbit/{arm}"
-        self._second, self._refusals = 0, 0
+        self._second, self._refusals, self._malformed = 0, 0, MalformedGoals()
         self._declared: list[Declared] = []
         described = {**requests.description(), "daemon": {"host": socket.gethostname(), "pid": os.getpid()}}
         self._command("stop", lambda _, reply: requests.stop(reply), everywhere=True)
@@ -105,7 +106,7 @@ class Server:
         self._command("jog", requests.jog)
         self._command("degrade", requests.degrade)
         self._command("obstacles", requests.obstacles)
-        self._query("plan", requests.plan)
+        self._query("plan", self._well_formed(requests.plan))
         self._query("arm", lambda _, reply: reply(described))
         requests.setpoints(self._latest("setpoint"))
         if tracker:
@@ -134,12 +135,32 @@ class Server:
                 needed = f"{key} must be named, as in {self._prefix}/{key}"
                 reply(refused(codes.INVALID_GOAL, f"{needed}; {name[:200]} does not name it"))
             elif key == "goal":
-                self._goals.take(content(payload), content(attached), reply, lambda *goal: carry_out(take, *goal))
+                self._take_goal(take, content(payload), content(attached), reply)
             else:
                 carry_out(take, content(payload), reply)
 
         self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
         self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", on_put))
+
+    def _take_goal(self, take: Take, payload: bytes, request: bytes, reply: Reply) -> None:
+        """Hands on a goal that is well-formed and new; others are answered here, and take no place in any queue."""
+
+        def take_once(payload: bytes, reply: Reply) -> None:
+            self._goals.take(payload, request, reply, lambda *goal: carry_out(take, *goal))
+
+        self._well_formed(take_once)(payload, reply)
+
+    def _well_formed(self, take: Take) -> Take:
+        """Returns a function that hands on payloads which decode as goals, and refuses others."""
+
+        def take_well_formed(payload: bytes, reply: Reply) -> None:
+            refusal = self._malformed.refusal(payload)
+            if refusal is None:
+                take(payload, reply)
+            else:
+                reply(refusal)
+
+        return take_well_formed
 
     def _query(self, key: str, take: Take) -> None:
         """Answers queries on `key`."""

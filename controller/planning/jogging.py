@@ -17,6 +17,8 @@ from controller.planning.reports import JogReport
 from controller.planning.running_goal import RunningGoal
 from controller.program import Program, Stage
 
+Switches = dict[int, int]  # states by actuator
+
 UNCHECKED = "; nobody knows what the arm touches meanwhile, as it is in no configuration"
 
 
@@ -31,15 +33,19 @@ class Jogging:
     def __init__(self, arm: Arm, keep_out: KeepOut) -> None:
         self._manipulator, self._keep_out, self._pace = arm.manipulator, keep_out, pace_of(arm)
 
-    def maker(self, payload: bytes, reply: Reply) -> Callable[[ArmState, int, int], RunningGoal]:
-        """Returns what makes the program of a request from the arm's state, with a number and an epoch.
-
-        What is made raises Refusal if an actuator is locked or would touch something.
+    def decode(self, payload: bytes) -> Switches:
+        """Returns the actuators of a request and their states.
 
         Raises:
             Refusal: the request is malformed.
         """
-        wanted = decode(payload, self._manipulator.actuators)
+        return decode(payload, self._manipulator.actuators)
+
+    def maker(self, wanted: Switches, reply: Reply) -> Callable[[ArmState, int, int], RunningGoal]:
+        """Returns what makes the program of a request from the arm's state, with a number and an epoch.
+
+        What is made raises Refusal if an actuator is locked or would touch something.
+        """
         name = f"jog-{uuid.uuid4().hex[:8]}"
 
         def make(state: ArmState, number: int, epoch: int) -> RunningGoal:
@@ -48,7 +54,7 @@ class Jogging:
         return make
 
     def _program(
-        self, state: ArmState, number: int, epoch: int, wanted: dict[int, int], name: str, reply: Reply
+        self, state: ArmState, number: int, epoch: int, wanted: Switches, name: str, reply: Reply
     ) -> RunningGoal:
         labels, current = self._manipulator.actuators, self._keep_out.current
         for k in wanted:

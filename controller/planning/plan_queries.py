@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import check_size, parse
+from controller.motion.goal import GoalMessage, parse
 from controller.planning.goal_planning import GoalPlanning
 from controller.planning.improvement import Improvement
 from controller.planning.messages import CLOSING, Reply, refused
@@ -27,7 +27,7 @@ class PlanQuery:
     """A goal that is only asked about; `received` in UNIX seconds."""
 
     reply: Reply
-    payload: bytes
+    message: GoalMessage
     received: float
 
 
@@ -59,9 +59,9 @@ class PlanQueries:
         return self._queue.qsize()
 
     def submit(self, payload: bytes, reply: Reply) -> None:
-        """Takes a query, or refuses it at once when it is too large or too many wait."""
+        """Takes a query, or refuses it at once when it is malformed or too many wait."""
         try:
-            check_size(len(payload))
+            message = parse(payload)
             if self._closing:
                 raise Refusal(codes.INVALID_GOAL, CLOSING)
             if self._queue.qsize() >= MOST_WAITING:
@@ -69,14 +69,12 @@ class PlanQueries:
         except Refusal as refusal:
             reply(refused(refusal.code, str(refusal)))
         else:
-            self._queue.put(PlanQuery(reply, payload, time.time()))
+            self._queue.put(PlanQuery(reply, message, time.time()))
 
     def _run(self) -> None:
         while (query := self._queue.get()) is not None:
-            goal = None
+            goal = query.message.id or uuid.uuid4().hex[:12]
             try:
-                message = parse(query.payload)
-                goal = message.id or uuid.uuid4().hex[:12]
                 self._serve(query)
             except Refusal as refusal:
                 query.reply(refused(refusal.code, str(refusal), goal))
@@ -98,7 +96,7 @@ class PlanQueries:
             return self._closing or self._busy() or not self._queue.empty()
 
         proceed()
-        trajectory = self._planning.trajectory(parse(query.payload), query.received)
+        trajectory = self._planning.trajectory(query.message, query.received)
         found = self._planning.plan(trajectory, proceed, run=False)
         plan = found.plan
         if self._planning.arm.settings.method == "minimum-switch":

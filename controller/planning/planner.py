@@ -9,20 +9,22 @@ from dataclasses import dataclass
 
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import check_size, parse
+from controller.motion.goal import GoalMessage, parse
 from controller.planning.admission import Admission, Ticket
 from controller.planning.goal_planning import GoalPlanning, Planned, stages_of
 from controller.planning.goal_programs import GoalPrograms
 from controller.planning.goals import RunningGoals
 from controller.planning.improvement import Improvement
-from controller.planning.jogging import Jogging
+from controller.planning.jogging import Jogging, Switches
 from controller.planning.keep_out import CollisionError
+from controller.planning.limited_log import LimitedLog
 from controller.planning.messages import BARRED, CLOSING, Payload, Reply, refused
 from controller.planning.monitor import ArmMonitor
 from controller.planning.running_goal import RunningGoal
 from controller.planning.sending import ProgramSender
 
 log = logging.getLogger(__name__)
+refusals = LimitedLog(log)
 
 MOST_WAITING = 16
 REPLANS = 3  # of a goal whose first stages touch something from where the arm has moved on to
@@ -31,13 +33,12 @@ IDLE = 0.02  # [s] without a request, after which the planner prepares for one
 
 @dataclass(frozen=True, eq=False)
 class GoalRequest:
-    """A payload to plan and run, or actuators to switch; `received` in UNIX seconds."""
+    """A goal to plan and run, or the states that actuators are to be switched to; `received` in UNIX seconds."""
 
     ticket: Ticket
     reply: Reply
-    payload: bytes
+    wanted: GoalMessage | Switches
     received: float
-    jog: bool = False
 
 
 class Planner:
@@ -84,9 +85,9 @@ class Planner:
         return self._queue.qsize()
 
     def submit(self, payload: bytes, reply: Reply, jog: bool = False) -> None:
-        """Takes a request, or refuses it at once when it is too large or too many wait."""
+        """Takes a request, or refuses it at once when it is malformed or too many wait."""
         try:
-            check_size(len(payload))
+            wanted = self._jogging.decode(payload) if jog else parse(payload)
             if self._closing:
                 raise Refusal(codes.INVALID_GOAL, CLOSING)
             if self._queue.qsize() >= MOST_WAITING:
@@ -94,7 +95,7 @@ class Planner:
         except Refusal as refusal:
             reply(refused(refusal.code, str(refusal)))
         else:
-            self._queue.put(GoalRequest(self._admission.arrive(), reply, payload, time.time(), jog))
+            self._queue.put(GoalRequest(self._admission.arrive(), reply, wanted, time.time()))
 
     # --- the thread
 
@@ -105,7 +106,7 @@ class Planner:
                 self._proceed(request)
                 self._serve(request, goal)
             except Refusal as refusal:
-                log.info("goal %s refused: %s", *(goal or ["?"]), refusal)
+                refusals.info("goal %s refused: %s", *(goal or ["?"]), refusal)
                 request.reply(refused(refusal.code, str(refusal), *goal))
             except Exception:
                 log.exception("planning failed")
@@ -145,10 +146,10 @@ class Planner:
             raise Refusal(codes.INVALID_GOAL, BARRED)
 
     def _serve(self, request: GoalRequest, named: list[str]) -> None:
-        if request.jog:
-            self._sender.send(request.ticket, self._jogging.maker(request.payload, self._accepting(request)))
+        message = request.wanted
+        if not isinstance(message, GoalMessage):
+            self._sender.send(request.ticket, self._jogging.maker(message, self._accepting(request)))
             return
-        message = parse(request.payload)
         goal = message.id or uuid.uuid4().hex[:12]
         named.append(goal)
         trajectory = self._planning.trajectory(message, request.received)

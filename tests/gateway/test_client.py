@@ -60,7 +60,7 @@ def test_a_name_that_nobody_serves_is_said_to_be_so(gateway: Gateway) -> None:
 def test_a_request_that_takes_too_long_is_not_asked_again(gateway: Gateway) -> None:
     gateway.planning.holding.set()
     with pytest.raises(Unanswered):
-        gateway.client().request("plan", timeout=0.5)
+        gateway.client().request("plan", {"waypoints": []}, timeout=0.5)
     assert [key for key, _ in gateway.planning.heard] == ["plan"]
 
 

@@ -11,12 +11,14 @@ from controller.gateway import server as module
 from controller.gateway.encoding import content
 from tests.gateway.conftest import ARM, PATIENCE, Gateway, eventually
 
+BLOCK = zenoh.CongestionControl.BLOCK
 PREFIX = f"hyperbit/{ARM}"
 NAMED_ONLY = ("goal", "jog", "reset", "degrade", "obstacles")
 EVERYWHERE = ("stop", "cancel")
+GOAL = b'{"id": "x", "waypoints": []}'
 
 
-def asked(session: zenoh.Session, key: str, payload: bytes = b"{}") -> list[dict[str, Any]]:
+def asked(session: zenoh.Session, key: str, payload: bytes = GOAL) -> list[dict[str, Any]]:
     """The answers to a get."""
     replies = session.get(key, payload=payload, target=zenoh.QueryTarget.ALL, timeout=PATIENCE)
     return [json.loads(content(reply.ok.payload)) for reply in replies if reply.ok is not None]
@@ -24,17 +26,17 @@ def asked(session: zenoh.Session, key: str, payload: bytes = b"{}") -> list[dict
 
 @pytest.mark.parametrize("key", [*NAMED_ONLY, *EVERYWHERE, "plan"])
 def test_a_query_that_names_its_key_is_carried_out(gateway: Gateway, key: str) -> None:
-    (answer,) = asked(gateway.other(), f"{PREFIX}/{key}", b'{"id": "x"}')
+    (answer,) = asked(gateway.other(), f"{PREFIX}/{key}")
     assert answer["accepted"] is (key != "degrade")
     assert [heard for heard, _ in gateway.planning.heard] == [key]
     if key not in (*EVERYWHERE, "reset"):
-        assert gateway.planning.heard[0][1] == b'{"id": "x"}'
+        assert gateway.planning.heard[0][1] == GOAL
 
 
 @pytest.mark.parametrize("key", [*NAMED_ONLY, *EVERYWHERE])
 def test_a_put_that_names_its_key_is_carried_out_and_only_refusals_are_published(gateway: Gateway, key: str) -> None:
     results = gateway.results()
-    gateway.other().put(f"{PREFIX}/{key}", b"{}")
+    gateway.other().put(f"{PREFIX}/{key}", GOAL)
     eventually(lambda: [heard for heard, _ in gateway.planning.heard] == [key])
     if key == "degrade":
         eventually(lambda: results)
@@ -50,7 +52,7 @@ def test_a_wildcard_carries_out_nothing_that_can_move_an_arm(gateway: Gateway, k
     expression = expression.format(key)
     answers = [answer for answer in asked(session, expression) if "must be named" in answer.get("message", "")]
     assert any(f"{key} must be named, as in {PREFIX}/{key}; {expression} does not" in a["message"] for a in answers)
-    session.put(expression, b"{}")
+    session.put(expression, GOAL)
     eventually(lambda: any(f"{key} must be named" in result.get("message", "") for result in results))
     assert not {heard for heard, _ in gateway.planning.heard} & set(NAMED_ONLY)
 
@@ -109,10 +111,24 @@ def test_a_stop_overtakes_goals_that_wait(gateway: Gateway) -> None:
     gateway.planning.holding.set()
     session = gateway.other()
     for number in range(50):
-        session.put(f"{PREFIX}/goal", str(number))
+        session.put(f"{PREFIX}/goal", f'{{"id": "{number}", "waypoints": []}}')
     eventually(lambda: len(gateway.planning.waiting) == 50)
     gateway.planning.holding.clear()
     assert client.request("stop", timeout=PATIENCE)["accepted"]
+
+
+def test_malformed_goals_reach_nobody_and_a_good_one_after_a_flood_does(gateway: Gateway) -> None:
+    results, session = gateway.results(), gateway.other()
+    for _ in range(500):
+        session.put(f"{PREFIX}/goal", b'{"waypoints": [{"position": [NaN, 1]}]}', congestion_control=BLOCK)
+    session.put(f"{PREFIX}/goal", GOAL)
+    eventually(lambda: gateway.planning.heard)
+    assert gateway.planning.heard == [("goal", GOAL)]
+    (answer,) = asked(session, f"{PREFIX}/plan", b"{")
+    assert not answer["accepted"]
+    assert gateway.planning.heard == [("goal", GOAL)]
+    gateway.reached()
+    assert results[0]["message"] == "waypoints[0].position[0]: nan is not a finite number"
 
 
 def test_a_flood_of_bad_puts_is_not_published_in_full(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
