@@ -51,11 +51,16 @@ class Judge:
         self._ended: set[int] = set()
         self._latched: dict[int, bytes] = {}
 
-    def begin(self, executing: bool) -> None:
+    def begin(self) -> None:
         """Forgets what has ended before this event."""
         for number in self._ended:
             self.asked.pop(number, None)
-        self._ended = set() if executing else {STREAM}
+        self._ended.clear()
+
+    def end(self, executing: bool) -> None:
+        """Forgets set-points that are not followed after this event."""
+        if not executing:
+            self.asked.pop(STREAM, None)
 
     def clear(self) -> None:
         """Forgets everything that was asked for."""
@@ -71,7 +76,6 @@ class Judge:
             case Replacement():
                 self._proposed.setdefault(message.program, []).append(message)
             case Setpoint():
-                self._ended.discard(STREAM)
                 self.asked.setdefault(STREAM, set()).update(unpack(states) for states in message.stages)
             case _:
                 pass

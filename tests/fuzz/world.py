@@ -95,7 +95,7 @@ class World:
 
     def do(self, event: Any) -> None:
         """Brings an event to the core, and all that comes of it."""
-        self.judge.begin(self.core.modes.mode == "executing")
+        self.judge.begin()
         events = deque([event])
         while events:
             actions = self.core.step(events.popleft(), self.now)
@@ -104,6 +104,7 @@ class World:
             events += self.wire.poll()
         self.boots += self.master.booting and not self._booting
         self._booting = self.master.booting
+        self.judge.end(self.core.modes.mode == "executing")
 
     def _act(self, action: Action) -> None:
         match action:

@@ -218,6 +218,6 @@ def free_port() -> int:
 
 def settled(observer: Observer) -> bool:
     """Whether the arm is as a test expects to find it: ready, with nothing left of a test before."""
-    state = observer.wait_now("ready") if observer.state["mode"] == "ready" else observer.state
+    state = observer.next_state()
     clean = not state["faults"] and not state["degraded"] and state["goal"] is None
     return state["mode"] == "ready" and clean and observer.ask("obstacles", regions=[])["accepted"]

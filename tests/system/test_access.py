@@ -193,7 +193,7 @@ def test_a_flood_is_thinned_out_and_holds_up_nobody(seen: Seen, client: Observer
     tries = itertools.count()
     eventually(lambda: client.goal(MIDDLE, id=f"goal {next(tries)}")["accepted"])  # a slow planner is busy at first
     assert client.result(client.accepted[-1])["status"] == "succeeded"
-    eventually(lambda: seen.all.count(("goal", b"{}")) > 1)
+    assert len(seen.all) < sent, "most of them reach nobody"
     session.put(f"{PREFIX}/stop", b"")  # never thinned out
     session.put(f"{PREFIX}/cancel", b"")
     client.wait_now("stopped")

@@ -105,7 +105,7 @@ def test_neither_process_outlives_the_other(
     process: subprocess.Popen[bytes], client: Observer, kill: Callable[[subprocess.Popen[bytes]], None]
 ) -> None:
     (executor,) = children(process)
-    assert client.client.alive()
+    eventually(lambda: client.client.alive())
     kill(process)
     assert process.wait(PATIENCE) != 0
     eventually(lambda: not os.path.exists(f"/proc/{executor}"))

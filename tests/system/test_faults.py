@@ -83,8 +83,11 @@ def test_after_a_fault_planning_starts_from_what_was_measured(client: Observer, 
     assert state["measured"][arm.manipulator.actuators.index(label)] == state_now
     planned = client.ask("plan", waypoints=[{"position": LEFT}])["waypoints"][0]
     assert planned["switches"] == np.count_nonzero(states_at(client, arm, LEFT) != state["measured"])
-    boards.fault("release", label)
+    loose = time.time()
+    boards.fault("release", label)  # its output is on still: it moves, which is told
+    client.wait_fault("unexpected-motion", loose)
     eventually(lambda: np.isin(boards.positions(), (0, 1)).all())
+    client.reset()
 
 
 def test_a_silent_board_is_a_fault_and_when_it_is_heard_again_the_arm_is_ready(
