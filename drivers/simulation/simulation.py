@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.firmware import SimulatedBoard
 
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault acts soon
 
 
@@ -25,25 +27,31 @@ class Port:
 
     def __init__(self, settings: BusSettings) -> None:
         self._settings = settings
+        self._failed = False
         self._bus: can.BusABC | None = self._open()
 
     def receive(self, patience: float) -> can.Message | None:
         """Returns the next frame, or None if there is none for so long [s]."""
         try:
+            if self._failed:  # a kernel tells a socket once only that its interface is gone, also if it sends
+                self.close()
+                self._failed, self._bus = False, None
             if self._bus is None:
                 self._bus = self._open()
             return self._bus.recv(patience)
         except (can.CanError, OSError):  # the interface is down or gone: the boards live on and hear nothing
             self.close()
-            self._bus = None  # a kernel tells a socket once only that its interface is gone
+            self._bus = None
             time.sleep(patience)
             return None
 
     def send(self, frame: Frame) -> None:
         """Sends a frame if that is possible; a board does not learn whether it was."""
-        if self._bus is not None:
-            with contextlib.suppress(can.CanError, OSError):
-                self._bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+        if (bus := self._bus) is not None:
+            try:
+                bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+            except (can.CanError, OSError) as error:
+                self._failed |= getattr(error, "error_code", None) in _GONE
 
     def close(self) -> None:
         """Shuts the bus."""

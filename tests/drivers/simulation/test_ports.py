@@ -1,0 +1,39 @@
+"""The boards' side of a bus whose interface goes and comes back."""
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from drivers.canopen.cia301 import Frame
+from drivers.canopen.wiring import BusSettings
+from drivers.simulation.simulation import Port
+from tests.emulated import Interface
+from tests.waiting import eventually
+
+
+@pytest.fixture
+def interface() -> Iterator[Interface]:
+    with tempfile.TemporaryDirectory(prefix="can") as folder:  # of a short name, for the socket in it
+        interface = Interface(Path(folder))
+        yield interface
+        interface.close()
+
+
+def test_a_port_whose_board_speaks_first_when_its_interface_is_gone_is_opened_again(interface: Interface) -> None:
+    settings = BusSettings("can0", "emulated", interface.channel)
+    port = Port(settings)
+    interface.delete()
+    port.send(Frame(0x701, b"\5"))  # the only word of its socket that the interface is gone
+    interface.make()
+    port.receive(0.0)
+    with can.Bus(interface="emulated", channel=interface.channel) as other:
+
+        def heard() -> bool:
+            other.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+            return port.receive(0.1) is not None
+
+        eventually(heard)
+    port.close()
