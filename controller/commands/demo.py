@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
+import os
 import queue
 import socket
 import subprocess
@@ -12,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,10 +58,10 @@ def demo(
     reached: dict[str, Configuration] = {}
     with (
         tempfile.TemporaryDirectory() as folder,
-        started(file or shipped("planar16.yaml"), Path(folder)) as endpoint,
+        started(file or shipped("planar16.yaml"), Path(folder)) as (daemon, endpoint),
         connected(arm.settings.name, endpoint, None) as client,
     ):
-        wait_until_ready(client)
+        wait_until_ready(client, daemon.poll)
         for target in targets:
             began = time.perf_counter()
             result = run(client, [{"position": target}], f"target ({written(target)})")
@@ -144,13 +145,18 @@ def stages(arm: Arm) -> int:
 
 
 @contextlib.contextmanager
-def started(file: Path, folder: Path) -> Iterator[str]:
-    """Runs the daemon with simulated boards in a process of its own; gives its Zenoh endpoint."""
+def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Runs the daemon with simulated boards; yields its process and its Zenoh endpoint.
+
+    The folder has its sockets, ledger and log: another daemon of this arm may run on the computer.
+    """
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
     with (folder / "log").open("w+") as log:
-        daemon = subprocess.Popen([*command, "--ledger", str(folder / "ledger.sqlite")], stderr=log, stdout=log)
+        command += ["--ledger", str(folder / "ledger.sqlite")]
+        environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder)}
+        daemon = subprocess.Popen(command, stderr=log, stdout=log, env=environment)
         try:
             until = time.monotonic() + PATIENCE
             while not listening(endpoint):
@@ -159,7 +165,7 @@ def started(file: Path, folder: Path) -> Iterator[str]:
                     errors.print(log.read(), markup=False)
                     raise Failed("the daemon did not start; its log is above")
                 time.sleep(0.05)
-            yield endpoint
+            yield daemon, endpoint
         finally:
             daemon.terminate()
             daemon.wait(PATIENCE)
@@ -173,11 +179,11 @@ def listening(endpoint: str) -> bool:
     return False
 
 
-def wait_until_ready(client: Client) -> None:
-    """Waits for the mode ready.
+def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: None) -> None:
+    """Waits for the mode ready; `ended` returns the exit code of a daemon that has ended.
 
     Raises:
-        Failed: the daemon reports a fault, or nothing.
+        Failed: the daemon reports a fault, or nothing, or has ended.
     """
     states: queue.SimpleQueue[Message] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
@@ -186,6 +192,8 @@ def wait_until_ready(client: Client) -> None:
             state = states.get(timeout=PATIENCE)
             if state["mode"] == "ready":
                 return
+            if (code := ended()) is not None:
+                raise Failed(f"the daemon ended with code {code}")
             if state["mode"] == "fault":
                 raise Failed(f"the daemon reports a fault: {state['reason']}")
     except queue.Empty:

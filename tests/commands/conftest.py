@@ -50,7 +50,7 @@ def spatial(tmp_path):
 def endpoint(tmp_path_factory):
     """Where a daemon in a process of its own, with simulated boards, is ready."""
     folder = tmp_path_factory.mktemp("daemon")
-    with demo.started(ARM, folder) as endpoint:
+    with demo.started(ARM, folder) as (_, endpoint):
         with connected("planar16", endpoint, None) as client:
             demo.wait_until_ready(client)
         yield endpoint
