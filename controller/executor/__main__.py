@@ -20,7 +20,7 @@ from controller.executor.switch_journal import FileJournal, Held, default_path
 from controller.sockets import socket_path
 from controller.strict import InputFaults
 
-PATIENCE = 1.0  # [s] more for simulated boards: they stall with this process, as boards do not
+PATIENCE = 10.0  # [s] more for simulated boards: they stall with this process, as boards do not
 
 
 def main(arguments: list[str] | None = None) -> int:
