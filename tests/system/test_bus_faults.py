@@ -9,6 +9,7 @@ import pytest
 
 from drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
+from tests.system.arms import QUICK
 from tests.system.observer import Observer
 from tests.system.places import LEFT, MIDDLE, RIGHT, other_place
 from tests.system.system import System
@@ -18,6 +19,8 @@ from tests.waiting import SLOWNESS, eventually
 CONTROLLER, PASSIVE, ACTIVE = 0x04, 0x20, 0x40  # class of an error frame and its details, from linux/can/error.h
 
 Interface = emulated.Interface | vcan.Interface
+
+pytestmark = pytest.mark.arm(boards=QUICK)
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ NAME = "demonstrated"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    arms.write(tmp_path, "planar", NAME, {"channel": "can0"}, {})
+    arms.write(tmp_path, "planar", NAME, {"channel": "can0"}, {"boards": arms.QUICK})
     return tmp_path
 
 

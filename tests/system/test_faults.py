@@ -12,11 +12,14 @@ from controller.motion import codes
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Command, Frame, State
 from drivers.simulation.simulation import Simulation
+from tests.system.arms import QUICK
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT, first_to_switch, states_at
 from tests.system.system import System
-from tests.waiting import PATIENCE, eventually
+from tests.waiting import SLOWNESS, eventually
+
+pytestmark = pytest.mark.arm(boards=QUICK)
 
 
 def running(client: Observer, goal: str = "a") -> None:
@@ -189,7 +192,7 @@ def starting(system: System, stop: Callable[[Observer], None]) -> None:
         assert [result["id"] for result in client.heard["result"]] == ["move"]
 
 
-LONG = {"boot_timeout": min(2 * PATIENCE, 120.0)}
+LONG = {"boot_timeout": 120.0 / SLOWNESS}
 
 
 @pytest.mark.fresh
@@ -221,7 +224,7 @@ def test_a_stop_while_starting_stays_until_reset(system: System) -> None:
 
 
 @pytest.mark.fresh
-@pytest.mark.arm(boards={"boot_timeout": 1.0})
+@pytest.mark.arm(boards={**QUICK, "boot_timeout": 1.0})
 def test_a_missing_board_at_start_is_named_and_may_come_later(system: System) -> None:
     def named(client: Observer) -> None:
         state = client.wait_for("fault", "can0/3")

@@ -6,12 +6,13 @@ import pytest
 from controller.config import Arm
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation
+from tests.system.arms import QUICK
 from tests.system.observer import Observer
 from tests.system.places import LEFT, MIDDLE, RIGHT, first_to_switch, tip
 
 NEAR = (0.3, 2.8)
 
-pytestmark = pytest.mark.arm(on_stuck="continue")
+pytestmark = pytest.mark.arm(on_stuck="continue", boards=QUICK)
 
 
 def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(

@@ -10,12 +10,13 @@ import pytest
 from controller.planning.ledger_file import read
 from drivers.canopen import cia301
 from tests import emulated
+from tests.system.arms import QUICK
 from tests.system.lives import Lives
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.system import System
 from tests.waiting import SLOWNESS, eventually
 
-pytestmark = pytest.mark.fresh
+pytestmark = [pytest.mark.fresh, pytest.mark.arm(boards=QUICK)]
 
 KILLS = 20 if SLOWNESS == 1 else 5
 
