@@ -16,7 +16,7 @@ demo: $(VENV)/kernels
 REAL_TIME := tests/system
 test: check $(VENV)/kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %)
-	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME)
+	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS)
 
 # Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed
