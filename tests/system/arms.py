@@ -22,8 +22,8 @@ GRIPPER = {"type": "transforms", "table": "gripper.csv"}
 TABLE = "x,y,z,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0.02,0,0.045,0,0.1,0,0.995\n"
 BITS, BOARDS = [3, 3, 3, 3, 2, 6, 1], [[1, 2], [3, 4, 5], [6], [7]]  # of the modules; the modules of each board
 
-# Times of the boards [s]. Boards and executor run beside tests, without real-time priority, on a busy machine. Who
-# stalls for longer is truly lost; tests of that have quick boards.
+# Times of the boards [s]. Boards and executor run beside tests, without real-time priority, on a busy machine.
+# A longer stall is a true loss. Tests of such losses have quick boards.
 PATIENT = {"heartbeat": 0.1, "heartbeat_timeout": 10.0, "boot_timeout": 6.0, "settle_margin": 5.0}
 QUICK = {"heartbeat_timeout": 2.0, "boot_timeout": 3.0, "settle_margin": 1.0}
 
