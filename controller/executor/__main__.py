@@ -2,16 +2,18 @@
 
 import argparse
 import contextlib
+import logging
+import queue
 import secrets
 import sys
 from dataclasses import replace
+from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 
 from controller.executor.arm import read_arm
 from controller.executor.buses import Buses, CanBuses, EmbeddedBoards
 from controller.executor.core import Executor
 from controller.executor.fault_lines import FaultLines
-from controller.executor.log_output import start_logging
 from controller.executor.notify import Notifier
 from controller.executor.real_time import enter_real_time
 from controller.executor.run import EventLoop
@@ -21,6 +23,7 @@ from controller.sockets import socket_path
 from controller.strict import InputFaults
 
 PATIENCE = 10.0  # [s] more for simulated boards: they stall with this process, as boards do not
+MOST_WAITING = 1_000  # log lines; more are dropped
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -77,6 +80,36 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
             buses = boards = EmbeddedBoards(arm.wiring, arm.timing)
             lines = FaultLines(boards.boards)
         EventLoop(core, buses, server, notifier, lines).run_until_signal()
+
+
+class DroppingHandler(QueueHandler):
+    """Hands log records over, as far as there is room."""
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Hands one record over, or drops it."""
+        try:
+            self.queue.put_nowait(record)
+        except queue.Full:
+            return
+
+
+def start_logging() -> QueueListener:
+    """Writes log lines to the standard error in a thread of its own: a reader that hangs must not stop the event loop.
+
+    Returns:
+        The thread; its `stop` writes the lines that wait.
+    """
+    lines: queue.Queue[logging.LogRecord] = queue.Queue(MOST_WAITING)
+    writing = logging.StreamHandler(sys.stderr)
+    writing.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    listener = QueueListener(lines, writing)
+    listener.start()
+    handing = DroppingHandler(lines)
+    handing.setFormatter(logging.Formatter())
+    logging.basicConfig(level=logging.INFO, handlers=[handing], force=True)
+    for name in ("can", "canopen"):  # each SDO of simulated boards, for one
+        logging.getLogger(name).setLevel(logging.WARNING)
+    return listener
 
 
 if __name__ == "__main__":

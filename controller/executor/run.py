@@ -1,5 +1,6 @@
 """The event loop: CAN, socket, ticks and signals around the core. One thread; nothing in it waits but `select`."""
 
+import gc
 import logging
 import os
 import select
@@ -12,16 +13,15 @@ from controller.executor.buses import Buses
 from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
 from controller.executor.fault_lines import INPUT, FaultLines
-from controller.executor.garbage import Garbage
 from controller.executor.notify import Notifier
 from controller.executor.server import Server
-from controller.executor.timekeeping import Timekeeper
 
 log = logging.getLogger("executor")
 
 MOST_ROUNDS = 32  # of events that the handling of others brings, before the tick is looked at
 CLOSING = 0.25  # [s] for the stage under way at the end
 FLUSHING = 0.5  # [s] for what waits to be sent at the end
+WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; to collect so many takes about 3 ms
 
 
 class EventLoop:
@@ -149,3 +149,83 @@ class EventLoop:
         self._buses.close()
         os.close(self._wake)
         os.close(self._woken)
+
+
+class Timekeeper:
+    """Ticks at a fixed phase; missed ticks are counted and left out.
+
+    Args:
+        period: between two ticks [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._next = self._last = 0.0
+        self._late: list[float] = []
+        self._periods: list[float] = []
+        self._works: list[float] = []
+        self._overruns = 0
+
+    def start(self, now: float) -> None:
+        """Makes the first tick due now."""
+        self._next = self._last = now
+
+    def left(self, now: float) -> float:
+        """Returns the time until the next tick [s], 0 if it is due."""
+        return max(self._next - now, 0.0)
+
+    def ticked(self, began: float, ended: float) -> None:
+        """Notes begin and end of a tick, and sets the next."""
+        self._late.append(began - self._next)
+        self._periods.append(began - self._last)
+        self._works.append(ended - began)
+        self._last = began
+        self._next += self._period
+        if self._next < ended:
+            missed = int((ended - self._next) / self._period) + 1
+            self._overruns += missed
+            self._next += missed * self._period
+
+    def take(self) -> dict[str, float]:
+        """Returns the figures since the last call [s], and starts anew: see `Diagnostics.loop`."""
+        count = max(len(self._works), 1)
+        late = sorted(self._late)
+        status = {
+            "ticks": len(self._works),
+            "longest_period": max(self._periods, default=0.0),
+            "mean_work": sum(self._works) / count,
+            "longest_work": max(self._works, default=0.0),
+            "overruns": self._overruns,
+            "late_p50": late[len(late) // 2] if late else 0.0,
+            "late_p99": late[len(late) * 99 // 100] if late else 0.0,
+            "late_worst": late[-1] if late else 0.0,
+        }
+        for figures in (self._late, self._periods, self._works):
+            figures.clear()
+        self._overruns = 0
+        return status
+
+
+class Garbage:
+    """Garbage collection while it does no harm: a full collection would stop the loop for milliseconds.
+
+    Objects that live as long as the process are excluded from collection.
+    """
+
+    def __enter__(self) -> "Garbage":
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        gc.enable()
+        gc.unfreeze()
+
+    def collect(self, holding: bool) -> None:
+        """Collects everything if the arm holds, else the youngest objects if they are too many."""
+        young, older, _ = gc.get_count()
+        if holding and (young > WORTH or older > 0):
+            gc.collect()
+        elif young > TOO_MANY:
+            gc.collect(0)

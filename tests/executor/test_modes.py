@@ -2,11 +2,10 @@
 
 import pytest
 
-from controller.executor.active_faults import PASSING
 from controller.executor.actuation import BUSY_FOR
 from controller.executor.core import PERIOD
 from controller.executor.events import Quit
-from controller.executor.modes import RETRY
+from controller.executor.modes import PASSING, RETRY
 from controller.program import (
     Answer,
     Cancel,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.timekeeping import Timekeeper
+from controller.executor.run import Timekeeper
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import can.interfaces
 from controller.executor.__main__ import main
 from controller.executor.modes import Modes
 from controller.executor.requests import Requests
-from controller.executor.timekeeping import Timekeeper
+from controller.executor.run import Timekeeper
 from controller.program import Program
 from tests import emulated  # noqa: F401
 from tests.benchmarks.chain.records import Record
