@@ -13,7 +13,6 @@ from pathlib import Path
 from controller.executor.arm import read_arm
 from controller.executor.buses import Buses, CanBuses, EmbeddedBoards
 from controller.executor.core import Executor
-from controller.executor.fault_lines import FaultLines
 from controller.executor.notify import Notifier
 from controller.executor.real_time import enter_real_time
 from controller.executor.run import EventLoop
@@ -74,12 +73,8 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         notifier = Notifier()
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         core.reports.real_time = enter_real_time(arm.real_time)
-        buses: Buses = CanBuses(arm.wiring.buses)
-        lines = None
-        if simulate:
-            buses = boards = EmbeddedBoards(arm.wiring, arm.timing)
-            lines = FaultLines(boards.boards)
-        EventLoop(core, buses, server, notifier, lines).run_until_signal()
+        buses: Buses = EmbeddedBoards(arm.wiring, arm.timing) if simulate else CanBuses(arm.wiring.buses)
+        EventLoop(core, buses, server, notifier).run_until_signal()
 
 
 class DroppingHandler(QueueHandler):

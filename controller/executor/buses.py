@@ -2,6 +2,10 @@
 
 import logging
 import math
+import os
+import select
+import stat
+import sys
 from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
@@ -12,11 +16,13 @@ from drivers.canopen.events import Changed, Echoed, Event, Received, SendFailed
 from drivers.canopen.faults import BusError
 from drivers.canopen.wiring import BusSettings, Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
+from drivers.simulation.fault_commands import perform
 
 log = logging.getLogger(__name__)
 
 OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
 POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
+INPUT = 0  # file descriptor of the standard input
 LONGEST = 0.02  # [s] that pass on simulated boards between two calls: a stall of the process stalls them as well
 
 
@@ -93,29 +99,27 @@ class CanBuses:
 
 
 class EmbeddedBoards:
-    """Simulated boards. See `Buses`.
-
-    Attributes:
-        boards: to make faults.
-    """
+    """Simulated boards, and their faults from the standard input. See `Buses`."""
 
     def __init__(self, wiring: Wiring, timing: Timing) -> None:
         """Takes the wiring and the times of the arm."""
         self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
-        self.boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame)))
+        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame)))
+        self._lines = FaultLines(self._boards)
         self._clock = self._last = -math.inf
 
     def filenos(self) -> list[int]:
         """See `Buses`."""
-        return []
+        return [INPUT] if self._lines.open else []
 
     def wait(self, now: float) -> float:
         """See `Buses`."""
-        return 0.0 if self._events else max(self.boards.next_due() - self._clock, 0.0)
+        return 0.0 if self._events else max(self._boards.next_due() - self._clock, 0.0)
 
     def poll(self, now: float) -> Sequence[Event]:
         """See `Buses`."""
-        self.boards.step(self._time(now))
+        self._lines.read()
+        self._boards.step(self._time(now))
         events = list(self._events)
         self._events.clear()
         return events
@@ -123,7 +127,7 @@ class EmbeddedBoards:
     def send(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
         self._events.append(Echoed(bus, frame))
-        self.boards.receive(bus, frame, self._time(now))
+        self._boards.receive(bus, frame, self._time(now))
 
     def close(self) -> None:
         """See `Buses`."""
@@ -133,3 +137,48 @@ class EmbeddedBoards:
         self._clock = now if self._last == -math.inf else self._clock + min(max(now - self._last, 0.0), LONGEST)
         self._last = now
         return self._clock
+
+
+class FaultLines:
+    """Faults of simulated boards, from lines on the standard input.
+
+    Attributes:
+        open: whether more lines may come.
+
+    Args:
+        boards: simulated.
+    """
+
+    def __init__(self, boards: SimulatedBuses) -> None:
+        self.open = readable()
+        self._boards, self._rest = boards, b""
+
+    def read(self) -> None:
+        """Acts on the lines that wait."""
+        if not self.open or not select.select([INPUT], [], [], 0)[0]:
+            return
+        data = os.read(INPUT, 4096)
+        self.open = bool(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            text = line.decode(errors="replace").strip()
+            if text:
+                self._act(text)
+
+    def _act(self, text: str) -> None:
+        try:
+            perform(self._boards, *text.split())
+        except (ValueError, KeyError) as error:
+            print(f"not done: {error.args[0]}", file=sys.stderr, flush=True)
+        else:
+            print(f"done: {text}", flush=True)
+
+
+def readable() -> bool:
+    """Returns whether the standard input is a pipe, or a terminal that this process may read."""
+    try:
+        if os.isatty(INPUT):
+            return os.tcgetpgrp(INPUT) == os.getpgrp()
+        return stat.S_ISFIFO(os.fstat(INPUT).st_mode)
+    except OSError:
+        return False

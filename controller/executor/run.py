@@ -12,7 +12,6 @@ from collections.abc import Callable
 from controller.executor.buses import Buses
 from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
-from controller.executor.fault_lines import INPUT, FaultLines
 from controller.executor.notify import Notifier
 from controller.executor.server import Server
 
@@ -32,7 +31,6 @@ class EventLoop:
         buses: of its arm.
         server: of its clients.
         notifier: to systemd.
-        lines: faults of simulated boards, if there are such.
         clock: CLOCK_MONOTONIC [s].
     """
 
@@ -42,11 +40,10 @@ class EventLoop:
         buses: Buses,
         server: Server,
         notifier: Notifier,
-        lines: FaultLines | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
-        self._lines, self._clock = lines, clock
+        self._clock = clock
         self._time = Timekeeper(PERIOD)
         self._garbage = Garbage()
         self._quitting = False
@@ -92,14 +89,10 @@ class EventLoop:
         now = self._clock()
         patience = max(min(self._time.left(now), self._buses.wait(now)), 0.0)
         readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
-        if self._lines is not None and self._lines.open:
-            readable.append(INPUT)
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], patience)
         if written:
             self._server.flush()
-        if self._lines is not None and INPUT in read:
-            self._lines.read()
         return read
 
     def _take_frames(self) -> None:
