@@ -13,11 +13,11 @@ from pathlib import Path
 from controller.executor.arm import read_arm
 from controller.executor.buses import Buses, CanBuses, EmbeddedBoards
 from controller.executor.core import Executor
-from controller.executor.notify import Notifier
 from controller.executor.real_time import enter_real_time
 from controller.executor.run import EventLoop
 from controller.executor.server import Server, Taken
 from controller.executor.switch_journal import FileJournal, Held, default_path
+from controller.notify import Notifier
 from controller.sockets import socket_path
 from controller.strict import InputFaults
 

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from controller.executor.buses import Buses
 from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
-from controller.executor.notify import Notifier
 from controller.executor.server import Server
+from controller.notify import Notifier
 
 log = logging.getLogger("executor")
 

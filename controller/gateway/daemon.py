@@ -11,7 +11,6 @@ from pathlib import Path
 import zenoh
 
 from controller.config import Arm
-from controller.gateway.notify import Notifier
 from controller.gateway.one_daemon import require_no_other
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
@@ -19,6 +18,7 @@ from controller.gateway.server import Server
 from controller.gateway.session import connects, reachable
 from controller.gateway.status_reporter import StatusReporter
 from controller.gateway.warnings import Warnings
+from controller.notify import Notifier
 from controller.planning.ledger import Ledger
 from controller.planning.link import ExecutorLink
 from controller.planning.messages import Payload

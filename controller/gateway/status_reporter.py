@@ -10,7 +10,7 @@ import msgspec
 import zenoh
 
 from controller.gateway.encoding import JSON, encode
-from controller.gateway.notify import Notifier
+from controller.notify import Notifier
 from controller.planning.messages import Payload
 from controller.program import Fault
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from controller.executor.core import DEFECT, PERIOD, Executor
-from controller.executor.notify import Notifier
 from controller.executor.run import EventLoop
 from controller.executor.server import Server
 from controller.executor.switch_journal import MemoryJournal
+from controller.notify import Notifier
 from controller.program import MOST_BYTES, Diagnostics, Ended, Hello, Program, Snapshot, Stage, decode_up, encode, pack
 from tests.executor.fake_master import FakeMaster
 from tests.executor.rig import SIZE, small_arm

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from controller.gateway.notify import Notifier
 from controller.gateway.status_reporter import StatusReporter
+from controller.notify import Notifier
 from controller.planning.messages import Payload
 from controller.program import Fault
 from tests.gateway.conftest import PATIENCE, eventually

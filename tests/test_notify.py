@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor.notify import Notifier
+from controller.notify import Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])
