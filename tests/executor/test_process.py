@@ -32,12 +32,7 @@ from controller.program import (
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {
-    f"controller.{name}"
-    for name in ("actuators", "executor", "notify", "program", "settings", "sockets", "strict")
-}
-    f"controller.{name}" for name in ("executor", "settings", "program", "strict", "actuators", "sockets", "notify")
-}
+ROOMS = {"controller." + name for name in "actuators executor notify program settings sockets strict".split()}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIZE = 48
 
