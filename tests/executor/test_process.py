@@ -32,7 +32,9 @@ from controller.program import (
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {"controller." + name for name in "actuators executor notify program settings sockets strict".split()}
+ROOMS = {
+    "controller." + name for name in ("actuators", "executor", "notify", "program", "settings", "sockets", "strict")
+}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIZE = 48
 
