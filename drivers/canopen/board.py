@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import STATES, State
 from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
-from drivers.canopen.state_image import StateImage
 from drivers.canopen.status import BoardStatus
 
 _MASTER_LOST = 0x8130  # emergency: heartbeat of the master lost
+
+
+@dataclass
+class StateImage:
+    """States of all actuators; boards write into it.
+
+    Attributes:
+        ends: states from the end-stops; 0 for actuators without one.
+        known: mask of the actuators whose board is up.
+    """
+
+    ends: int = 0
+    known: int = 0
 
 
 class Board:

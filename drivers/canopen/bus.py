@@ -6,11 +6,11 @@ import contextlib
 import errno
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 import can
 
 from drivers.canopen.cia301 import Frame, wire_bits
-from drivers.canopen.error_frames import read_error
 from drivers.canopen.events import Changed, Echoed, Event, Ignored, Received
 from drivers.canopen.faults import BusError
 from drivers.canopen.wiring import BusSettings
@@ -19,6 +19,36 @@ _MOST_EVENTS = 256  # of one poll, so that a flood does not stop the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # there is no frame after all
+
+# Error frames of SocketCAN, from linux/can/error.h.
+_CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100  # classes, in the identifier
+_WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
+
+
+class ErrorFrame(NamedTuple):
+    """The content of one error frame.
+
+    Attributes:
+        state: of the controller, "active", "warning", "passive" or "bus-off"; None if the frame does not tell.
+        errors: its error counters in sending and receiving; None if the frame does not tell.
+    """
+
+    state: str | None
+    errors: tuple[int, int] | None
+
+
+def read_error(identifier: int, data: bytes) -> ErrorFrame:
+    """Returns the content of an error frame."""
+    data = data.ljust(8, b"\0")
+    state: str | None = None
+    if identifier & _CONTROLLER:
+        details = ((_PASSIVE, "passive"), (_WARNING, "warning"), (_ACTIVE, "active"))
+        state = next((name for detail, name in details if data[1] & detail), None)
+    if identifier & _RESTARTED:
+        state = "active"
+    if identifier & _BUS_OFF:
+        state = "bus-off"
+    return ErrorFrame(state, (data[6], data[7]) if identifier & _CONTROLLER else None)
 
 
 class CanBus:

@@ -1,4 +1,4 @@
-"""The master's heartbeat: boards that miss it become safe."""
+"""The master's heartbeat, and the clock of time-outs: what a stall of the loop means to boards and to the master."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from drivers.canopen.cia301 import State
 from drivers.canopen.link import Link
 from drivers.canopen.wiring import MASTER, Timing
 
+_LONGEST_STEP = 0.05  # [s]
 BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
@@ -49,3 +50,31 @@ class Heartbeat:
         armed = [link.name for link in self._links if link.armed]
         without = any(clock - self._sent.get(name, clock) >= timing.heartbeat_timeout for name in armed)
         return clock - last if without else None
+
+
+class LoopClock:
+    """Time for time-outs.
+
+    What arrives during a stall of the loop is taken only afterwards, so a stall alone must end no time-out. Between two
+    ticks this clock advances by at most 50 ms.
+
+    Attributes:
+        now: the time as of the last tick [s].
+        ticked: real time of the last tick [s]; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.ticked: float | None = None
+
+    def at(self, clock: float) -> float:
+        """Returns the time at a real time [s]."""
+        if self.ticked is None:
+            return self.now
+        return self.now + min(max(clock - self.ticked, 0.0), _LONGEST_STEP)
+
+    def tick(self, clock: float) -> float:
+        """Notes a tick at a real time; returns the time [s]."""
+        self.now = self.at(clock)
+        self.ticked = clock
+        return self.now

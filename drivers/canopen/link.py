@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Fault
-from drivers.canopen.meter import Meter
+from drivers.canopen.load import Meter
 from drivers.canopen.status import BusStatus, Traffic
 from drivers.canopen.tx_echo import TxPending
 from drivers.canopen.wiring import BusSettings

@@ -1,4 +1,4 @@
-"""The greatest load that the traffic of an arm puts on a bus, computed from its wiring."""
+"""The load of a bus: counted, and computed at worst from an arm's wiring."""
 
 from __future__ import annotations
 
@@ -6,6 +6,51 @@ from drivers.canopen import cia301
 from drivers.canopen.layout import Layout
 from drivers.canopen.status import Traffic
 from drivers.canopen.wiring import BusSettings, Timing
+
+BITS = tuple(cia301.wire_bits(size) for size in range(9))  # of a frame with so many bytes of data
+
+
+class Meter:
+    """Counts the traffic of one bus.
+
+    Attributes:
+        tx_frames: frames sent.
+        rx_frames: frames received.
+        frames_per_second: sent and received, over about the last second.
+        bits_per_second: of those frames, with the greatest possible number of stuff bits.
+    """
+
+    def __init__(self) -> None:
+        self.tx_frames = self.rx_frames = 0
+        self.frames_per_second = self.bits_per_second = 0.0
+        self._bits = 0
+        self._counted: tuple[float, int, int] | None = None
+
+    def sent(self, size: int) -> None:
+        """Counts a frame of ours of so many bytes of data."""
+        self.tx_frames += 1
+        self._bits += BITS[min(size, 8)]
+
+    def unsent(self, size: int) -> None:
+        """Takes back a frame of ours that could not be sent."""
+        self.tx_frames -= 1
+        self._bits -= BITS[min(size, 8)]
+
+    def received(self, bits: int) -> None:
+        """Counts a received frame of so many bits."""
+        self.rx_frames += 1
+        self._bits += bits
+
+    def tick(self, now: float) -> None:
+        """Computes the rates once a second; `now` in [s]."""
+        if self._counted is not None and now - self._counted[0] < 1.0:
+            return
+        frames = self.tx_frames + self.rx_frames
+        if self._counted is not None:
+            elapsed = now - self._counted[0]
+            self.frames_per_second = (frames - self._counted[1]) / elapsed
+            self.bits_per_second = (self._bits - self._counted[2]) / elapsed
+        self._counted = now, frames, self._bits
 
 
 def worst_case(layout: Layout, timing: Timing, bus: BusSettings) -> Traffic:

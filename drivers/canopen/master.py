@@ -10,9 +10,8 @@ from drivers.canopen.cia301 import Frame
 from drivers.canopen.commit import Commit
 from drivers.canopen.events import Changed, Echoed, Event, Ignored, Received
 from drivers.canopen.faults import Busy, Fault
-from drivers.canopen.heartbeat import BEAT, Heartbeat
-from drivers.canopen.loop_clock import LoopClock
-from drivers.canopen.meter import BITS
+from drivers.canopen.heartbeat import BEAT, Heartbeat, LoopClock
+from drivers.canopen.load import BITS
 from drivers.canopen.network import Network
 from drivers.canopen.reception import receptions
 from drivers.canopen.status import Status

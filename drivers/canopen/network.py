@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.board import Board
+from drivers.canopen.board import Board, StateImage
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Fault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
 from drivers.canopen.link import Link
 from drivers.canopen.load import worst_case
 from drivers.canopen.outputs import Outputs
-from drivers.canopen.state_image import StateImage
 from drivers.canopen.station import Station
 from drivers.canopen.status import Status
 from drivers.canopen.wiring import Timing, Wiring

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.error_frames import read_error
+from drivers.canopen.bus import read_error
 
 
 @pytest.mark.parametrize(
