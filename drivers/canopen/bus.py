@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import can
 
-from drivers.canopen.cia301 import Frame, wire_bits
+from drivers.canopen.cia301 import REMOTE, Frame, wire_bits
 from drivers.canopen.events import Changed, Echoed, Event, Ignored, Received
 from drivers.canopen.faults import BusError
 from drivers.canopen.wiring import BusSettings
@@ -108,7 +108,7 @@ class CanBus:
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"
         try:
-            self._bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+            self._bus.send(_message(frame))
         except Exception as error:
             if getattr(error, "error_code", None) in _GONE:
                 self._lose(f"sending failed ({error})")
@@ -152,10 +152,10 @@ class CanBus:
         if message.is_error_frame:
             said = read_error(message.arbitration_id, bytes(message.data))
             return Changed(self.name, said.state, "", said.errors)
-        if message.is_remote_frame or message.is_extended_id or message.is_fd:
-            size = 0 if message.is_remote_frame else min(message.dlc, 8)
-            return Ignored(self.name, wire_bits(size, message.is_extended_id))
-        frame = Frame(message.arbitration_id, bytes(message.data))
+        remote = message.is_remote_frame
+        if (remote and message.is_rx) or message.is_extended_id or message.is_fd:
+            return Ignored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
+        frame = Frame(message.arbitration_id | (REMOTE if remote else 0), bytes(message.data))
         return Received(self.name, frame) if message.is_rx else Echoed(self.name, frame)
 
     def _open(self) -> can.BusABC:
@@ -179,3 +179,9 @@ class CanBus:
         self._pause = min(2 * self._pause, _LONGEST_PAUSE)
         self._down = True
         self._events.append(Changed(self.name, "down", f"{why}; it is opened again until it works", None))
+
+
+def _message(frame: Frame) -> can.Message:
+    if frame.id & REMOTE:
+        return can.Message(arbitration_id=frame.id ^ REMOTE, is_remote_frame=True, is_extended_id=False)
+    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False)

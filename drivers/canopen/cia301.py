@@ -17,11 +17,12 @@ HEARTBEAT = 0x700
 
 INVALID = 1 << 31  # of a PDO's COB-ID: the PDO is disabled (CiA 301, 7.5.2.35)
 NO_REMOTE = 1 << 30  # of a TPDO's COB-ID: no answer to remote frames
+REMOTE = 1 << 30  # of a frame's id: a remote frame, as in SocketCAN
 DUMMY_BYTE = 0x0005_0008  # mapping of a byte for another board (CiA 301, 7.4.7)
 
 
 class Frame(NamedTuple):
-    """A CAN data frame with an 11 bit identifier and 0..8 bytes."""
+    """A CAN frame with an 11 bit identifier: 0..8 bytes of data, or a remote frame without data, its id with REMOTE."""
 
     id: int
     data: bytes = b""

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 MASTER = 127  # node id of this master's heartbeat
+GREATEST_BIT = 2031  # of 6000h and 6200h: 254 sub-indices of 8 bits
+
+ErrorState = Literal["off", "hold", "device"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class Channel:
         actuator: label for messages, e.g. "5.left".
         bus: name of a bus.
         node: node id of the board, 1..126 (127 is the master).
-        output: bit of 6200h, 0..63 (sub-index 1 + bit // 8).
+        output: bit of 6200h, 0..2031 (sub-index 1 + bit // 8).
         input: bit of 6000h that reads 1 if the actuator is extended; None without an end-stop.
 
     Raises:
@@ -50,15 +53,47 @@ class Channel:
     def __post_init__(self) -> None:
         if not 1 <= self.node < MASTER:
             raise ValueError(f"actuator {self.actuator}: node {self.node} is not in 1..126 (127 is the master)")
-        if not 0 <= self.output <= 63:
-            raise ValueError(f"actuator {self.actuator}: output {self.output} is not in 0..63")
-        if self.input is not None and not 0 <= self.input <= 63:
-            raise ValueError(f"actuator {self.actuator}: input {self.input} is not in 0..63")
+        if not 0 <= self.output <= GREATEST_BIT:
+            raise ValueError(f"actuator {self.actuator}: output {self.output} is not in 0..{GREATEST_BIT}")
+        if self.input is not None and not 0 <= self.input <= GREATEST_BIT:
+            raise ValueError(f"actuator {self.actuator}: input {self.input} is not in 0..{GREATEST_BIT}")
 
     @property
     def place(self) -> str:
         """The actuator and its output, for messages."""
         return f"{self.actuator} ({self.bus}/{self.node} output {self.output})"
+
+
+@dataclass(frozen=True)
+class NodeSettings:
+    """What an arm's file says of one board beyond the places of its actuators.
+
+    Attributes:
+        bus: name of a bus.
+        node: node id.
+        object: index of its outputs, an array of bytes from sub-index 1: 6200h, or 2000h..5FFFh of a maker.
+        vendor: 1018h sub 1 that the board must hold; None: any.
+        product: 1018h sub 2, likewise.
+        revision: 1018h sub 3, likewise.
+        serial: 1018h sub 4, likewise.
+        error_state: as in `Wiring`, of this board alone; None: as of all boards.
+
+    Raises:
+        ValueError: a number is out of its range.
+    """
+
+    bus: str
+    node: int
+    object: int = 0x6200
+    vendor: int | None = None
+    product: int | None = None
+    revision: int | None = None
+    serial: int | None = None
+    error_state: ErrorState | None = None
+
+    def __post_init__(self) -> None:
+        if self.object != 0x6200 and not 0x2000 <= self.object <= 0x5FFF:
+            raise ValueError(f"board {self.bus}/{self.node}: object {self.object:04X}h is not 6200h or 2000h..5FFFh")
 
 
 @dataclass(frozen=True)
@@ -70,15 +105,20 @@ class Wiring:
         channels: one for each actuator.
         on_loss: what the boards do with their outputs when they no longer hear the master.
         shared_rpdo: boards of a bus share frames of up to 8 output bytes (dummy mapping, CiA 301, 7.4.7).
+        error_state: what the outputs of boards without 6206h and 6207h do if the master is no longer heard: go "off" or
+            "hold", as a person knows it, or whatever the "device" does; None: such boards are refused.
+        nodes: boards of which more is to be said.
 
     Raises:
-        ValueError: a name, output or input is used twice, or a channel names an unknown bus.
+        ValueError: a name, output, input or node is there twice, or a channel or node names an unknown bus.
     """
 
     buses: tuple[BusSettings, ...]
     channels: tuple[Channel, ...]
     on_loss: Literal["hold", "contract"] = "hold"
     shared_rpdo: bool = False
+    error_state: ErrorState | None = None
+    nodes: tuple[NodeSettings, ...] = ()
 
     def __post_init__(self) -> None:
         names = [bus.name for bus in self.buses]
@@ -90,6 +130,10 @@ class Wiring:
         _refuse_duplicates("output", [f"{c.bus}/{c.node} output {c.output}" for c in self.channels])
         inputs = [f"{c.bus}/{c.node} input {c.input}" for c in self.channels if c.input is not None]
         _refuse_duplicates("input", inputs)
+        for node in self.nodes:
+            if node.bus not in names:
+                raise ValueError(f"board {node.bus}/{node.node}: bus {node.bus} is not one of {', '.join(names)}")
+        _refuse_duplicates("node", [f"{node.bus}/{node.node}" for node in self.nodes])
         if self.on_loss not in ("hold", "contract"):
             raise ValueError(f"on_loss is {self.on_loss!r}, not 'hold' or 'contract'")
 

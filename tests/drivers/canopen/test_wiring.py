@@ -13,8 +13,8 @@ CAN0 = BusSettings("can0", "virtual", "x")
     [
         (("a", "can0", 0, 0, 0), "node 0 is not in 1..126"),
         (("a", "can0", 127, 0, 0), "127 is the master"),
-        (("a", "can0", 1, 64, 0), "output 64 is not in 0..63"),
-        (("a", "can0", 1, 0, -1), "input -1 is not in 0..63"),
+        (("a", "can0", 1, 2032, 0), "output 2032 is not in 0..2031"),
+        (("a", "can0", 1, 0, -1), "input -1 is not in 0..2031"),
     ],
 )
 def test_a_channel_out_of_range_is_refused(channel, words):
