@@ -77,8 +77,8 @@ def serve(
     from controller.gateway import session
     from controller.gateway.daemon import running
     from controller.gateway.one_daemon import AlreadyRunning
+    from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
-    from controller.planning.ledger_lock import LedgerInUse
 
     arm = load_wired(file)
     try:

@@ -5,11 +5,10 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from controller.planning.answers import Answers, OnAnswer
 from controller.planning.connection import Connection, NotConnected
-from controller.planning.listener import Listener, Nobody
 from controller.program import (
     ALIVE_EVERY,
     VERSION,
@@ -35,6 +34,19 @@ RETRY = 0.5  # [s] between two attempts to connect
 SILENT_TICKS = 10  # of ALIVE_EVERY without a word from the executor, after which the connection counts as lost
 
 
+class Listener(Protocol):
+    """Who is told what the link hears; called from the link's thread, must not wait."""
+
+    def welcomed(self, welcome: Welcome) -> None:
+        """The executor takes this planner."""
+
+    def heard(self, message: Up) -> None:
+        """A message came."""
+
+    def lost(self, reason: str) -> None:
+        """The connection ended; called once for each `welcomed`."""
+
+
 class ExecutorLink:
     """The connection to one executor. All methods may be called from any thread.
 
@@ -57,7 +69,7 @@ class ExecutorLink:
         self.diagnostics: Diagnostics | None = None
         self.welcome: Welcome | None = None
         self.problem: str | None = "waiting for the executor"
-        self._listener: Listener = Nobody()
+        self._listener: Listener
         self._connection: Connection | None = None
         self._answers = Answers()
         self._silent, self._closing = 0, threading.Event()

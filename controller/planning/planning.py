@@ -12,7 +12,7 @@ from controller.manipulator.held import Held, hold
 from controller.motion import degrade, obstacles
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
 from controller.planning.admission import Admission, Receive
-from controller.planning.clearance_worker import ClearanceWorker
+from controller.planning.clearance_worker import ClearanceWorker, RestCheck
 from controller.planning.executor_listener import ExecutorListener
 from controller.planning.follower import Follower
 from controller.planning.goal_check import Verdict
@@ -27,7 +27,6 @@ from controller.planning.monitor import ArmMonitor
 from controller.planning.plan_queries import PlanQueries
 from controller.planning.planner import Planner
 from controller.planning.requests import Requests
-from controller.planning.rest_check import RestCheck
 from controller.planning.results import Publish
 from controller.planning.running_goal import GoalLedger
 from controller.planning.sending import ProgramNumbers, ProgramSender

@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 
 from controller.planning import ledger_file
-from controller.planning.ledger import Ledger
+from controller.planning.ledger import Ledger, LedgerInUse
 from controller.planning.ledger_file import counted, default_path, read
-from controller.planning.ledger_lock import LedgerInUse
 
 NAMES = ("1.left", "1.diagonal", "1.right")
 SOON = 0.05  # [s] between two transactions

@@ -15,7 +15,7 @@ from controller.config import Arm
 from controller.gateway.client import Client, Unanswered
 from controller.gateway.one_daemon import AlreadyRunning
 from controller.gateway.session import configuration
-from controller.planning.ledger_lock import LedgerInUse
+from controller.planning.ledger import LedgerInUse
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
