@@ -188,10 +188,10 @@ class EmulatedBus(can.BusABC):
             time.sleep(0.01 if timeout is None else timeout)
             return None, False
         self._check()
-        if not select.select([self._socket], [], [], timeout)[0]:
-            return None, False
         try:
-            packet = self._socket.recv(FRAME.size)
+            packet = self._socket.recv(FRAME.size, 0 if self._readable(timeout) else socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None, False
         except OSError:
             packet = b""
         if not packet:
@@ -209,6 +209,10 @@ class EmulatedBus(can.BusABC):
             data=data[:length],
         )
         return message, False
+
+    def _readable(self, timeout: float | None) -> bool:
+        """Waits for a packet; returns False at once where none is to be waited for."""
+        return timeout != 0 and bool(select.select([self._socket], [], [], timeout)[0])
 
     def fileno(self) -> int:
         return self._socket.fileno()

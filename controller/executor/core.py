@@ -78,6 +78,7 @@ class Executor:
         self._awake = 0.0  # until the last tick [s]
         self._next_beat = 0.0
         self._healthy = True
+        self._handed_out = False  # whether this step has frames, which no snapshot is to delay: the next step shows it
 
     @property
     def ended(self) -> bool:
@@ -94,13 +95,13 @@ class Executor:
         Returns:
             What is to be done, in order.
         """
-        self._healthy = True
+        self._healthy, self._handed_out = True, False
         self.motion.clock = self._clock(now)
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
         self._guarded(self._conclude, now)
-        if self.reports.changed and self._last_tick is not None:
+        if self.reports.changed and self._last_tick is not None and not self._handed_out:
             self._guarded(self._show, now)
         actions, self._actions = self._actions, []
         return actions
@@ -244,6 +245,7 @@ class Executor:
 
     def _send(self, bus: str, frame: Frame) -> None:
         self._actions.append(Send(bus, frame))
+        self._handed_out = True
 
     def _to_client(self, client: Client, message: Up) -> None:
         self._actions.append(ToClient(client, message))

@@ -7,11 +7,12 @@ import select
 import signal
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 
 from controller.executor.buses import Buses
 from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
+from controller.executor.events import Action, Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
 from controller.executor.server import Server
 from controller.notify import Notifier
 
@@ -25,6 +26,9 @@ WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; to collect so
 
 class EventLoop:
     """Brings events to the core, and does what it says.
+
+    Frames leave at once, for the arm waits for them. Messages and log lines wait until nothing is to be read, but not
+    beyond the next tick.
 
     Args:
         core: of the executor.
@@ -47,6 +51,7 @@ class EventLoop:
         self._time = Timekeeper(PERIOD)
         self._garbage = Garbage()
         self._quitting = False
+        self._unsaid = deque[Action]()
         self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         core.reports.loop_status = self._time.take
         core.reports.dropped = lambda: server.dropped
@@ -81,13 +86,15 @@ class EventLoop:
             began = self._clock()
             if self._time.left(began) <= 0:
                 self._tick(began)
+            elif not ready and self._unsaid:
+                self._say(self._unsaid.popleft())
         except Exception:  # the arm holds, and the boards are not let go
             self._step(Defect(traceback.format_exc()))
 
     def _wait(self) -> list[int]:
         """Waits until something can be read or written, or the tick is due; returns what can be read."""
         now = self._clock()
-        patience = max(min(self._time.left(now), self._buses.wait(now)), 0.0)
+        patience = 0.0 if self._unsaid else max(min(self._time.left(now), self._buses.wait(now)), 0.0)
         readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], patience)
@@ -105,27 +112,34 @@ class EventLoop:
                 return
 
     def _tick(self, began: float) -> None:
+        self._say_all()
         self._step(Tick())
         self._take_frames()
         self._time.ticked(began, self._clock())
         self._garbage.collect(self._core.modes.mode != "executing")
 
     def _step(self, event: Event) -> None:
-        """Brings an event to the core, and does what it says: frames first, which the arm waits for."""
-        actions = self._core.step(event, self._clock())
-        for action in actions:
+        """Brings an event to the core, sends the frames that it asks for, and keeps the rest for `_say`."""
+        for action in self._core.step(event, self._clock()):
             if isinstance(action, Send):
                 self._buses.send(action.bus, action.frame, self._clock())
-        for action in actions:
-            match action:
-                case ToClient():
-                    self._server.send(action.client, action.message)
-                case Notify():
-                    self._notifier.send(action.text)
-                case Log():
-                    log.log(action.level, "%s", action.text)
-                case _:
-                    pass
+            else:
+                self._unsaid.append(action)
+
+    def _say(self, action: Action) -> None:
+        match action:
+            case ToClient():
+                self._server.send(action.client, action.message)
+            case Notify():
+                self._notifier.send(action.text)
+            case Log():
+                log.log(action.level, "%s", action.text)
+            case _:
+                pass
+
+    def _say_all(self) -> None:
+        while self._unsaid:
+            self._say(self._unsaid.popleft())
 
     def _end(self) -> None:
         """Ends the program with a result, and closes all."""
@@ -134,6 +148,7 @@ class EventLoop:
         while not self._core.ended and self._clock() < until:
             self._round()
         self._step(Quit())
+        self._say_all()
         until = self._clock() + FLUSHING
         while self._server.waiting and self._clock() < until:
             select.select([], self._server.writable(), [], max(until - self._clock(), 0.0))

@@ -82,7 +82,7 @@ class Commit:
         if frame.id == cia301.SYNC:
             self._sync_left(bus, clock)
         elif (i := self._rpdos.get(bus, {}).pop(frame, None)) is not None:
-            self._outputs.sent(i, self._states)
+            self._outputs.sent(i, frame)
             self._sync_if_left(clock, now)
 
     def send_failed(self, bus: str, frame: Frame, why: str) -> None:
@@ -109,8 +109,8 @@ class Commit:
             self._sync_left(bus, clock)
         for bus, frames in self._rpdos.items():
             if not self._links[bus].echoes:
-                for i in frames.values():
-                    self._outputs.sent(i, self._states)
+                for frame, i in frames.items():
+                    self._outputs.sent(i, frame)
                 frames.clear()
         self._sync_if_left(clock, now)
 

@@ -71,9 +71,9 @@ class Outputs:
         self._latched[i] = None
         self._uncertain.add(i)
 
-    def sent(self, i: int, states: int) -> None:
-        """Notes that frame `i` has left with the states."""
-        self._latched[i] = self._wanted(i, states)
+    def sent(self, i: int, frame: Frame) -> None:
+        """Notes that frame `i` has left."""
+        self._latched[i] = int.from_bytes(frame.data, "little")
         self._uncertain.discard(i)
 
     def switched(self, bus: str, states: int) -> int:
