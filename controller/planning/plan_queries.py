@@ -1,8 +1,5 @@
 """Answers to `plan` queries, in a thread of their own with a solver of their own: never in the way of goals."""
 
-import logging
-import queue
-import threading
 import time
 import uuid
 from collections.abc import Callable
@@ -19,9 +16,8 @@ from controller.motion.goal import GoalMessage, parse
 from controller.motion.plan import Plan
 from controller.planning.goal_planning import GoalPlanning
 from controller.planning.improvement import Improvement
-from controller.planning.messages import CLOSING, Payload, Reply, done, refused
-
-log = logging.getLogger(__name__)
+from controller.planning.messages import CLOSING, Payload, Reply, done
+from controller.planning.request_queue import RequestQueue
 
 MOST_WAITING = 4
 DEADLINE = 10.0  # [s] for one query, its wait excluded
@@ -34,10 +30,14 @@ class PlanQuery:
     reply: Reply
     message: GoalMessage
     received: float
+    goal: str | None
 
 
 class PlanQueries:
-    """Answers every query once. All methods but `close` never wait.
+    """Answers every query once.
+
+    Attributes:
+        requests: that wait.
 
     Args:
         planning: makes the plans; used by nobody else.
@@ -45,62 +45,34 @@ class PlanQueries:
     """
 
     def __init__(self, planning: GoalPlanning, busy: Callable[[], bool]) -> None:
-        self._planning, self._busy, self._closing = planning, busy, False
-        self._queue: queue.Queue[PlanQuery | None] = queue.Queue()
-        self._thread = threading.Thread(target=self._run, name="plan-queries", daemon=True)
-
-    def start(self) -> None:
-        """Starts the thread."""
-        self._thread.start()
-
-    def close(self, timeout: float = 2.0) -> None:
-        """Refuses what waits or is being planned, and ends the thread."""
-        self._closing = True
-        self._queue.put(None)
-        self._thread.join(timeout)
-
-    def waiting(self) -> int:
-        """Returns how many queries wait."""
-        return self._queue.qsize()
+        self._planning, self._busy = planning, busy
+        self.requests = RequestQueue("plan queries", MOST_WAITING, self._serve)
 
     def submit(self, payload: bytes, reply: Reply) -> None:
-        """Takes a query, or refuses it at once when it is malformed or too many wait."""
-        try:
-            message = parse(payload)
-            if self._closing:
-                raise Refusal(codes.INVALID_GOAL, CLOSING)
-            if self._queue.qsize() >= MOST_WAITING:
-                raise Refusal(codes.INVALID_GOAL, f"busy: {MOST_WAITING} plan queries are waiting already")
-        except Refusal as refusal:
-            reply(refused(refusal.code, str(refusal)))
-        else:
-            self._queue.put(PlanQuery(reply, message, time.time()))
+        """Takes a query, or refuses it at once; never waits."""
+        self.requests.submit(lambda: self._query(payload, reply), reply)
 
-    def _run(self) -> None:
-        while (query := self._queue.get()) is not None:
-            goal = query.message.id or uuid.uuid4().hex[:12]
-            try:
-                self._serve(query)
-            except Refusal as refusal:
-                query.reply(refused(refusal.code, str(refusal), goal))
-            except Exception:
-                log.exception("planning failed")
-                words = "internal error while planning, see the journal"
-                query.reply(refused(codes.INVALID_GOAL, words, goal))
+    def _query(self, payload: bytes, reply: Reply) -> PlanQuery:
+        """Returns a query.
+
+        Raises:
+            Refusal: it is malformed.
+        """
+        message = parse(payload)
+        return PlanQuery(reply, message, time.time(), message.id or uuid.uuid4().hex[:12])
 
     def _serve(self, query: PlanQuery) -> None:
         until = time.monotonic() + DEADLINE
 
         def proceed() -> None:
-            if self._closing:
+            if self.requests.closing:
                 raise Refusal(codes.INVALID_GOAL, CLOSING)
             if time.monotonic() > until:
                 raise Refusal(codes.INVALID_GOAL, f"planning took longer than {DEADLINE:g} s: ask for fewer waypoints")
 
         def hurry() -> bool:
-            return self._closing or self._busy() or not self._queue.empty()
+            return self.requests.closing or self._busy() or self.requests.waiting() > 0
 
-        proceed()
         trajectory = self._planning.trajectory(query.message, query.received)
         found = self._planning.plan(trajectory, proceed, run=False)
         plan = found.plan

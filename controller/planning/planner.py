@@ -1,8 +1,6 @@
-"""The planner's thread: has the executor run goals and jogs in order of arrival, and improves the plans of goals."""
+"""Goals and jogs: has the executor run them in order of arrival, and improves the plans of goals."""
 
 import logging
-import queue
-import threading
 import time
 import uuid
 from dataclasses import dataclass
@@ -17,32 +15,42 @@ from controller.planning.goals import RunningGoals
 from controller.planning.improvement import Improvement
 from controller.planning.jogging import Jogging, Switches
 from controller.planning.keep_out import CollisionError
-from controller.planning.limited_log import LimitedLog
-from controller.planning.messages import BARRED, CLOSING, Payload, Reply, refused
+from controller.planning.messages import BARRED, CLOSING, Payload, Reply
 from controller.planning.monitor import ArmMonitor
+from controller.planning.request_queue import RequestQueue
 from controller.planning.running_goal import RunningGoal
 from controller.planning.sending import ProgramSender
 
 log = logging.getLogger(__name__)
-refusals = LimitedLog(log)
 
 MOST_WAITING = 16
 REPLANS = 3  # of a goal whose first stages touch something from where the arm has moved on to
-IDLE = 0.02  # [s] without a request, after which the planner prepares for one
 
 
 @dataclass(frozen=True, eq=False)
 class GoalRequest:
-    """A goal to plan and run, or the states that actuators are to be switched to; `received` in UNIX seconds."""
+    """A goal to plan and run, or the states that actuators are to be switched to.
+
+    Attributes:
+        ticket: its place among all requests.
+        reply: takes the answer.
+        wanted: goal or states.
+        received: when it came [UNIX s].
+        goal: id; None for states.
+    """
 
     ticket: Ticket
     reply: Reply
     wanted: GoalMessage | Switches
     received: float
+    goal: str | None
 
 
 class Planner:
-    """Answers every request once: refuses it, or has the executor take it. All methods but `close` never wait.
+    """Answers every request once: refuses it, or has the executor take it.
+
+    Attributes:
+        requests: that wait.
 
     Args:
         planning: makes the plans; used by nobody else.
@@ -66,60 +74,23 @@ class Planner:
         self._goals, self._sender, self._jogging = goals, sender, jogging
         self._arm, self._pace = planning.arm, planning.pace
         self._programs = GoalPrograms(planning, monitor, goals)
-        self._queue: queue.Queue[GoalRequest | None] = queue.Queue()
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
-
-    def start(self) -> None:
-        """Starts the thread."""
-        self._thread.start()
-
-    def close(self, timeout: float = 2.0) -> None:
-        """Refuses what waits or is being planned, and ends the thread."""
-        self._closing = True
-        self._queue.put(None)
-        self._thread.join(timeout)
-
-    def waiting(self) -> int:
-        """Returns how many requests wait."""
-        return self._queue.qsize()
+        self.requests = RequestQueue("goals", MOST_WAITING, self._serve, self._expect)
 
     def submit(self, payload: bytes, reply: Reply, jog: bool = False) -> None:
-        """Takes a request, or refuses it at once when it is malformed or too many wait."""
-        try:
-            wanted = self._jogging.decode(payload) if jog else parse(payload)
-            if self._closing:
-                raise Refusal(codes.INVALID_GOAL, CLOSING)
-            if self._queue.qsize() >= MOST_WAITING:
-                raise Refusal(codes.INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting to be planned already")
-        except Refusal as refusal:
-            reply(refused(refusal.code, str(refusal)))
-        else:
-            self._queue.put(GoalRequest(self._admission.arrive(), reply, wanted, time.time()))
+        """Takes a request, or refuses it at once; never waits."""
+        self.requests.submit(lambda: self._request(payload, reply, jog), reply)
+
+    def _request(self, payload: bytes, reply: Reply, jog: bool) -> GoalRequest:
+        """Returns a request.
+
+        Raises:
+            Refusal: it is malformed.
+        """
+        wanted = self._jogging.decode(payload) if jog else parse(payload)
+        goal = (wanted.id or uuid.uuid4().hex[:12]) if isinstance(wanted, GoalMessage) else None
+        return GoalRequest(self._admission.arrive(), reply, wanted, time.time(), goal)
 
     # --- the thread
-
-    def _run(self) -> None:
-        while (request := self._next()) is not None:
-            goal: list[str] = []  # its id, once it is known
-            try:
-                self._proceed(request)
-                self._serve(request, goal)
-            except Refusal as refusal:
-                refusals.info("goal %s refused: %s", *(goal or ["?"]), refusal)
-                request.reply(refused(refusal.code, str(refusal), *goal))
-            except Exception:
-                log.exception("planning failed")
-                words = "internal error while planning, see the journal"
-                request.reply(refused(codes.INVALID_GOAL, words, *goal))
-
-    def _next(self) -> GoalRequest | None:
-        """Waits for the next request; meanwhile prepares for a goal from where the arm is."""
-        while True:
-            try:
-                return self._queue.get(timeout=IDLE)
-            except queue.Empty:
-                self._expect()
 
     def _expect(self) -> None:
         """Prepares the search, step by step so that no request waits for it."""
@@ -131,7 +102,7 @@ class Planner:
         except Refusal:
             return
         for _ in solver.expect(previous, self._arm.tolerance):
-            if not self._queue.empty():
+            if self.requests.waiting():
                 return
 
     def _proceed(self, request: GoalRequest) -> None:
@@ -140,18 +111,24 @@ class Planner:
         Raises:
             Refusal: it is not.
         """
-        if self._closing:
+        if self.requests.closing:
             raise Refusal(codes.INVALID_GOAL, CLOSING)
         if self._admission.barred(request.ticket):
             raise Refusal(codes.INVALID_GOAL, BARRED)
 
-    def _serve(self, request: GoalRequest, named: list[str]) -> None:
-        message = request.wanted
-        if not isinstance(message, GoalMessage):
-            self._sender.send(request.ticket, self._jogging.maker(message, self._accepting(request)))
-            return
-        goal = message.id or uuid.uuid4().hex[:12]
-        named.append(goal)
+    def _serve(self, request: GoalRequest) -> None:
+        self._proceed(request)
+        if isinstance(request.wanted, GoalMessage):
+            self._run(request, request.wanted, request.goal or "")
+        else:
+            self._sender.send(request.ticket, self._jogging.maker(request.wanted, self._accepting(request)))
+
+    def _run(self, request: GoalRequest, message: GoalMessage, goal: str) -> None:
+        """Plans a goal, has the executor run it, and improves its plan.
+
+        Raises:
+            Refusal: it is not run.
+        """
         trajectory = self._planning.trajectory(message, request.received)
         for last in (*[False] * (REPLANS - 1), True):
             found = self._planning.plan(trajectory, lambda: self._proceed(request), run=True)
@@ -186,7 +163,7 @@ class Planner:
         try:
             for better in Improvement(found.solver, plan, self._pace, start).plans():
                 current = self._planning.now()[1]
-                if not self._queue.empty() or not self._goals.runs(run) or current is not found.keep_out:
+                if self.requests.waiting() or not self._goals.runs(run) or current is not found.keep_out:
                     return
                 self._proceed(request)
                 if better is not told and current.touched(before, stages_of(better)) is None:

@@ -98,7 +98,7 @@ class Planning:
             Jogging(arm, self._keep_out),
         )
         queries = GoalPlanning(arm, for_queries, self._monitor, self._bias)
-        self._queries = PlanQueries(queries, lambda: self._planner.waiting() > 0)
+        self._queries = PlanQueries(queries, lambda: self._planner.requests.waiting() > 0)
         self._follower = Follower(
             arm, for_setpoints, self._monitor, self._admission, self._goals, numbers, link.send, self._bias
         )
@@ -117,7 +117,7 @@ class Planning:
 
     def start(self) -> None:
         """Starts all threads, the link to the executor at last."""
-        for part in (self._clearance, self._planner, self._queries, self._follower):
+        for part in (self._clearance, self._planner.requests, self._queries.requests, self._follower):
             part.start()
         if self._tip_bias is not None:
             self._tip_bias.start()
@@ -125,7 +125,7 @@ class Planning:
 
     def close(self) -> None:
         """Refuses what waits, ends the running goal and publishes its result, and ends all threads."""
-        for part in (self._follower, self._planner, self._queries):
+        for part in (self._follower, self._planner.requests, self._queries.requests):
             part.close()
         if (running := self._goals.current) is not None:
             self._goals.end(running, Verdict("aborted", PATH_TOLERANCE_VIOLATED, CLOSING, ""))
@@ -206,7 +206,8 @@ class Planning:
 
     def _queues(self) -> dict[str, int]:
         waiting = self._link.waiting + self._clearance.waiting()
-        return {"inbox": waiting, "planning": self._planner.waiting() + self._queries.waiting()}
+        planning = self._planner.requests.waiting() + self._queries.requests.waiting()
+        return {"inbox": waiting, "planning": planning}
 
     def _tracker(self) -> Payload:
         return {} if self._tip_bias is None else {"tracker": self._tip_bias.status()}

@@ -1,0 +1,159 @@
+"""Locked actuators, single actuators, and states that are no configuration, on a played executor."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from controller.config import Arm
+from controller.program import (
+    Acknowledge,
+    Answer,
+    Lock,
+    Program,
+    Replacement,
+    unpack,
+)
+from tests.planning.conftest import DOCUMENT, Desk
+from tests.planning.test_goals import A, B, C, taken
+from tests.planning.test_obstacles import obstacles
+from tests.waiting import eventually
+
+
+def degrade(desk: Desk, actuator: str, state: int | None) -> None:
+    desk.planning.degrade(json.dumps({"actuator": actuator, "state": state}).encode(), desk.inbox.replying("degrade"))
+
+
+def test_a_locked_actuator_is_planned_around(desk: Desk) -> None:
+    degrade(desk, "1.left", 0)
+    lock = desk.executor.expect(Lock)
+    assert (lock.actuator, lock.state) == (0, 0)
+    desk.executor.answer(lock, "locked", locked=b"\x01\x00", locks=1)
+    assert desk.inbox.next("degrade") == {"accepted": True, "code": 0, "message": "held: 1.left (contracted)"}
+    eventually(lambda: desk.planning.state()["degraded"])
+    assert desk.planning.state()["degraded"] == [{"actuator": "1.left", "state": 0}]
+    assert [fault["code"] for fault in desk.planning.state()["faults"]] == ["degraded"]
+    eventually(lambda: desk.planning.state()["mode"] == "ready")
+    desk.goal((0, 1, 0, 0))
+    program = desk.executor.expect(Program)
+    assert not unpack(program.stages[-1].states) & 1
+
+
+def test_while_the_tables_are_rebuilt_goals_are_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    import threading
+
+    door = threading.Event()
+    rebuild = desk.planning._locked._rebuild
+    monkeypatch.setattr(desk.planning._locked, "_rebuild", lambda held: (door.wait(30), rebuild(held)))
+    desk.show(locked=b"\x01\x00", locks=1)
+    eventually(lambda: desk.planning.state()["mode"] == "starting")
+    assert desk.planning.state()["reason"] == "planning is made ready to go on, held: 1.left (contracted)"
+    desk.goal(A)
+    assert desk.inbox.next("reply")["message"].startswith("the arm is starting: planning is made ready to go on")
+    door.set()
+    eventually(lambda: desk.planning.state()["mode"] == "ready")
+
+
+def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    rebuild = desk.planning._locked._rebuild
+
+    def broken(held: Any) -> None:
+        raise MemoryError("no memory")
+
+    monkeypatch.setattr(desk.planning._locked, "_rebuild", broken)
+    desk.show(locked=b"\x01\x00", locks=1)
+    eventually(lambda: desk.planning.state()["mode"] == "fault")
+    assert "no memory" in desk.planning.state()["reason"]
+    monkeypatch.setattr(desk.planning._locked, "_rebuild", rebuild)
+    desk.planning.reset(desk.inbox.replying("reset"))
+    eventually(lambda: desk.planning.state()["mode"] == "ready")
+
+
+@pytest.mark.parametrize(
+    ("actuator", "state", "words"),
+    [
+        ("9.left", 0, "actuator: '9.left' is none of this arm's, which are 1.left to 4.right"),
+        ("1.left", 1, "state: the end-stop of 1.left reads contracted"),
+    ],
+)
+def test_a_lock_that_cannot_be_is_refused_in_words(desk: Desk, actuator: str, state: int, words: str) -> None:
+    degrade(desk, actuator, state)
+    reply = desk.inbox.next("degrade")
+    assert (reply["accepted"], reply["message"]) == (False, words)
+
+
+def test_a_lock_that_the_executor_refuses_ends_nothing(desk: Desk) -> None:
+    taken(desk, A, B, step=10)
+    degrade(desk, "1.left", 0)
+    lock = desk.executor.expect(Lock, Replacement)
+    desk.executor.send(Answer(lock.request, False, "the arm is executing"))
+    assert desk.inbox.next("degrade")["message"] == "the arm is executing"
+    desk.executor.show()
+    desk.goal(C, name="c")
+    assert desk.executor.expect(Program, Replacement).epoch == 1
+
+
+def jog(desk: Desk, **actuators: str) -> None:
+    named = {label.replace("_", ".").strip("m"): state for label, state in actuators.items()}
+    desk.planning.jog(json.dumps({"actuators": named}).encode(), desk.inbox.replying())
+
+
+def test_single_actuators_are_switched(desk: Desk) -> None:
+    jog(desk, m1_left="extended", m2_right="extended")
+    program = desk.executor.expect(Program)
+    assert [unpack(stage.states) for stage in program.stages] == [0b100001]
+    desk.executor.accept(program)
+    reply = desk.inbox.next("reply")
+    assert (reply["accepted"], reply["message"]) == (True, "accepted, 2 switches: 1.left extended, 2.right extended")
+    desk.executor.run(program, 0)
+    desk.executor.end(program)
+    result = desk.inbox.next("result")
+    assert (result["id"], result["status"], result["message"]) == (reply["id"], "succeeded", "switched")
+    jog(desk, m1_left="contracted")
+    program = desk.executor.expect(Program, Acknowledge)
+    desk.executor.accept(program)
+    reply = desk.inbox.next("reply")
+    desk.executor.end(program)
+    assert desk.inbox.next("result")["message"] == "not measured where they were sent: 1.left"
+
+
+def test_locked_actuators_and_those_that_would_touch_are_not_switched(desk: Desk) -> None:
+    desk.show(locked=b"\x01\x00", locks=1)
+    jog(desk, m1_left="extended")
+    message = desk.inbox.next("reply")["message"]
+    assert "1.left is held" in message or message.startswith("the arm is starting")
+    eventually(lambda: desk.planning.state()["mode"] == "ready")
+    obstacles(desk, (desk.tip(0, 0, 0, 1), 0.02))
+    jog(desk, m4_left="extended")
+    assert "on the way from where the arm is" in desk.inbox.next("reply")["message"]
+    jog(desk, m4_middle="extended")
+    assert "'4.middle' is none of this arm's" in desk.inbox.next("reply")["message"]
+
+
+JOINT = {"type": "transforms", "states": [{"position": [0.1, 0.05 * k]} for k in range(3)], "count": 2}
+
+
+def test_a_state_that_is_no_configuration_is_left_by_single_actuators(
+    read: Callable[[Any], Arm], make_desk: Callable[..., Desk]
+) -> None:
+    desk = make_desk(read({**DOCUMENT, "modules": [JOINT]}))
+    unused = next(
+        bits for bits in range(4) if bits not in {int(row @ [1, 2]) for row in desk.arm.manipulator.modules[0].bits}
+    )
+    desk.show(outputs=unused)
+    (fault,) = desk.planning.state()["faults"]
+    assert (fault["code"], desk.planning.state()["mode"]) == ("unknown-state", "ready")
+    desk.raw({"waypoints": [{"position": [0.2, 0.0]}]})
+    assert desk.inbox.next("reply")["message"].startswith("unknown state: what the boards measure is no configuration")
+    labels = desk.arm.manipulator.actuators
+    wanted = {label: "contracted" for label in labels[:2]}
+    desk.planning.jog(json.dumps({"actuators": wanted}).encode(), desk.inbox.replying())
+    program = desk.executor.expect(Program)
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+    desk.executor.run(program, 0)
+    desk.executor.end(program)
+    assert desk.inbox.next("result")["status"] == "succeeded"
+    desk.settle()
+    assert desk.planning.state()["faults"] == []

@@ -1,0 +1,34 @@
+"""What `state` and `diagnostics` tell, on a played executor."""
+
+import pytest
+
+from tests.planning.conftest import Desk
+from tests.planning.executor import Inbox
+from tests.waiting import eventually
+
+HOME = (0, 0, 0, 0)
+
+
+def test_state_and_diagnostics_tell_what_they_did(desk: Desk) -> None:
+    state = desk.planning.state()
+    assert (state["mode"], state["reason"], state["configuration"]) == ("ready", "holding", "0000")
+    assert (state["commanded"], state["measured"], state["goal"]) == ([0] * 12, [0] * 12, None)
+    assert (state["waypoint"], state["faults"], state["degraded"]) == (None, [], [])
+    assert state["tip"]["position"] == pytest.approx(desk.tip(*HOME))
+    told = desk.planning.diagnostics()
+    keys = {"stamp", "loop", "buses", "boards", "queues", "setpoint", "switches", "waits", "ledger", "real_time"}
+    assert keys <= told.keys()
+    assert (told["ledger"], told["queues"]) == ("ok", {"inbox": 0, "planning": 0})
+    assert desk.planning.description()["name"] == "small"
+
+
+def test_a_lost_executor_is_told(desk: Desk) -> None:
+    desk.executor.greets = False
+    desk.executor.drop()
+    eventually(lambda: desk.planning.state()["mode"] == "fault")
+    state = desk.planning.state()
+    assert [fault["code"] for fault in state["faults"]] == ["executor-lost"]
+    assert (state["configuration"], state["commanded"], state["measured"]) == (None, None, [None] * 12)
+    inbox = Inbox()
+    desk.planning.stop(inbox.replying("stop"))
+    assert "the executor is not connected" in inbox.next("stop")["message"]
