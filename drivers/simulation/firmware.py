@@ -83,7 +83,7 @@ class SimulatedBoard:
     @property
     def timer(self) -> float:
         """When `step` is to be called at the latest [s]."""
-        times = [self._next_heartbeat, self._master_deadline, *(w.actuator.arrival for w in self.wired)]
+        times = [self._next_heartbeat, self._master_deadline, *(w.actuator.due for w in self.wired)]
         return min((time for time in times if time is not None), default=float("inf"))
 
     def step(self, now: float) -> None:
@@ -217,7 +217,7 @@ class SimulatedBoard:
 
     def _read_inputs(self) -> None:
         before = self._inputs
-        self._inputs = inputs = sum(actuator.sensor << bit for actuator, _, bit in self.wired if bit is not None)
+        self._inputs = inputs = sum(actuator.reads(1) << bit for actuator, _, bit in self.wired if bit is not None)
         if inputs != before:
             for sub, value in zip(_BYTES, inputs.to_bytes(len(_BYTES), "little"), strict=True):
                 self.objects.put(0x6000, sub, value)

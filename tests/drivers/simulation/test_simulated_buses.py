@@ -57,8 +57,9 @@ def test_boards_answer_on_their_own_bus_only(bench):
 def test_actuators_move_while_time_passes_and_end_stops_are_sent_on_arrival(bench):
     bench.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
     assert (bench.buses.drives(), bench.buses.switches()) == ([1, 1, 0], [1, 1, 0])
-    assert bench.buses.next_due() == pytest.approx(1.05)
+    assert bench.buses.next_due() == pytest.approx(1.0025), "the switches of the contracted ends open"
     bench.buses.step(1.025)
+    assert bench.buses.next_due() == pytest.approx(1.05)
     assert bench.buses.positions() == pytest.approx([0.5, 0.5, 0.0])
     assert bench.heard() == []
     bench.buses.step(bench.buses.next_due())
