@@ -4,15 +4,19 @@ import csv
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path, PurePath
+from typing import Literal
 
 from controller.settings import (
     ActuatorSettings,
     ArmSettings,
+    BitSettings,
+    ErrorState,
     ModuleSettings,
     PlatformSettings,
     PrismaticSettings,
     RevoluteSettings,
     TransformsSettings,
+    TravelSettings,
     VgtSettings,
     read_settings,
 )
@@ -128,14 +132,139 @@ def map_actuators(
             found[label] = entry
         if entry.bus not in buses:
             faults.append(f"{path}.bus: {entry.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
-        for kind, bit in (("output", entry.output), ("input", entry.input)):
-            if bit is None:
-                continue
-            where = (kind, entry.bus, entry.node, bit)
+        for field, bit in terminals(entry):
+            kind = field.split("_")[0]
+            where = (kind, entry.bus, entry.node, bit.bit)
             if where in taken:
-                faults.append(f"{path}.{kind}: {kind} {bit} of {entry.bus}/{entry.node} is {taken[where]}'s already")
+                place = f"{kind} {bit.bit} of {entry.bus}/{entry.node}"
+                faults.append(f"{path}.{field}: {place} is {taken[where]}'s already")
             taken.setdefault(where, label)
+    check_interlocks(settings, buses, taken, faults)
+    check_kinds(settings, faults)
+    check_nodes(settings, buses, faults)
     every = labels(modules)
     if settings.actuators or settings.buses:
         faults += [f"actuators: {label} is not mapped" for label in every if label not in found]
     return tuple(found[label] for label in every if label in found)
+
+
+def terminals(entry: ActuatorSettings) -> list[tuple[str, BitSettings]]:
+    """Returns the outputs and inputs of an actuator, each with the name of its field."""
+    fields = {
+        "output": entry.output,
+        "output_off": entry.output_off,
+        "input": entry.input,
+        "input_contracted": entry.input_contracted,
+    }
+    return [(name, bit_settings(bit)) for name, bit in fields.items() if bit is not None]
+
+
+def bit_settings(bit: int | BitSettings) -> BitSettings:
+    """Returns an output or input that may be written as its number alone."""
+    return BitSettings(bit) if isinstance(bit, int) else bit
+
+
+def travel_times(settings: ArmSettings, entry: ActuatorSettings) -> tuple[float, float]:
+    """Returns the longest times of an actuator to its contracted and to its extended end [s]."""
+    times = settings.travel_time if entry.travel_time is None else entry.travel_time
+    return (times.contract, times.extend) if isinstance(times, TravelSettings) else (times, times)
+
+
+def longest_travel(settings: ArmSettings) -> float:
+    """Returns the longest time of any actuator from end to end [s]."""
+    given = [entry.travel_time for entry in settings.actuators]
+    every = [settings.travel_time if times is None else times for times in given] or [settings.travel_time]
+    return max(max(times.extend, times.contract) if isinstance(times, TravelSettings) else times for times in every)
+
+
+def error_state(setting: ErrorState | None) -> Literal["off", "hold", "device"] | None:
+    """Returns what the setting means: YAML reads a plain `off` as false; true means nothing."""
+    if isinstance(setting, bool):
+        return None if setting else "off"
+    return setting
+
+
+def check_interlocks(
+    settings: ArmSettings, buses: Sequence[str], taken: dict[tuple[str, str, int, int], str], faults: list[str]
+) -> None:
+    """Appends the faults of the interlocks' places.
+
+    Args:
+        settings: of the arm.
+        buses: their names.
+        taken: who has each output and input so far: kind, bus, node, bit; added to.
+        faults: appended to.
+    """
+    for name, lock in settings.interlocks.items():
+        if lock.bus not in buses:
+            faults.append(f"interlocks.{name}.bus: {lock.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
+        where = ("input", lock.bus, lock.node, lock.input)
+        if where in taken:
+            place = f"input {lock.input} of {lock.bus}/{lock.node}"
+            faults.append(f"interlocks.{name}.input: {place} is {taken[where]}'s already")
+        taken.setdefault(where, f"interlock {name}")
+
+
+def check_kinds(settings: ArmSettings, faults: list[str]) -> None:
+    """Appends what actuators are asked that their kind cannot do."""
+    boards = settings.boards
+    nodes = {(node.bus, node.node): node for node in boards.nodes}
+    for k, entry in enumerate(settings.actuators):
+        path, on_loss = f"actuators[{k}]", entry.on_loss or boards.on_loss
+        field = "boards.on_loss" if entry.on_loss is None else f"{path}.on_loss"
+        if entry.pulse is not None and entry.output_off is None:
+            faults.append(
+                f"{path}.pulse: {entry.pulse:g} s, but an actuator without `output_off` returns when its output goes"
+                " off; a bistable one needs both outputs, any other no pulse"
+            )
+        if entry.pulse is not None and on_loss == "contract":
+            faults.append(
+                f"{field}: contract, but the outputs of actuator {entry.module}.{entry.actuator} are off between"
+                f" pulses, so it stays where it is; {path}.on_loss: hold is needed"
+            )
+        node = nodes.get((entry.bus, entry.node))
+        state = error_state(boards.error_state if node is None or node.error_state is None else node.error_state)
+        where = "boards" if node is None or node.error_state is None else f"boards.nodes[{boards.nodes.index(node)}]"
+        contradiction = contradicted(entry, on_loss, state)
+        if contradiction:
+            label = f"{entry.module}.{entry.actuator}"
+            faults.append(f"{where}.error_state: {state}, but actuator {label} {contradiction}")
+
+
+def contradicted(entry: ActuatorSettings, on_loss: str, state: str | None) -> str:
+    """Returns why an actuator cannot do on the loss of the master what it is to do, if its board does `state`."""
+    inverted = bit_settings(entry.output).inverted
+    if state is None:
+        return ""
+    if entry.pulse is not None:
+        return "" if state == "off" else "has pulses: an output that is on then would stay on; off is needed"
+    if on_loss == "contract":
+        off = state == "off" and entry.output_off is None and not inverted
+        return "" if off else "is to contract (on_loss), which only 6206h and 6207h can ensure; no error_state is right"
+    if state == "off" and entry.output_off is None and not inverted:
+        return "is to hold (on_loss), and would contract; hold is needed, or on_loss: contract"
+    if state == "off" and entry.output_off is None:
+        return "is to hold (on_loss), and would extend, since its output is inverted; hold is needed"
+    return ""
+
+
+def check_nodes(settings: ArmSettings, buses: Sequence[str], faults: list[str]) -> None:
+    """Appends the faults of what is said of single boards."""
+    wired = {(entry.bus, entry.node) for entry in settings.actuators}
+    wired |= {(lock.bus, lock.node) for lock in settings.interlocks.values()}
+    seen: set[tuple[str, int]] = set()
+    if settings.boards.error_state is True:
+        faults.append("boards.error_state: true, but off, hold or device is needed")
+    for k, node in enumerate(settings.boards.nodes):
+        path, place = f"boards.nodes[{k}]", (node.bus, node.node)
+        if node.bus not in buses:
+            faults.append(f"{path}.bus: {node.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
+        elif place in seen:
+            faults.append(f"{path}: board {node.bus}/{node.node} is there already; one entry a board is needed")
+        elif place not in wired:
+            faults.append(f"{path}.node: board {node.bus}/{node.node} has neither an actuator nor an interlock")
+        if 0x5FFF < node.object < 0x6200:
+            faults.append(f"{path}.object: {node.object:#x}, but 0x6200 or an object from 0x2000 to 0x5fff is needed")
+        if node.error_state is True:
+            faults.append(f"{path}.error_state: true, but off, hold or device is needed")
+        seen.add(place)

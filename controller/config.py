@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.actuators import map_actuators
+from controller.actuators import longest_travel, map_actuators
 from controller.chain import build_frame, build_modules
 from controller.manipulator.held import STATES, Held, free, hold
 from controller.manipulator.manipulator import Manipulator
@@ -82,6 +82,11 @@ class Arm:
         own = np.linspace(settings.base, 1.0, modules)[place] * ([entry.weight for entry in self.wiring] or 1.0)
         worn = np.array([(switches or {}).get(label, 0) for label in self.manipulator.actuators], dtype=float)
         return np.asarray(own * (1.0 + settings.wear * worn / max(worn.max(), 1.0)))
+
+    @property
+    def travel_time(self) -> float:
+        """Longest time of any actuator from end to end [s]."""
+        return longest_travel(self.settings)
 
     @property
     def tolerance(self) -> float:

@@ -12,7 +12,11 @@ Positive = Annotated[float, Meta(gt=0, le=1e6)]
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Pair = tuple[Positive, Positive]
 Count = Annotated[int, Meta(ge=1, le=10_000)]
-Bit = Annotated[int, Meta(ge=0, le=63)]
+Bit = Annotated[int, Meta(ge=0, le=2031)]  # of 254 bytes
+Node = Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
+Word = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
+Travel = Annotated[float, Meta(gt=0, le=60)]
+Margin = Annotated[float, Meta(ge=0, le=10)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
@@ -22,6 +26,8 @@ Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
 Method = Literal["minimum-switch", PaperMethod]
+OnLoss = Literal["hold", "contract"]
+ErrorState = Literal["off", "hold", "device"] | bool  # YAML reads a plain off as false
 
 MOST_REGIONS = 256  # in one list
 
@@ -155,15 +161,30 @@ class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000
 
 
+class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One board: what it must be by 1018h, the object of its outputs, and what its outputs do without the master."""
+
+    bus: str
+    node: Node
+    object: Annotated[int, Meta(ge=0x2000, le=0x6200)] = 0x6200
+    vendor: Word | None = None
+    product: Word | None = None
+    revision: Word | None = None
+    serial: Word | None = None
+    error_state: ErrorState | None = None
+
+
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """What holds for all boards; times in seconds."""
+    """What holds for all boards, and `nodes`: what holds for single ones; times in seconds."""
 
     heartbeat: Annotated[float, Meta(ge=0.01, le=10)] = 0.1
     heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30)] = 0.35
     boot_timeout: Annotated[float, Meta(gt=0, le=120)] = 3.0
-    on_loss: Literal["hold", "contract"] = "hold"
+    on_loss: OnLoss = "hold"
+    error_state: ErrorState | None = None
     shared_rpdo: bool = False
-    settle_margin: Annotated[float, Meta(ge=0, le=10)] = 0.03  # after travel_time, before an actuator counts as stuck
+    settle_margin: Margin = 0.03  # after travel_time, before an actuator counts as stuck
+    nodes: list[NodeSettings] = field(default_factory=list)
 
 
 class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -184,18 +205,49 @@ class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
     priority: Annotated[int, Meta(ge=1, le=98)] = 50
 
 
-class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where one actuator is wired; the input bit, where there is an end-stop, reads 1 when extended.
+class BitSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One output or input of a board; an inverted one is electrically 0 where it means 1."""
 
-    One that is `stuck` is never to switch.
+    bit: Bit
+    inverted: bool = False
+
+
+class TravelSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Longest times of an actuator from end to end, one for each direction [s]."""
+
+    extend: Travel
+    contract: Travel
+
+
+class InterlockSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """An input that must read 1 while anything moves, such as an emergency stop; 0 if `inverted`."""
+
+    bus: str
+    node: Node
+    input: Bit
+    inverted: bool = False
+
+
+class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Where one actuator is wired, and of what kind it is.
+
+    `output` extends it; without `output_off` a spring contracts it. The end-stops `input` and `input_contracted` read 1
+    while the actuator is at the end. With `pulse` an output is on for so long only [s]. One that is `stuck` is never to
+    switch.
     """
 
     module: Annotated[int, Meta(ge=1)]
     actuator: str
     bus: str
-    node: Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
-    output: Bit
-    input: Bit | None = None
+    node: Node
+    output: Bit | BitSettings
+    output_off: Bit | BitSettings | None = None
+    pulse: Annotated[float, Meta(ge=0.01, le=10)] | None = None
+    input: Bit | BitSettings | None = None
+    input_contracted: Bit | BitSettings | None = None
+    travel_time: Travel | TravelSettings | None = None
+    settle_margin: Margin | None = None
+    on_loss: OnLoss | None = None
     weight: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     stuck: Literal["contracted", "extended"] | None = None
 
@@ -206,13 +258,14 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     name: Name
     modules: Annotated[list[ModuleSettings], Meta(min_length=1)]
     tolerance: ToleranceSettings
-    travel_time: Annotated[float, Meta(gt=0, le=60)] = 0.05
+    travel_time: Travel | TravelSettings = 0.05
     rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     inrush: Count | None = None
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = "minimum-switch"
     on_stuck: Literal["hold", "continue"] = "hold"
+    on_stop: Literal["hold", "contract"] = "hold"
     weights: WeightSettings = WeightSettings()
     boards: BoardSettings = BoardSettings()
     real_time: RealTimeSettings | None = None
@@ -222,6 +275,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)
     actuators: list[ActuatorSettings] = field(default_factory=list)
+    interlocks: dict[Name, InterlockSettings] = field(default_factory=dict)
 
 
 def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:

@@ -86,6 +86,11 @@ def walk(value: Any, kind: Any, path: str, faults: list[str]) -> None:
             if name in value:
                 walk(value[name], hints[name], join(path, name), faults)
         return
+    if isinstance(value, dict) and get_origin(kind) is dict:
+        for name, element in value.items():
+            walk(name, get_args(kind)[0], join(path, f"{name!s:.80}"), faults)
+            walk(element, get_args(kind)[1], join(path, f"{name!s:.80}"), faults)
+        return
     elements = element_type(kind)
     if isinstance(value, list) and elements is not None:
         before = len(faults)

@@ -21,7 +21,7 @@ def faults(read, value) -> list[str]:
 # Field set, value given, the one fault it must bring, by its beginning.
 FAULTS = [
     ("nam", "x", "nam: unknown field; known are actuators, base, boards"),
-    ("boards.hartbeat", 1, "boards.hartbeat: unknown field; known are boot_timeout, heartbeat"),
+    ("boards.hartbeat", 1, "boards.hartbeat: unknown field; known are boot_timeout, error_state, heartbeat"),
     ("actuators.1.nod", 1, "actuators[1].nod: unknown field"),
     ("name", 7, "name: Expected `str`, got `int` (given: 7)"),
     ("name", "a b", "name: Expected `str` matching regex"),
@@ -69,7 +69,7 @@ FAULTS = [
     ("buses.1.name", "can0", "buses[1].name: 'can0' is already taken"),
     ("actuators.0.node", 127, "actuators[0].node: Expected `int` <= 126 (given: 127)"),
     ("actuators.0.node", 0, "actuators[0].node: Expected `int` >= 1 (given: 0)"),
-    ("actuators.0.output", 64, "actuators[0].output: Expected `int` <= 63 (given: 64)"),
+    ("actuators.0.output", 2032, "actuators[0].output: Expected `int` <= 2031 (given: 2032)"),
     ("actuators.0.input", -1, "actuators[0].input: Expected `int` >= 0 (given: -1)"),
     ("actuators.0.bus", "can7", "actuators[0].bus: 'can7' is none of the buses can0, spare"),
     ("actuators.1.output", 0, "actuators[1].output: output 0 of can0/1 is 1.left's already"),

@@ -67,7 +67,7 @@ def demo(
             result = run(client, [{"position": target}], f"target ({written(target)})")
             rows.append((written(target), result, time.perf_counter() - began))
             reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
-        step = max(STEP, 1.5 * arm.settings.travel_time * stages(arm) + arm.settings.rest_time)
+        step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
         waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
         began = time.perf_counter()
         result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")

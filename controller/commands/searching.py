@@ -68,7 +68,7 @@ def follow_lines(
     from controller.motion.trajectory import MOST_POINTS, along
     from controller.planning.improvement import Improvement
 
-    pace = Pace(arm.settings.travel_time, arm.settings.inrush, arm.settings.rest_time)
+    pace = Pace(arm.travel_time, arm.settings.inrush, arm.settings.rest_time)
     times = pace.unhurried * MOST_POINTS * np.arange(len(positions), dtype=np.float64)
     try:
         trajectory = along(times, np.array(positions, dtype=np.float64), tolerance, path_tolerance, pace)

@@ -4,9 +4,11 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from controller.actuators import read_wired
+import msgspec
+
+from controller.actuators import error_state, longest_travel, read_wired, terminals, travel_times
 from controller.settings import ActuatorSettings, ArmSettings, RealTimeSettings
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
 
 WORDS = ("contracted", "extended")  # of the states 0 and 1
 
@@ -25,6 +27,7 @@ class ExecutedArm:
         locked: mask of the actuators that the file declares stuck.
         locked_states: their states.
         continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
+        contract_on_stop: contract all actuators before the executor ends.
         real_time: what the file asks of the system.
         digest: SHA-256 of the file, in hexadecimal.
     """
@@ -38,6 +41,7 @@ class ExecutedArm:
     locked: int = 0
     locked_states: int = 0
     continue_on_stuck: bool = False
+    contract_on_stop: bool = False
     real_time: RealTimeSettings | None = None
     digest: str = ""
 
@@ -64,6 +68,7 @@ def read_arm(path: Path) -> ExecutedArm:
         locked=sum(1 << k for k, entry in enumerate(wired) if entry.stuck is not None),
         locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == WORDS[1]),
         continue_on_stuck=settings.on_stuck == "continue",
+        contract_on_stop=settings.on_stop == "contract",
         real_time=settings.real_time,
         digest=hashlib.sha256(path.read_bytes()).hexdigest(),
     )
@@ -71,14 +76,41 @@ def read_arm(path: Path) -> ExecutedArm:
 
 def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[ActuatorSettings, ...]) -> Wiring:
     """Returns the drivers' view of buses and actuators."""
+    boards = settings.boards
     return Wiring(
         buses=tuple(BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses),
-        channels=tuple(
-            Channel(label, entry.bus, entry.node, entry.output, entry.input)
-            for label, entry in zip(actuators, wired, strict=True)
+        channels=tuple(channel_of(settings, label, entry) for label, entry in zip(actuators, wired, strict=True)),
+        on_loss=boards.on_loss,
+        shared_rpdo=boards.shared_rpdo,
+        error_state=error_state(boards.error_state),
+        nodes=tuple(
+            NodeSettings(**{**msgspec.structs.asdict(node), "error_state": error_state(node.error_state)})
+            for node in boards.nodes
         ),
-        on_loss=settings.boards.on_loss,
-        shared_rpdo=settings.boards.shared_rpdo,
+        interlocks=tuple(
+            Interlock(name, lock.bus, lock.node, lock.input, lock.inverted)
+            for name, lock in settings.interlocks.items()
+        ),
+    )
+
+
+def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:
+    """Returns the drivers' view of one actuator."""
+    lines = dict(terminals(entry))
+    bits = {name: line.bit for name, line in lines.items()}
+    return Channel(
+        actuator=label,
+        bus=entry.bus,
+        node=entry.node,
+        output=bits["output"],
+        input=bits.get("input"),
+        output_off=bits.get("output_off"),
+        input_contracted=bits.get("input_contracted"),
+        inverted=frozenset(name for name, line in lines.items() if line.inverted),
+        pulse=entry.pulse,
+        travel=travel_times(settings, entry),
+        settle_margin=entry.settle_margin,
+        on_loss=entry.on_loss,
     )
 
 
@@ -89,6 +121,6 @@ def timing_of(settings: ArmSettings) -> Timing:
         heartbeat=boards.heartbeat,
         heartbeat_timeout=boards.heartbeat_timeout,
         boot_timeout=boards.boot_timeout,
-        travel_time=settings.travel_time,
+        travel_time=longest_travel(settings),
         settle_margin=boards.settle_margin,
     )

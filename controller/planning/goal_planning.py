@@ -30,7 +30,7 @@ Bias = Callable[[], NDArray[np.float64] | None]
 def pace_of(arm: Arm) -> Pace:
     """Returns the pace of an arm's transitions."""
     settings = arm.settings
-    return Pace(settings.travel_time + PERIOD, settings.inrush, settings.rest_time)
+    return Pace(arm.travel_time + PERIOD, settings.inrush, settings.rest_time)
 
 
 @dataclass(frozen=True, eq=False)

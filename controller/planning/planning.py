@@ -80,7 +80,7 @@ class Planning:
         self._solvers = [
             CollisionAwareSolver(arm, solver, self._keep_out) for solver in self._tables(arm.held, densities)
         ]
-        self._monitor = ArmMonitor(manipulator, link, arm.settings.travel_time, pace_of(arm))
+        self._monitor = ArmMonitor(manipulator, link, arm.travel_time, pace_of(arm))
         self._locked = LockedActuators(manipulator, arm.held, self._rebuild, on_change)
         self._monitor.go_by(self._locked)
         self._tip_bias = TipBiasWorker(self._monitor, arm.settings.tracker) if arm.settings.tracker else None

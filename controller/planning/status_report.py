@@ -181,7 +181,7 @@ def description(arm: Arm) -> Payload:
         "actuators": list(manipulator.actuators),
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
         "tolerance": {"position": arm.tolerance, "orientation": arm.turn},
-        "travel_time": arm.settings.travel_time,
+        "travel_time": arm.travel_time,
         "inrush": arm.settings.inrush,
         "rest_time": arm.settings.rest_time,
         "method": arm.settings.method,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 MASTER = 127  # node id of this master's heartbeat
 GREATEST_BIT = 2031  # of 6000h and 6200h: 254 sub-indices of 8 bits
 
+OnLoss = Literal["hold", "contract"]
 ErrorState = Literal["off", "hold", "device"]
 
 
@@ -29,19 +31,45 @@ class BusSettings:
     bitrate: int = 1_000_000
 
 
+class Line(NamedTuple):
+    """One output or input of a board.
+
+    Attributes:
+        bus: name of its bus.
+        node: node id of its board.
+        bit: of 6200h or 6000h.
+        inverted: whether it is electrically 0 where its level is 1.
+    """
+
+    bus: str
+    node: int
+    bit: int
+    inverted: bool = False
+
+
 @dataclass(frozen=True)
 class Channel:
     """The wiring of one actuator. Its place in `Wiring.channels` is the actuator's index and its bit in masks.
+
+    An actuator with `output_off` has two outputs, of which one is on at most: it stays where it is while both are off.
+    All its outputs and inputs are on one board.
 
     Attributes:
         actuator: label for messages, e.g. "5.left".
         bus: name of a bus.
         node: node id of the board, 1..126 (127 is the master).
-        output: bit of 6200h, 0..2031 (sub-index 1 + bit // 8).
-        input: bit of 6000h that reads 1 if the actuator is extended; None without an end-stop.
+        output: bit of 6200h that extends it, 0..2031 (sub-index 1 + bit // 8).
+        input: bit of 6000h that reads 1 while the actuator is extended; None without that end-stop.
+        output_off: bit of 6200h that contracts it; None: a spring does as soon as `output` is off.
+        input_contracted: bit of 6000h that reads 1 while the actuator is contracted; None without that end-stop.
+        inverted: names of those of the four fields above whose bit is electrically 0 where its level is 1.
+        pulse: an output is on for this long at a switch, then off [s]; None: it stays on.
+        travel: longest times to the contracted and to the extended end [s]; None: `Timing.travel_time`.
+        settle_margin: [s]; None: `Timing.settle_margin`.
+        on_loss: as in `Wiring`, of this actuator alone; None: as there.
 
     Raises:
-        ValueError: a number is out of its range.
+        ValueError: a number is out of its range, or the fields contradict each other.
     """
 
     actuator: str
@@ -49,19 +77,57 @@ class Channel:
     node: int
     output: int
     input: int | None
+    output_off: int | None = None
+    input_contracted: int | None = None
+    inverted: frozenset[str] = frozenset()
+    pulse: float | None = None
+    travel: tuple[float, float] | None = None
+    settle_margin: float | None = None
+    on_loss: OnLoss | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.node < MASTER:
             raise ValueError(f"actuator {self.actuator}: node {self.node} is not in 1..126 (127 is the master)")
-        if not 0 <= self.output <= GREATEST_BIT:
-            raise ValueError(f"actuator {self.actuator}: output {self.output} is not in 0..{GREATEST_BIT}")
-        if self.input is not None and not 0 <= self.input <= GREATEST_BIT:
-            raise ValueError(f"actuator {self.actuator}: input {self.input} is not in 0..{GREATEST_BIT}")
+        for name in ("output", "input", "output_off", "input_contracted"):
+            bit = getattr(self, name)
+            if bit is not None and not 0 <= bit <= GREATEST_BIT:
+                raise ValueError(f"actuator {self.actuator}: {name} {bit} is not in 0..{GREATEST_BIT}")
+        if self.pulse is not None and self.output_off is None:
+            raise ValueError(f"actuator {self.actuator}: a pulse of {self.pulse:g} s needs output_off as well")
 
     @property
     def place(self) -> str:
         """The actuator and its output, for messages."""
         return f"{self.actuator} ({self.bus}/{self.node} output {self.output})"
+
+    def line(self, name: str) -> Line | None:
+        """Returns the line of "output", "input", "output_off" or "input_contracted"; None if it has none."""
+        bit: int | None = getattr(self, name)
+        return None if bit is None else Line(self.bus, self.node, bit, name in self.inverted)
+
+
+@dataclass(frozen=True)
+class Interlock:
+    """An input that is closed, level 1, while motion is allowed: an emergency stop, air pressure, a guard door.
+
+    Attributes:
+        name: for messages.
+        bus: name of a bus.
+        node: node id of its board.
+        input: bit of 6000h.
+        inverted: whether it is electrically 0 while closed.
+    """
+
+    name: str
+    bus: str
+    node: int
+    input: int
+    inverted: bool = False
+
+    @property
+    def line(self) -> Line:
+        """Its line."""
+        return Line(self.bus, self.node, self.input, self.inverted)
 
 
 @dataclass(frozen=True)
@@ -108,17 +174,20 @@ class Wiring:
         error_state: what the outputs of boards without 6206h and 6207h do if the master is no longer heard: go "off" or
             "hold", as a person knows it, or whatever the "device" does; None: such boards are refused.
         nodes: boards of which more is to be said.
+        interlocks: inputs that must be closed while anything moves.
 
     Raises:
-        ValueError: a name, output, input or node is there twice, or a channel or node names an unknown bus.
+        ValueError: a name, output, input or node is there twice, a channel, node or interlock names an unknown bus, or
+            an actuator with pulses is to contract on loss.
     """
 
     buses: tuple[BusSettings, ...]
     channels: tuple[Channel, ...]
-    on_loss: Literal["hold", "contract"] = "hold"
+    on_loss: OnLoss = "hold"
     shared_rpdo: bool = False
     error_state: ErrorState | None = None
     nodes: tuple[NodeSettings, ...] = ()
+    interlocks: tuple[Interlock, ...] = ()
 
     def __post_init__(self) -> None:
         names = [bus.name for bus in self.buses]
@@ -126,16 +195,59 @@ class Wiring:
         for channel in self.channels:
             if channel.bus not in names:
                 raise ValueError(f"actuator {channel.actuator}: bus {channel.bus} is not one of {', '.join(names)}")
+            if channel.pulse is not None and (channel.on_loss or self.on_loss) == "contract":
+                raise ValueError(f"actuator {channel.actuator}: it has pulses, so it cannot contract on loss")
+        for lock in self.interlocks:
+            if lock.bus not in names:
+                raise ValueError(f"interlock {lock.name}: bus {lock.bus} is not one of {', '.join(names)}")
         _refuse_duplicates("actuator", [c.actuator for c in self.channels])
-        _refuse_duplicates("output", [f"{c.bus}/{c.node} output {c.output}" for c in self.channels])
-        inputs = [f"{c.bus}/{c.node} input {c.input}" for c in self.channels if c.input is not None]
-        _refuse_duplicates("input", inputs)
+        _refuse_duplicates("interlock", [lock.name for lock in self.interlocks])
+        _refuse_duplicates("output", [f"{c.bus}/{c.node} output {c.bit}" for c in self.output_lines])
+        _refuse_duplicates("input", [f"{c.bus}/{c.node} input {c.bit}" for c in self.input_lines if c is not None])
         for node in self.nodes:
             if node.bus not in names:
                 raise ValueError(f"board {node.bus}/{node.node}: bus {node.bus} is not one of {', '.join(names)}")
         _refuse_duplicates("node", [f"{node.bus}/{node.node}" for node in self.nodes])
         if self.on_loss not in ("hold", "contract"):
             raise ValueError(f"on_loss is {self.on_loss!r}, not 'hold' or 'contract'")
+
+    @cached_property
+    def paired(self) -> tuple[int, ...]:
+        """Indices of the actuators with two outputs: output line A + i is that of the i-th of them."""
+        return tuple(k for k, channel in enumerate(self.channels) if channel.output_off is not None)
+
+    @cached_property
+    def ended(self) -> tuple[int, ...]:
+        """Indices of the actuators with an `input_contracted`: input line A + i is that of the i-th of them."""
+        return tuple(k for k, channel in enumerate(self.channels) if channel.input_contracted is not None)
+
+    @cached_property
+    def output_lines(self) -> tuple[Line, ...]:
+        """All outputs: the `output` of each of the A actuators, then each `output_off` in the order of `paired`."""
+        return tuple(line for line in (*self._of_all("output"), *self._of_all("output_off")) if line is not None)
+
+    @cached_property
+    def input_lines(self) -> tuple[Line | None, ...]:
+        """All inputs: the `input` of each actuator, None without one; each `input_contracted`; the interlocks."""
+        contracted = [line for line in self._of_all("input_contracted") if line is not None]
+        return (*self._of_all("input"), *contracted, *(lock.line for lock in self.interlocks))
+
+    @cached_property
+    def loss_levels(self) -> tuple[int | None, ...]:
+        """What each output line does if the master is no longer heard: it goes to this level; None: it keeps its own.
+
+        Lines of actuators with pulses go off: a pulse under way would not end otherwise.
+        """
+        pairs = [self.channels[k] for k in self.paired]
+        return tuple(self._loss_level(c, 0) for c in self.channels) + tuple(self._loss_level(c, 1) for c in pairs)
+
+    def _loss_level(self, channel: Channel, contracting: int) -> int | None:
+        if channel.pulse is not None:
+            return 0
+        return contracting if (channel.on_loss or self.on_loss) == "contract" else None
+
+    def _of_all(self, name: str) -> list[Line | None]:
+        return [channel.line(name) for channel in self.channels]
 
 
 @dataclass(frozen=True)
