@@ -1,6 +1,7 @@
 """The planner's process: session, ledger, link, planning and server put together, and taken apart in order."""
 
 import contextlib
+import gc
 import logging
 import os
 import threading
@@ -92,6 +93,9 @@ def running(
         closing.callback(planning.close)
         server = Server(session, name, planning, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(server.close)
+        gc.collect()
+        gc.freeze()  # what lives as long as the daemon: no goal waits while the collector looks through it
+        closing.callback(gc.unfreeze)
         notifier.send("READY=1")
         closing.callback(notifier.send, "STOPPING=1")
         log.info("serving the arm %s", name)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from controller.planning.messages import Payload, Reply
 
 REMEMBERED = 60.0  # [s] after the last answer; clients ask again for a few seconds
+FORGET_EVERY = 1.0  # [s]
 MOST = 1_000  # goals remembered
 WITH_ID = re.compile(rb'"id"\s*:\s*"')
 
@@ -48,6 +49,7 @@ class RepeatedGoals:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._lock = clock, threading.Lock()
         self._known: dict[bytes, Known] = {}
+        self._forget_at = -float("inf")
 
     def take(self, payload: bytes, request: bytes, reply: Reply, submit: Callable[[bytes, Reply], None]) -> None:
         """Hands a goal on, or answers it as before.
@@ -101,8 +103,11 @@ class RepeatedGoals:
                 del self._known[key]
 
     def _forget(self) -> None:
-        """Forgets goals that ended long ago, and the oldest if there are too many."""
-        now = self._clock()
-        old = [key for key, known in self._known.items() if known.ended and known.at + REMEMBERED < now]
-        for key in old or list(self._known)[: max(len(self._known) - MOST, 0)]:
-            del self._known[key]
+        """Forgets goals that ended long ago, once in a while, and the oldest if there are too many."""
+        if (now := self._clock()) >= self._forget_at:
+            self._forget_at = now + FORGET_EVERY
+            old = [key for key, known in self._known.items() if known.ended and known.at + REMEMBERED < now]
+            for key in old:
+                del self._known[key]
+        while len(self._known) > MOST:
+            del self._known[next(iter(self._known))]

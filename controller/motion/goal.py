@@ -199,9 +199,12 @@ def schedule(
     if message.path_tolerance is None:
         angle = message.tolerance.orientation or turn
         wanted = [waypoint.orientation for waypoint in message.waypoints]
-        turns = np.array([math.inf if orientation is None or angle >= math.pi else angle for orientation in wanted])
-        rotations = [rotation(value, dimension, f"waypoints[{k}].orientation") for k, value in enumerate(wanted)]
-        return replace(through(times, positions, own, stamp, np.array(rotations), turns), fixed=fixed)
+        turns = rotations = None
+        if any(orientation is not None for orientation in wanted):
+            turns = np.array([math.inf if value is None or angle >= math.pi else angle for value in wanted])
+            rotations = np.array([rotation(v, dimension, f"waypoints[{k}].orientation") for k, v in enumerate(wanted)])
+        trajectory = through(times, positions, own, stamp, rotations, turns)
+        return replace(trajectory, fixed=fixed) if fixed else trajectory
     return along(times, positions, own, message.path_tolerance, pace, stamp)
 
 
@@ -211,7 +214,7 @@ def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: 
     Raises:
         Refusal: they do not increase, follow faster than the actuators, lie in the past, or too far ahead.
     """
-    steps = np.diff(times)
+    steps = times[1:] - times[:-1]
     if (steps <= 0).any():
         k = int(np.argmax(steps <= 0))
         raise refusal(f"waypoints[{k + 1}].t: {times[k + 1]:g} does not come after waypoints[{k}].t = {times[k]:g}")

@@ -111,21 +111,14 @@ def through(
     turns: Array | None = None,
 ) -> Trajectory:
     """Returns the trajectory through waypoints (m, dimension) that may take any way between them, see Trajectory."""
-    free, any_turn = unoriented(len(times))
-    return Trajectory(
-        stamp,
-        times,
-        positions,
-        np.full(len(times), tolerance),
-        free if rotations is None else rotations,
-        any_turn if turns is None else turns,
-        np.arange(len(times)),
-    )
+    if rotations is None or turns is None:
+        rotations, turns = unoriented(len(times))
+    return Trajectory(stamp, times, positions, np.full(len(times), tolerance), rotations, turns, np.arange(len(times)))
 
 
 def unoriented(count: int) -> tuple[Array, Array]:
     """Returns rotations and turns of so many points where any orientation will do."""
-    return np.tile(np.eye(3), (count, 1, 1)), np.full(count, np.inf)
+    return np.broadcast_to(np.eye(3), (count, 3, 3)), np.full(count, np.inf)
 
 
 def along(

@@ -64,7 +64,7 @@ class GoalPrograms:
     ) -> RunningGoal:
         stages, plan, strict = self._from_here(state, found), found.plan, not found.keep_out.free
         trajectory, first = plan.trajectory, plan.transitions[0]
-        if not np.array_equal(stages, first.stages):
+        if stages is not first.stages and not np.array_equal(stages, first.stages):
             plan = replace(plan, transitions=(Staged(stages, None, first.strict), *plan.transitions[1:]))
         begin, delay = self._times(state, trajectory, stages, strict)
         feed = ProgramFeed(self._manipulator, plan, self._pace, delay, state.pack, number, strict)
@@ -113,6 +113,8 @@ class GoalPrograms:
             CollisionError: something would be touched on the way.
         """
         planned, keep_out = found.plan.transitions[0].stages, found.keep_out
+        if np.array_equal(state.commanded, found.solver.manipulator.actuator_states(found.previous)):
+            return planned  # as it was checked
         most = self._pace.inrush or len(self._manipulator.actuators)
         rows = np.vstack([state.commanded, planned]).astype(int)
         fits = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= most

@@ -44,7 +44,7 @@ class LockedActuators:
     @property
     def behind(self) -> bool:
         """Whether the tables are not those of the locked actuators, or are being rebuilt."""
-        return self._working or not np.array_equal(self.states, self._built)
+        return self._working or self.states.tobytes() != self._built.tobytes()
 
     def update(self, state: ArmState) -> None:
         """Takes the locked actuators of a snapshot; called in the link's thread, in the order of the snapshots."""

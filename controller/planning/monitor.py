@@ -136,12 +136,13 @@ class ArmMonitor:
         if (unknown := state.unknown_state) is not None:
             raise Refusal(INVALID_GOAL, f"unknown state: {unknown}; switch single actuators with `jog`")
         configuration = state.configuration
-        mode, reason = self.mode()
         if configuration is None:
+            mode, reason = self.mode()
             raise Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}")
         try:
             return carried(configuration, self.manipulator, reduced)
         except ValueError:  # other actuators are locked now, and the tables do not know it yet
+            mode, reason = self.mode()
             raise Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}; which actuators are held changes now") from None
 
     def wait_newer(self, state: ArmState) -> None:

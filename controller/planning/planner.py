@@ -74,6 +74,7 @@ class Planner:
         self._goals, self._sender, self._jogging = goals, sender, jogging
         self._arm, self._pace = planning.arm, planning.pace
         self._programs = GoalPrograms(planning, monitor, goals)
+        self._expected: tuple[object, bytes] | None = None  # solver and configuration that the search is prepared for
         self.requests = RequestQueue("goals", MOST_WAITING, self._serve, self._expect)
 
     def submit(self, payload: bytes, reply: Reply, jog: bool = False) -> None:
@@ -101,9 +102,12 @@ class Planner:
             previous = self._monitor.start(state, solver.manipulator)
         except Refusal:
             return
+        if self._expected == (solver, previous.tobytes()):
+            return
         for _ in solver.expect(previous, self._arm.tolerance):
             if self.requests.waiting():
                 return
+        self._expected = solver, previous.tobytes()
 
     def _proceed(self, request: GoalRequest) -> None:
         """Checks that a request is still wanted.
@@ -118,6 +122,7 @@ class Planner:
 
     def _serve(self, request: GoalRequest) -> None:
         self._proceed(request)
+        self._expected = None
         if isinstance(request.wanted, GoalMessage):
             self._run(request, request.wanted, request.goal or "")
         else:
