@@ -27,13 +27,14 @@ class Actuator:
         coils: 1 or 2.
         least_pulse: time that a coil of two must be energised to switch the valve [s].
         rest: end to which the spring of one coil goes.
+        inverted: whether the wires of the switches at the contracted and the extended end read 0 while closed.
 
     Attributes:
         position: 0..1.
         driven: end that the valve drives it to.
         switches: how often the valve switched.
         coils: which coils are energised: on, off.
-        overheated: how often both coils came to be energised at once.
+        both_on: how often both coils came to be energised at once.
         longest_pulse: longest time that a coil of two was energised [s].
     """
 
@@ -46,18 +47,20 @@ class Actuator:
         coils: int = 1,
         least_pulse: float = 0.0,
         rest: int = CONTRACTED,
+        inverted: tuple[bool, bool] = (False, False),
     ) -> None:
         self.label = label
         self.position = float(rest)
         self.driven = rest
         self.switches = 0
         self.coils = (0, 0)
-        self.overheated = 0
+        self.both_on = 0
         self.longest_pulse = 0.0
         self._times = (travel_time if contract_time is None else contract_time, travel_time)
         self._two_coils = coils == 2
         self._least_pulse = least_pulse
         self._rest = rest
+        self._inverted = inverted
         self._closed = [rest == CONTRACTED, rest == EXTENDED]
         self._slowness = 1.0
         self._stuck: int | None = None
@@ -68,10 +71,10 @@ class Actuator:
         self._now: float | None = None
 
     def reads(self, end: int) -> int:
-        """The level on the wire of the switch at an end: 1 while the switch is closed."""
+        """The level on the wire of the switch at an end: 1 while the switch is closed, or 0 if it is inverted."""
         if isinstance(self._wire, tuple):
             return self._wire[end]
-        return int(self._closed[end]) if self._wire is None else self._wire
+        return self._closed[end] ^ self._inverted[end] if self._wire is None else self._wire
 
     @property
     def due(self) -> float:
@@ -95,7 +98,7 @@ class Actuator:
             return
         if self._two_coils and 1 in self.coils:
             self.longest_pulse = max(self.longest_pulse, now - self._energised_at)
-        self.overheated += on and off
+        self.both_on += on and off
         self.coils, self._energised_at = (on, off), now
         if not self._two_coils:
             self._switch(self._rest ^ on)

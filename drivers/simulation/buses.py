@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
-from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.actuator import Actuator
+from drivers.canopen.wiring import Channel, Timing, Wiring
+from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
+from drivers.simulation.variants import STANDARD, Variant
 
 _ORDINARY = 0.5  # travel time of an actuator in good order, as a share of the greatest travel time
+_LEAST_PULSE = 0.005  # [s] that a coil of two must be energised
 
 
 class SimulatedBuses:
@@ -26,29 +28,47 @@ class SimulatedBuses:
 
     Args:
         wiring: buses, boards and actuators.
-        timing: the actuators take half of its travel time.
+        timing: the actuators take half of its travel time, or of their own.
         send: takes the name of a bus and a frame that a board sends on it.
+        variants: of boards, by name, e.g. "can0/5"; others are standard boards.
+
+    Raises:
+        KeyError: there is no such board.
     """
 
-    def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
+    def __init__(
+        self,
+        wiring: Wiring,
+        timing: Timing,
+        send: Callable[[str, Frame], None],
+        variants: Mapping[str, Variant] | None = None,
+    ) -> None:
         self._now = 0.0
         self._take = send
         self._booted = False
-        self._actuators = {c.actuator: Actuator(c.actuator, _ORDINARY * timing.travel_time) for c in wiring.channels}
+        self._actuators = {c.actuator: _actuator(c, timing) for c in wiring.channels}
+        self._interlocks = {lock.name: lock for lock in wiring.interlocks}
         self._boards: dict[str, dict[int, SimulatedBoard]] = {bus.name: {} for bus in wiring.buses}
-        for bus, node in sorted({(c.bus, c.node) for c in wiring.channels}):
-            here = [c for c in wiring.channels if (c.bus, c.node) == (bus, node)]
-            wired = [Wired(self._actuators[c.actuator], c.output, c.input) for c in here]
-            self._boards[bus][node] = SimulatedBoard(node, wired, partial(self._send, bus))
-        self._by_name = {f"{bus}/{n}": board for bus, boards in self._boards.items() for n, board in boards.items()}
+        self._by_name: dict[str, SimulatedBoard] = {}
+        wired: dict[tuple[str, int], list[Wired]] = {(lock.bus, lock.node): [] for lock in wiring.interlocks}
+        for channel in wiring.channels:
+            wired.setdefault((channel.bus, channel.node), []).append(_wired(channel, self._actuators[channel.actuator]))
+        for (bus, node), here in sorted(wired.items(), key=lambda item: item[0]):
+            variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
+            board = SimulatedBoard(node, here, partial(self._send, bus), variant)
+            self._boards[bus][node] = self._by_name[f"{bus}/{node}"] = board
+        for name in variants or {}:
+            self.board(name)
+        for lock in wiring.interlocks:
+            self._boards[lock.bus][lock.node].contacts[lock.input] = 1 ^ lock.inverted
         self._due = dict.fromkeys(self._by_name.values(), 0.0)
 
     def receive(self, bus: str, frame: Frame, now: float) -> None:
-        """Brings a data frame with an 11 bit identifier to the boards of a bus; `now` in [s]."""
+        """Brings a data or remote frame with an 11 bit identifier to the boards of a bus; `now` in [s]."""
         self._now = now
         boards = self._boards[bus]
-        function, node = cia301.split(frame.id)
-        if function == cia301.SDO_REQUEST:  # for one board only; most frames of a boot are
+        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only; most frames of a boot are
+            node = frame.id & 0x7F
             boards = {node: boards[node]} if node in boards else {}
         for board in boards.values():
             if self._due[board] <= now:
@@ -79,12 +99,24 @@ class SimulatedBuses:
         return [actuator.position_at(self._now) for actuator in self._actuators.values()]
 
     def drives(self) -> list[int]:
-        """(A,) whether each actuator's drive is on, 0 or 1."""
+        """(A,) end to which each actuator's valve drives it, 0 or 1."""
         return [actuator.driven for actuator in self._actuators.values()]
 
     def switches(self) -> list[int]:
-        """(A,) how often each actuator's drive changed."""
+        """(A,) how often each actuator's valve switched."""
         return [actuator.switches for actuator in self._actuators.values()]
+
+    def coils(self) -> list[tuple[int, int]]:
+        """(A,) whether each actuator's coils are energised: on, off."""
+        return [actuator.coils for actuator in self._actuators.values()]
+
+    def both_on(self) -> list[int]:
+        """(A,) how often both coils of each actuator came to be energised at once."""
+        return [actuator.both_on for actuator in self._actuators.values()]
+
+    def longest_pulses(self) -> list[float]:
+        """(A,) longest time that a coil of each actuator with two was energised [s]."""
+        return [actuator.longest_pulse for actuator in self._actuators.values()]
 
     @property
     def labels(self) -> list[str]:
@@ -113,18 +145,33 @@ class SimulatedBuses:
         with self._changing(label) as actuator:
             actuator.release()
 
+    def jam(self, label: str, position: float | None = None) -> None:
+        """Holds an actuator at a position, 0 to 1, as soon as it comes there; where it is now if None."""
+        with self._changing(label) as actuator:
+            actuator.jam(position)
+
     def slow(self, label: str, factor: float) -> None:
         """Makes an actuator's travel longer by a factor; 1 is as built."""
         with self._changing(label) as actuator:
             actuator.slow(factor)
 
     def lose_sensor(self, label: str) -> None:
-        """Freezes what an actuator's end-stop reads."""
+        """Freezes what an actuator's end-stops read."""
         with self._changing(label) as actuator:
             actuator.lose_sensor()
 
+    def short_wires(self, label: str) -> None:
+        """Lets the inputs of an actuator's end-stops read 1."""
+        with self._changing(label) as actuator:
+            actuator.short_wires()
+
+    def cut_wires(self, label: str) -> None:
+        """Lets the inputs of an actuator's end-stops read 0."""
+        with self._changing(label) as actuator:
+            actuator.cut_wires()
+
     def restore_sensor(self, label: str) -> None:
-        """Lets an actuator's end-stop read again."""
+        """Lets an actuator's end-stops read again."""
         with self._changing(label) as actuator:
             actuator.restore_sensor()
 
@@ -137,7 +184,7 @@ class SimulatedBuses:
         self.board(board).silent = False
 
     def power_cut(self, board: str) -> None:
-        """Takes a board's supply away; its actuators spring back."""
+        """Takes a board's supply away; springs return its actuators."""
         it = self.board(board)
         it.power_cut(self._now)
         self._due[it] = it.timer
@@ -147,6 +194,31 @@ class SimulatedBuses:
         it = self.board(board)
         it.power_on(self._now)
         self._due[it] = it.timer
+
+    def error(self, board: str, code: int) -> None:
+        """Gives a board an error with the code of its emergency, e.g. 2320h: a short circuit at an output."""
+        self.board(board).emergencies.report(code)
+
+    def error_over(self, board: str, code: int) -> None:
+        """Ends an error of a board."""
+        self.board(board).emergencies.recover(code)
+
+    def open(self, interlock: str) -> None:
+        """Opens an interlock."""
+        self._set_interlock(interlock, 0)
+
+    def close(self, interlock: str) -> None:
+        """Closes an interlock."""
+        self._set_interlock(interlock, 1)
+
+    def _set_interlock(self, name: str, level: int) -> None:
+        if name not in self._interlocks:
+            raise KeyError(f"no interlock {name}, there are {', '.join(self._interlocks)}")
+        lock = self._interlocks[name]
+        board = self._boards[lock.bus][lock.node]
+        board.contacts[lock.input] = level ^ lock.inverted
+        board.step(self._now)
+        self._due[board] = board.timer
 
     @contextmanager
     def _changing(self, label: str) -> Iterator[Actuator]:
@@ -162,3 +234,23 @@ class SimulatedBuses:
 
     def _send(self, bus: str, cob_id: int, data: bytes) -> None:
         self._take(bus, Frame(cob_id, data))
+
+
+def _actuator(channel: Channel, timing: Timing) -> Actuator:
+    to_contracted, to_extended = channel.travel or (timing.travel_time, timing.travel_time)
+    single = channel.output_off is None
+    return Actuator(
+        channel.actuator,
+        _ORDINARY * to_extended,
+        _ORDINARY * to_contracted,
+        coils=1 if single else 2,
+        least_pulse=0.0 if single else _LEAST_PULSE,
+        rest=EXTENDED if single and "output" in channel.inverted else CONTRACTED,
+        inverted=("input_contracted" in channel.inverted, "input" in channel.inverted),
+    )
+
+
+def _wired(channel: Channel, actuator: Actuator) -> Wired:
+    inverted = "output" in channel.inverted, "output_off" in channel.inverted
+    outputs = channel.output, channel.output_off
+    return Wired(actuator, outputs[0], channel.input, outputs[1], channel.input_contracted, inverted)

@@ -5,39 +5,56 @@ from __future__ import annotations
 from drivers.simulation.buses import SimulatedBuses
 
 HELP = """\
-Faults on demand, a line each: stick 5.left 1 | release 5.left | slow 5.left 4 | lose_sensor 5.left |
-restore_sensor 5.left | silence can0/5 | unsilence can0/5 | power_cut can0/5 | power_on can0/5"""
+Faults on demand, a line each: stick 5.left 1 | jam 5.left | jam 5.left 0.5 | release 5.left | slow 5.left 4 |
+lose_sensor 5.left | cut_wires 5.left | short_wires 5.left | restore_sensor 5.left | silence can0/5 | unsilence can0/5 |
+power_cut can0/5 | power_on can0/5 | error can0/5 2320 | error_over can0/5 2320 | open door | close door"""
 
 _VERBS = (
-    *("release", "lose_sensor", "restore_sensor"),
-    *("silence", "unsilence", "power_cut", "power_on"),
+    *("jam", "release", "lose_sensor", "cut_wires", "short_wires", "restore_sensor"),
+    *("silence", "unsilence", "power_cut", "power_on", "open", "close"),
 )
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
-    """Causes a fault, or ends one: a verb, the name of an actuator or board, and for two verbs a number; see `HELP`.
+    """Causes a fault, or ends one: a verb, the name of what has it, and for some verbs a number; see `HELP`.
 
     Raises:
         ValueError: the words make no fault; the sentence says why.
+        KeyError: there is nothing of this name.
     """
     match words:
         case ["stick", str(label), ("0" | "1" | 0 | 1) as state]:
             boards.stick(label, int(state))
+        case ["jam", str(label), position]:
+            boards.jam(label, min(number(position), 1.0))
         case ["slow", str(label), factor]:
             boards.slow(label, positive(factor))
+        case ["error" | "error_over" as verb, str(name), str(code)]:
+            getattr(boards, verb)(name, int(code, 16) & 0xFFFF)
         case [str(verb), str(name)] if verb in _VERBS:
             getattr(boards, verb)(name)
         case _:
             raise ValueError(f"{' '.join(map(str, words))!r} is no fault. {HELP}")
 
 
-def positive(number: str | float) -> float:
+def number(text: str | float) -> float:
+    """A finite number from 0.
+
+    Raises:
+        ValueError: it is not.
+    """
+    value = float(text)
+    if not 0.0 <= value < float("inf"):
+        raise ValueError(f"{text} is not a positive number")
+    return value
+
+
+def positive(text: str | float) -> float:
     """A positive, finite number.
 
     Raises:
         ValueError: it is not.
     """
-    value = float(number)
-    if not 0.0 < value < float("inf"):
-        raise ValueError(f"{number} is not a positive number")
+    if not (value := number(text)):
+        raise ValueError(f"{text} is not a positive number")
     return value

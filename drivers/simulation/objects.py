@@ -1,65 +1,78 @@
-"""The object dictionary of a simulated board, with the rules a board has for writing it."""
+"""The values in the object dictionary of a simulated board, with the rules a board has for writing them."""
 
 from __future__ import annotations
 
-import functools
 import logging
 from collections.abc import Callable
-from pathlib import Path
 
-import canopen
-from canopen.objectdictionary import ODVariable
-from canopen.objectdictionary.datatypes import NUMBER_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen import cia301
-
-EDS = Path(__file__).with_name("board.eds")
+from drivers.simulation.dictionary import Object
+from drivers.simulation.variants import Variant
 
 # Abort codes (CiA 301, 7.2.4.3.17).
 _UNSUPPORTED, _WRITE_ONLY, _READ_ONLY = 0x0601_0000, 0x0601_0001, 0x0601_0002
 _NO_OBJECT, _NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 _NOT_MAPPABLE, _TOO_LONG, _WRONG_LENGTH, _WRONG_VALUE = 0x0604_0041, 0x0604_0042, 0x0607_0010, 0x0609_0030
-_PDOS = (0x1400, 0x1800)
+_INCOMPATIBLE = 0x0604_0043
+
+_RPDOS, _RPDO_MAPS = range(0x1400, 0x1600), range(0x1600, 0x1800)
+_TPDOS, _TPDO_MAPS = range(0x1800, 0x1A00), range(0x1A00, 0x1C00)
+_MOST_BITS = 64  # in a PDO
 
 # The library logs each SDO, and a traceback for each malformed one, which anybody on the bus can send.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
-
-
-@functools.cache
-def _described(node: int) -> canopen.ObjectDictionary:
-    """What the EDS says, which takes milliseconds to read and is never changed; values are kept apart."""
-    return canopen.import_od(str(EDS), node)
 
 
 class Objects:
     """Values by index and sub-index. It stands in for canopen's LocalNode towards its SDO server.
 
     Args:
-        node: node id, for the COB-IDs in the EDS.
+        node: node id, which is part of the COB-IDs.
+        variant: of the board.
         on_write: called with index and sub-index after an SDO write.
 
     Attributes:
         refused: abort codes with which single objects refuse every SDO; a board's faults and gaps.
+        flash_writes: writes to the memory that keeps values without power.
     """
 
-    def __init__(self, node: int, on_write: Callable[[int, int], None]) -> None:
-        self.object_dictionary = _described(node)
+    object_dictionary = None  # which the SDO server asks for, and does not use
+
+    def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
         self.refused: dict[tuple[int, int], int] = {}
+        self.flash_writes = 0
+        self._node = node
+        self._variant = variant
+        self._described = variant.objects
         self._on_write = on_write
         self._values: dict[tuple[int, int], bytes] = {}
+        self._stored: dict[tuple[int, int], bytes] = {}
+        for (index, sub), value in variant.stored.items():
+            self._stored[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Gives a range of indices its default values."""
+        """Gives a range of indices the values that are stored, else their default values."""
         self._values = {key: value for key, value in self._values.items() if not first <= key[0] <= last}
 
+    def subs(self, index: int) -> range:
+        """The sub-indices from 1 of an array; none if there is no such object."""
+        return range(1, max(self._described.get(index, {0: None})) + 1)
+
+    def has(self, index: int) -> bool:
+        """Whether there is such an object."""
+        return index in self._described
+
     def number(self, index: int, sub: int = 0) -> int:
-        """An unsigned value."""
+        """An unsigned value; 0 if there is no such object."""
+        if index not in self._described:
+            return 0
         return int.from_bytes(self._value(index, sub), "little")
 
     def put(self, index: int, sub: int, value: int) -> None:
         """Sets an unsigned value from within the board."""
-        self._values[index, sub] = value.to_bytes(len(self._value(index, sub)), "little")
+        self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def get_data(self, index: int, sub: int, check_readable: bool = False) -> bytes:
         """What an SDO reads.
@@ -79,21 +92,28 @@ class Objects:
             SdoAbortedError: the object may not be written, or not so, or not now.
         """
         self._refuse(index, sub)
-        variable = self._find(index, sub)
-        if check_writable and not variable.writable:
+        entry = self._find(index, sub)
+        if check_writable and not entry.writable:
             raise SdoAbortedError(_READ_ONLY)
-        if len(data) != len(self._value(index, sub)):
+        if len(data) != entry.size:
             raise SdoAbortedError(_WRONG_LENGTH)
         value = int.from_bytes(data, "little")
-        if index in _PDOS:
+        if index in _RPDOS or index in _TPDOS:
             self._check_parameter(index, sub, value)
-        elif index - 0x200 in _PDOS:
+        elif index in _RPDO_MAPS or index in _TPDO_MAPS:
             self._check_mapping(index, sub, value)
+        elif self._variant.one_supervision:
+            self._check_supervision(index, value)
+        if index in self._variant.deaf:
+            return
         self._values[index, sub] = bytes(data)
+        if self._variant.saves and index not in (0x1003, self._variant.output_object):
+            self.flash_writes += 1
+            self._stored[index, sub] = bytes(data)
         self._on_write(index, sub)
 
     def mapping(self, pdo: int) -> list[tuple[int, int, int]]:
-        """The objects a PDO carries, as index, sub-index and bits; `pdo` is 1400h or 1800h."""
+        """The objects a PDO carries, as index, sub-index and bits; `pdo` is 1400h.. or 1800h.."""
         entries = [self.number(pdo + 0x200, 1 + i) for i in range(self.number(pdo + 0x200, 0))]
         return [(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF) for entry in entries]
 
@@ -106,41 +126,46 @@ class Objects:
             now = self.number(index, 1)
             if not (now | value) & cia301.INVALID and now != value:
                 raise SdoAbortedError(_WRONG_VALUE)  # only a PDO that is off may change its COB-ID
-        elif sub == 2 and not (value in (254, 255) or (index == 0x1400 and value <= 240)):
-            raise SdoAbortedError(_WRONG_VALUE)
+        elif sub == 2:
+            synchronous = value <= 240 and index in _RPDOS and self._variant.synchronous
+            if value < 254 and not synchronous:
+                raise SdoAbortedError(_WRONG_VALUE)
 
     def _check_mapping(self, index: int, sub: int, value: int) -> None:
         """The order for mapping anew (CiA 301, 7.5.2.36)."""
         if not self.number(index - 0x200, 1) & cia301.INVALID or (sub != 0 and self.number(index, 0) != 0):
             raise SdoAbortedError(_UNSUPPORTED)
         if sub == 0:
-            if value > 8:
+            if value > max(self.subs(index)):
                 raise SdoAbortedError(_TOO_LONG)
             entries = [self.number(index, 1 + i) for i in range(value)]
-            if sum(entry & 0xFF for entry in entries) > 64:
+            if sum(entry & 0xFF for entry in entries) > _MOST_BITS:
                 raise SdoAbortedError(_TOO_LONG)
             return
-        variable = self._find(value >> 16, value >> 8 & 0xFF)
-        dummy = index == 0x1600 and value >> 16 <= 7
-        if not (dummy or variable.pdo_mappable) or len(variable) != value & 0xFF:
+        entry = self._find(value >> 16, value >> 8 & 0xFF)
+        dummy = index in _RPDO_MAPS and value >> 16 <= 7
+        if not (dummy or entry.mappable) or 8 * entry.size != value & 0xFF:
             raise SdoAbortedError(_NOT_MAPPABLE)
 
-    def _value(self, index: int, sub: int) -> bytes:
-        variable = self._find(index, sub)
-        if (index, sub) in self._values:
-            return self._values[index, sub]
-        if isinstance(variable.default, int) or variable.data_type in NUMBER_TYPES:
-            return int(variable.default or 0).to_bytes(len(variable) // 8 or 1, "little")
-        return str(variable.default or "").encode("ascii")
+    def _check_supervision(self, index: int, value: int) -> None:
+        """A board that has guarding or heartbeats refuses one while the other is on."""
+        guarding, heartbeat = self.number(0x100C) * self.number(0x100D), self.number(0x1017)
+        others = {0x1017: guarding, 0x100C: heartbeat, 0x100D: heartbeat}
+        if value and others.get(index):
+            raise SdoAbortedError(_INCOMPATIBLE)
 
-    def _find(self, index: int, sub: int) -> ODVariable:
-        if index not in self.object_dictionary:
+    def _value(self, index: int, sub: int) -> bytes:
+        for values in (self._values, self._stored):
+            if (index, sub) in values:
+                return values[index, sub]
+        entry = self._find(index, sub)
+        if not entry.relative:
+            return entry.default
+        return (int.from_bytes(entry.default, "little") + self._node).to_bytes(entry.size, "little")
+
+    def _find(self, index: int, sub: int) -> Object:
+        if index not in self._described:
             raise SdoAbortedError(_NO_OBJECT)
-        found = self.object_dictionary[index]
-        if isinstance(found, ODVariable):
-            if sub != 0:
-                raise SdoAbortedError(_NO_SUB_INDEX)
-            return found
-        if sub not in found.subindices:  # an array of canopen makes up any other
+        if sub not in self._described[index]:
             raise SdoAbortedError(_NO_SUB_INDEX)
-        return found[sub]
+        return self._described[index][sub]

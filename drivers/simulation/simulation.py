@@ -6,17 +6,18 @@ import contextlib
 import errno
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.cia301 import REMOTE, Frame
 from drivers.canopen.wiring import BusSettings, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.firmware import SimulatedBoard
+from drivers.simulation.variants import Variant
 
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault acts soon
@@ -70,14 +71,22 @@ class Simulation:
         wiring: its buses are opened.
         timing: the actuators take half of its travel time.
         clock: gives the time [s].
+        variants: of boards, by name; others are standard boards.
 
     Raises:
+        KeyError: there is no board of this name.
         can.CanError, OSError: a bus cannot be opened.
     """
 
-    def __init__(self, wiring: Wiring, timing: Timing, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        wiring: Wiring,
+        timing: Timing,
+        clock: Callable[[], float] = time.monotonic,
+        variants: Mapping[str, Variant] | None = None,
+    ) -> None:
+        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._ports[bus].send(frame), variants)
         self._ports = {settings.name: Port(settings) for settings in wiring.buses}
-        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._ports[bus].send(frame))
         self._lock = threading.RLock()  # held while anything reaches the boards
         self._clock = clock
         self._ending = threading.Event()
@@ -129,10 +138,9 @@ class Simulation:
             message = port.receive(min(max(wait, 0.0), _LONGEST_WAIT))
             with self._lock:
                 while message is not None:
-                    if not (
-                        message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd
-                    ):
-                        frame = Frame(message.arbitration_id, bytes(message.data))
+                    if not (message.is_error_frame or message.is_extended_id or message.is_fd):
+                        remote = message.is_remote_frame
+                        frame = Frame(message.arbitration_id | REMOTE * remote, b"" if remote else bytes(message.data))
                         self._boards.receive(bus, frame, self._clock())
                     message = port.receive(0.0)
                 self._boards.step(self._clock())

@@ -156,7 +156,7 @@ def test_with_both_coils_on_the_last_winner_stays_and_the_coils_heat():
     actuator.drive(1, 0.0)
     actuator.drive(1, 1.0, off=1)
     assert at(actuator, 2.0) == (1, (0, 1))
-    assert actuator.overheated == 1
+    assert actuator.both_on == 1
     actuator.drive(0, 2.0, off=1)
     assert at(actuator, 3.0) == (0, (1, 0))
-    assert actuator.overheated == 1
+    assert actuator.both_on == 1

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.canopen import cia301
 from drivers.simulation.actuator import Actuator
+from drivers.simulation.dictionary import EDS
 from drivers.simulation.firmware import SimulatedBoard, Wired
-from drivers.simulation.objects import EDS
 
 
 class Bench:

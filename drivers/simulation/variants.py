@@ -1,0 +1,192 @@
+"""Kinds of simulated boards, as boards on the market differ from a CiA 401 board with every object: a table of data."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal, NamedTuple
+
+from drivers.simulation import dictionary
+from drivers.simulation.dictionary import Changes, array, number, pdo
+
+_DISABLED = 1 << 31  # of a PDO's COB-ID
+_NO_REMOTE = 1 << 30
+_NOTHING: Mapping[tuple[int, int], int] = MappingProxyType({})
+_NO_CHANGES: Changes = MappingProxyType({})
+
+
+class StandingError(NamedTuple):
+    """An error that a board has from power-on until somebody repairs it.
+
+    Attributes:
+        code: of its emergency.
+        register: bits of 1001h.
+    """
+
+    code: int
+    register: int
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """How a board differs from the standard board: all objects of board.eds, heartbeats, 64 outputs in RPDO1.
+
+    Attributes:
+        text: what is special, for the command line.
+        absent: indices of objects that it does not have.
+        changes: objects that it has instead, or besides.
+        read_only: indices of objects that an SDO cannot write.
+        deaf: indices of objects that keep their value although a write is confirmed.
+        stored: values in its memory without power, in place of the default values.
+        output_object: array of output bytes.
+        synchronous: whether RPDOs may wait for SYNC.
+        one_supervision: it has either guarding or heartbeats, not both at once.
+        saves: each SDO write goes into the memory without power.
+        error_state: what outputs do in the error state: as 6206h and 6207h say, hold, or go off.
+        shows_error_state: whether 6200h then tells what the outputs are, not what was last commanded.
+        keeps_outputs: whether an NMT reset of communication leaves the outputs as they are.
+        errors: that stand.
+        starts: whether it obeys the NMT command that makes it operational.
+        answer_delay: of its SDO answers [s].
+        boot_time: from power-on, or an NMT reset of the node, to its boot-up message [s].
+    """
+
+    text: str
+    absent: frozenset[int] = frozenset()
+    changes: Changes = field(default_factory=lambda: _NO_CHANGES)
+    read_only: frozenset[int] = frozenset()
+    deaf: frozenset[int] = frozenset()
+    stored: Mapping[tuple[int, int], int] = field(default_factory=lambda: _NOTHING)
+    output_object: int = 0x6200
+    synchronous: bool = True
+    one_supervision: bool = False
+    saves: bool = False
+    error_state: Literal["modes", "hold", "off"] = "modes"
+    shows_error_state: bool = True
+    keeps_outputs: bool = True
+    errors: tuple[StandingError, ...] = ()
+    starts: bool = True
+    answer_delay: float = 0.0
+    boot_time: float = 0.0
+
+    @functools.cached_property
+    def objects(self) -> dictionary.Objects:
+        """Its object dictionary."""
+        return dictionary.changed(self.absent, self.read_only, self.changes)
+
+
+def _entries(index: int, first: int, count: int, bits: int = 8) -> list[int]:
+    """Entries of a mapping: `count` sub-indices of an object."""
+    return [index << 16 | sub << 8 | bits for sub in range(first, first + count)]
+
+
+def _device_type(value: int) -> Changes:
+    return {(0x1000, 0): number(4, value, writable=False)}
+
+
+_GUARDING = {(0x100C, 0): number(2), (0x100D, 0): number(1)}
+_ERROR_MODES = frozenset({0x6206, 0x6207})
+_MAPPINGS = frozenset({0x1600, 0x1A00})
+_ANALOG = {  # RPDO2 to 4 and TPDO2 to 4 of couplers with analog modules (CiA 401, 6.1.2 and 6.1.3)
+    **array(0x6401, [0] * 12, size=2, writable=False, mappable=True),
+    **array(0x6411, [0] * 12, size=2, mappable=True),
+    **pdo(0x1401, 0x300, _entries(0x6411, 1, 4, 16), fixed=True),
+    **pdo(0x1402, 0x400, _entries(0x6411, 5, 4, 16), fixed=True),
+    **pdo(0x1403, 0x500, _entries(0x6411, 9, 4, 16), fixed=True),
+}
+_SIXTEEN_BYTES = {
+    **array(0x6000, [0] * 16, writable=False, mappable=True),
+    **array(0x6200, [0] * 16, mappable=True),
+    **array(0x6202, [0] * 16),
+    **array(0x6206, [0xFF] * 16),
+    **array(0x6207, [0] * 16),
+}
+
+STANDARD = Variant("all objects of board.eds: heartbeats, 64 outputs in RPDO1, 64 inputs in TPDO1")
+
+VARIANTS: Mapping[str, Variant] = {
+    "standard": STANDARD,
+    "guarding-only": Variant(
+        "node guarding with life time, no heartbeats (Buerkert 8640)",
+        absent=frozenset({0x1016, 0x1017, 0x1029}),
+        changes=_GUARDING,
+    ),
+    "one-supervision": Variant(
+        "guarding or heartbeats, not both at once; guarding as delivered (ifm)",
+        changes=_GUARDING,
+        stored={(0x100C, 0): 500, (0x100D, 0): 3},
+        one_supervision=True,
+    ),
+    "unsupervised": Variant(
+        "neither guarding nor a consumer of heartbeats", absent=frozenset({0x1016, 0x1029}), error_state="hold"
+    ),
+    "outputs-in-rpdo5": Variant(
+        "outputs in RPDO5, which is disabled as delivered, fixed mapping; RPDO1 to 4 are analog (AVENTICS)",
+        changes={
+            **_ANALOG,
+            **pdo(0x1400, 0x200, [], fixed=True),
+            **pdo(0x1404, _DISABLED, _entries(0x6200, 1, 8), fixed=True),
+        },
+    ),
+    "many-outputs": Variant(
+        "128 outputs and inputs: the first 64 in RPDO1 and TPDO1, the others in RPDO5 and TPDO5, disabled (WAGO)",
+        changes={
+            **_ANALOG,
+            **_SIXTEEN_BYTES,
+            **pdo(0x1404, _DISABLED, _entries(0x6200, 9, 8)),
+            **pdo(0x1804, _DISABLED | _NO_REMOTE, _entries(0x6000, 9, 8)),
+        },
+    ),
+    "fixed-mapping": Variant("mappings are read-only", read_only=_MAPPINGS),
+    "no-sync": Variant("refuses synchronous transmission types: outputs follow each RPDO at once", synchronous=False),
+    "saves-writes": Variant("each SDO write goes to the flash memory (ifm)", saves=True),
+    "no-output-bit": Variant(
+        "1000h without the bit of digital outputs (Beckhoff with special terminals)", changes=_device_type(0x0000_0191)
+    ),
+    "all-bits": Variant("1000h with all bits (Festo CPX, ifm)", changes=_device_type(0x000F_0191)),
+    "maker-object": Variant(
+        "outputs in 2201h of the maker, no objects of CiA 401 but inputs",
+        absent=frozenset({0x6200, 0x6202, 0x6206, 0x6207}),
+        changes={
+            **_device_type(0),
+            **array(0x2201, [0] * 8, mappable=True),
+            **pdo(0x1400, 0x200, _entries(0x2201, 1, 8)),
+        },
+        output_object=0x2201,
+        error_state="off",
+    ),
+    "no-error-mode": Variant(
+        "no 6206h and 6207h: outputs hold in the error state", absent=_ERROR_MODES, error_state="hold"
+    ),
+    "no-error-mode-off": Variant(
+        "no 6206h and 6207h: outputs go off in the error state", absent=_ERROR_MODES, error_state="off"
+    ),
+    "no-error-behaviour": Variant("no 1029h: pre-operational in the error state", absent=frozenset({0x1029})),
+    "canopennode": Variant(
+        "no 6206h, 6207h and 1029h: outputs hold in the error state (CANopenNode's example of CiA 401)",
+        absent=_ERROR_MODES | {0x1029},
+        error_state="hold",
+    ),
+    "deaf-error-mode": Variant("confirms writes of 6206h and 6207h, and does not take them", deaf=_ERROR_MODES),
+    "hidden-error-state": Variant(
+        "6200h keeps what was commanded while the error state has the outputs", shows_error_state=False
+    ),
+    "resets-outputs": Variant("an NMT reset of communication switches the outputs off", keeps_outputs=False),
+    "slow-answers": Variant("SDO answers take 0.6 s", answer_delay=0.6),
+    "late-boot": Variant("boots 5 s after power-on", boot_time=5.0),
+    "foreign-sync": Variant("another SYNC identifier is stored: 1005h = 85h", stored={(0x1005, 0): 0x85}),
+    "sync-counter": Variant(
+        "a SYNC counter is stored: 1019h = 10", changes={(0x1019, 0): number(1)}, stored={(0x1019, 0): 10}
+    ),
+    "inverted-outputs": Variant(
+        "an inverted polarity is stored: 6202h = FFh", stored={(0x6202, sub): 0xFF for sub in range(1, 9)}
+    ),
+    "masked-inputs": Variant("TPDOs on changes of inputs are masked off: 6006h = 0", changes=array(0x6006, [0] * 8)),
+    "standing-error": Variant("1001h = 80h stands, of the maker: FF00h", errors=(StandingError(0xFF00, 0x80),)),
+    "generic-error": Variant("1001h = 01h stands: 1000h", errors=(StandingError(0x1000, 0x01),)),
+    "blocking-error": Variant(
+        "1001h = 01h stands, 5000h, and keeps it pre-operational", errors=(StandingError(0x5000, 0x01),), starts=False
+    ),
+}
