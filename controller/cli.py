@@ -5,6 +5,8 @@ A command's module is imported when the command runs, so that `hyperbit stop` do
 
 import importlib
 import sys
+from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -80,6 +82,45 @@ COMMANDS = {
 }
 
 
+class PlainValue:
+    """Takes texts and paths as they are written, and other values as Typer does.
+
+    Typer checks them by pydantic, whose import takes longer than all else that `hyperbit stop` does.
+
+    Args:
+        kind: of the value.
+        usual: returns what takes values for Typer.
+    """
+
+    def __init__(self, kind: object, usual: Callable[[], Any]) -> None:
+        self._kind, self._usual = kind, usual
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Returns the value of a parameter; see typer's RuntimeParam."""
+        if param.nargs == 1 and not param.multiple:
+            if value is None:
+                return None
+            if self._kind in (str, Path):
+                return self._kind(value)
+        return self._usual().coerce(value, param=param, ctx=ctx)
+
+
+class QuickCommand(TyperCommand):
+    """A command whose texts and paths are taken as they are written."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Returns the parameters."""
+        return [quick(parameter) for parameter in super().get_params(ctx)]
+
+
+def quick(parameter: Any) -> Any:
+    """Returns a parameter whose values PlainValue takes."""
+    if "get_runtime_param" not in vars(parameter):
+        taken = PlainValue(parameter.type_descriptor.annotation, parameter.get_runtime_param)
+        parameter.get_runtime_param = lambda: taken
+    return parameter
+
+
 class DeferredCommand(TyperCommand):
     """A command whose module is imported when its arguments are parsed."""
 
@@ -96,7 +137,7 @@ class DeferredCommand(TyperCommand):
         """Returns the context of the imported command, which the group then invokes in place of this one."""
         module = importlib.import_module(f"controller.commands.{self._entry.module}")
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-        single.command(self.name)(getattr(module, self._entry.function))
+        single.command(self.name, cls=QuickCommand)(getattr(module, self._entry.function))
         return typer.main.get_command(single).make_context(info_name, args, parent, **extra)
 
 
@@ -108,6 +149,10 @@ class Commands(TyperGroup):
         super().__init__(**settings)
         for name, entry in COMMANDS.items():
             self.add_command(DeferredCommand(name, entry), name)
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Returns the parameters that precede a command."""
+        return [quick(parameter) for parameter in super().get_params(ctx)]
 
 
 app = typer.Typer(
@@ -144,12 +189,12 @@ def main() -> None:
     try:
         app()
     except Exception as error:
-        from controller.commands.common import Failed, errors
+        from controller.commands.common import Failed
         from controller.strict import InputFaults
 
         if not isinstance(error, InputFaults | Failed):
             raise
-        errors.print(str(error), markup=False)
+        sys.stderr.write(f"{error}\n")
         sys.exit(2 if isinstance(error, InputFaults) else 1)
 
 

@@ -1,13 +1,16 @@
 """Strict reading of YAML and JSON values into msgspec structs, with every fault and the path of its field."""
 
 import math
+from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
-import yaml
 from msgspec import Struct
+
+if TYPE_CHECKING:
+    import yaml
 
 S = TypeVar("S", bound=Struct)
 
@@ -24,25 +27,32 @@ class InputFaults(ValueError):
         super().__init__("\n".join(f"{path}: {fault}" for fault in self.faults))
 
 
-class Loader(yaml.SafeLoader):
-    """Safe YAML without aliases, and without keys written twice, of which PyYAML would silently keep the last."""
+@cache
+def build_loader() -> type["yaml.SafeLoader"]:
+    """Returns the class that reads YAML; `hyperbit stop` reads no file, and does not wait for the import of yaml."""
+    import yaml
 
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Returns the next node."""
-        if self.check_event(yaml.AliasEvent):  # a few lines of them can stand for more than any memory holds
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            problem = f"alias *{event.anchor}: write its value out instead"
-            raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
-        return super().compose_node(parent, index)
+    class Loader(yaml.SafeLoader):
+        """Safe YAML without aliases, and without keys written twice, of which PyYAML would silently keep the last."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Returns the mapping of a node."""
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if str(key.value) in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} stands twice", key.start_mark)
-            seen.add(str(key.value))
-        return super().construct_mapping(node, deep)
+        def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+            """Returns the next node."""
+            if self.check_event(yaml.AliasEvent):  # a few lines of them can stand for more than any memory holds
+                event = self.peek_event()  # type: ignore[no-untyped-call]
+                problem = f"alias *{event.anchor}: write its value out instead"
+                raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
+            return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+            """Returns the mapping of a node."""
+            seen: set[str] = set()
+            for key, _ in node.value:
+                if str(key.value) in seen:
+                    raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} stands twice", key.start_mark)
+                seen.add(str(key.value))
+            return super().construct_mapping(node, deep)
+
+    return Loader
 
 
 def read_yaml(path: Path) -> Any:
@@ -51,8 +61,10 @@ def read_yaml(path: Path) -> Any:
     Raises:
         InputFaults: it is missing, unreadable or not YAML.
     """
+    import yaml
+
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader)
+        return yaml.load(path.read_text(encoding="utf-8"), build_loader())
     except FileNotFoundError:
         raise InputFaults(path, ["no such file"]) from None
     except (OSError, UnicodeDecodeError) as error:

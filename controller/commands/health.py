@@ -1,15 +1,19 @@
 """Commands that tell whether file, boards and actuators are well: check and wear."""
 
+from __future__ import annotations
+
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
-from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json
-from controller.config import Arm, load
+from controller.commands import common
+from controller.commands.common import ArmFile, AsJson, Failed, print_json
 from controller.strict import InputFaults
+
+if TYPE_CHECKING:
+    from controller.config import Arm
 
 # StateDirectory of the service, and what it links to under DynamicUser, which root alone can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
@@ -21,6 +25,8 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Say all that is wrong in an arm's file, by field."""
+    from controller.config import load
+
     try:
         arm = load(file)
     except InputFaults as error:
@@ -34,12 +40,12 @@ def check(
         print_json({"ok": not missing, "faults": missing, "boards": boards})
     else:
         count = len({(a.bus, a.node) for a in arm.wiring})
-        console.print(
+        common.console.print(
             f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
             f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
         )
         for board in boards:
-            console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
+            common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
     if missing:
         if as_json:
             raise typer.Exit(1)
@@ -67,27 +73,36 @@ def wear(
     """Say how often each actuator has switched, and how goals ended."""
     import sqlite3
 
-    from controller.planning.ledger_file import default_path, read
+    from rich.table import Table
 
-    arm = load(file)
-    name = arm.settings.name
+    from controller.actuators import actuator_names, labels
+    from controller.planning.ledger_file import default_path, read
+    from controller.settings import read_settings
+
+    settings, faults = read_settings(file)
+    actuators = labels(actuator_names(settings.modules, file.parent, faults))
+    if faults:
+        raise InputFaults(file, faults)
+    name = settings.name
     path = ledger or last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in SERVICE_FOLDERS)])
     try:
         switches, goals = read(path)
     except sqlite3.Error as error:
         raise Failed(f"{path}: no ledger there: {error}") from None
-    counts = {label: switches.get(label, 0) for label in arm.manipulator.actuators}
+    counts = {label: switches.get(label, 0) for label in actuators}
     if as_json:
         print_json({"ledger": str(path), "switches": counts, "goals": goals})
         return
-    console.print(f"ledger {path}", markup=False)
+    common.console.print(f"ledger {path}", markup=False)
     most = max(max(counts.values()), 1)
     table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
     for label, count in sorted(counts.items(), key=lambda item: -item[1]):
         table.add_row(label, str(count), "█" * round(30 * count / most))
-    console.print(table)
+    common.console.print(table)
     ended = [str(goal["status"] or "unfinished") for goal in goals]
-    console.print(", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet")
+    common.console.print(
+        ", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet"
+    )
 
 
 def last_written(ledgers: list[Path]) -> Path:
@@ -104,5 +119,5 @@ def last_written(ledgers: list[Path]) -> Path:
                 times[path] = max(part.stat().st_mtime for part in parts)
         except OSError as error:
             if os.path.lexists(path.parent):  # else there is no service, only /var/lib/private
-                errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
+                common.errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
     return max(times, key=lambda path: times[path], default=ledgers[0])

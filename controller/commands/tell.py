@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.commands import common
 from controller.commands.common import (
     ENDPOINT,
     ArmName,
@@ -117,4 +116,4 @@ def ask(client: Client, key: str, payload: dict[str, Any], as_json: bool) -> Non
     if not answer["accepted"]:
         raise Failed(f"refused (code {answer['code']}): {answer['message']}")
     if not as_json:
-        common.console.print(answer["message"])
+        typer.echo(answer["message"])

@@ -20,6 +20,7 @@ from controller.strict import InputFaults
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 HEAVY = {"numba", "numpy", "scipy", "matplotlib", "can", "canopen"}
+SLOW = {"pydantic", "rich"}  # which a command that stops an arm is not to wait for
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
 RUN = """
 import json, sys
@@ -70,9 +71,26 @@ def test_commands_to_a_daemon_import_no_kernels(words):
     assert imported(*words).isdisjoint(HEAVY)
 
 
+@pytest.mark.parametrize("command", ["stop", "cancel", "reset", "halt"])
+def test_commands_that_stop_an_arm_import_what_they_need_only(command):
+    found = imported(command, "planar16", *NOWHERE)
+    assert "zenoh" in found
+    assert found.isdisjoint({*HEAVY, *SLOW, "yaml"})
+
+
 def test_a_local_halt_does_not_import_zenoh():
     words = ("halt", "planar16", "--local", "--socket", "/nonexistent/a.sock")
-    assert imported(*words).isdisjoint({*HEAVY, "zenoh"})
+    assert imported(*words).isdisjoint({*HEAVY, *SLOW, "yaml", "zenoh"})
+
+
+def test_the_switches_of_an_arm_are_told_without_kernels(tmp_path):
+    assert imported("wear", str(ARM), "--ledger", str(tmp_path / "none.sqlite")).isdisjoint({"numba", "scipy", "zenoh"})
+
+
+def test_typed_values_are_still_checked(hyperbit):
+    code, out, err = hyperbit("send", str(ARM), "--to", "1,2", "--path-tolerance", "near", *NOWHERE)
+    assert (code, out) == (2, "")
+    assert "--path-tolerance" in err
 
 
 def test_the_version_is_that_of_the_package(hyperbit):
