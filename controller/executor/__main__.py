@@ -6,6 +6,7 @@ import logging
 import queue
 import secrets
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
@@ -20,6 +21,8 @@ from controller.executor.switch_journal import FileJournal, Held, default_path
 from controller.notify import Notifier
 from controller.sockets import socket_path
 from controller.strict import InputFaults
+from drivers.simulation.buses import board_names
+from drivers.simulation.variants import choose
 
 PATIENCE = 10.0  # [s] more for simulated boards: they stall with this process, as boards do not
 MOST_WAITING = 1_000  # log lines; more are dropped
@@ -31,11 +34,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", metavar="ARM.yaml", type=Path, help="the arm's file")
     parser.add_argument("--socket", type=Path, help="the socket, or its folder")
     parser.add_argument("--simulate", action="store_true", help="simulated boards in this process")
+    parser.add_argument("--board", action="append", default=[], help="what simulated boards are like")
     parser.add_argument("--journal", type=Path, help="where switches are counted")
     parser.add_argument("--list-modules", action="store_true", help="print the names of the loaded modules at the end")
     options = parser.parse_args(arguments)
     try:
-        execute(options.file, options.socket, options.simulate, options.journal)
+        execute(options.file, options.socket, options.simulate, options.journal, options.board)
     except InputFaults as error:
         print(error, file=sys.stderr)
         return 2
@@ -47,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | None) -> None:
+def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | None, board: Sequence[str] = ()) -> None:
     """Runs the executor until SIGTERM.
 
     Args:
@@ -55,9 +59,10 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         socket: of the executor, or its folder; the default one if None.
         simulate: whether simulated boards take the place of the buses.
         journal: where switches are counted; the default one if None.
+        board: variants of the simulated boards, as `choose` takes them.
 
     Raises:
-        InputFaults: the arm's file is wrong.
+        InputFaults: the arm's file is wrong, or there is no such board or variant.
         Taken: another executor has the socket.
         Held: another executor has the journal.
         OSError: socket or journal cannot be made.
@@ -65,6 +70,10 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     arm = read_arm(file)
     if simulate:
         arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + PATIENCE))
+    try:
+        variants = choose(board, board_names(arm.wiring))
+    except ValueError as error:
+        raise InputFaults(Path("--board"), [str(error)]) from None
     with contextlib.ExitStack() as closing:  # the log last
         closing.callback(start_logging().stop)
         counts = FileJournal(journal or default_path(arm.name), arm.actuators)
@@ -73,7 +82,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         notifier = Notifier()
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         core.reports.real_time = enter_real_time(arm.real_time)
-        buses: Buses = EmbeddedBoards(arm.wiring, arm.timing) if simulate else CanBuses(arm.wiring.buses)
+        buses: Buses = EmbeddedBoards(arm.wiring, arm.timing, variants) if simulate else CanBuses(arm.wiring.buses)
         EventLoop(core, buses, server, notifier).run_until_signal()
 
 

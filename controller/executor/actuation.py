@@ -1,14 +1,17 @@
-"""Actuation: the one owner of what the boards are commanded, of the bound on inrush, of rests and of counts."""
+"""Actuation: the one owner of what the boards are commanded, of pulses, the bound on inrush, rests and counts."""
 
+import math
 from typing import NamedTuple
 
 from controller.executor.arm import ExecutedArm
-from controller.executor.bits import indices
+from controller.executor.bits import indices, merged
+from controller.executor.kinds import Kinds
 from controller.executor.switch_journal import SwitchJournal
 from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that takes no command for longer is a fault
+EARLY = 0.0025  # [s] by which a pulse may end too soon, so that it is not longer by a whole period
 
 
 class Commit(NamedTuple):
@@ -16,7 +19,7 @@ class Commit(NamedTuple):
 
     Attributes:
         states: that it was to bring about.
-        reached: whether the outputs are these states.
+        reached: whether it has.
     """
 
     states: int
@@ -26,98 +29,179 @@ class Commit(NamedTuple):
 class Actuation:
     """Switches the outputs of the boards.
 
+    An output of a pulse goes off by itself, in every mode: `tick` sees to it. The state of an actuator with two outputs
+    is uncertain while both are off and nobody knows which was on last: after a start, and after its board's.
+
     Attributes:
         free_at: when the last switch has settled, by travel time [s].
         target: states of the commit under way; None if there is none.
+        uncertain: mask of the actuators whose state is unknown; their bits of `states` are guesses.
         switches: actuators switched since the executor began.
         fault: the bus took no command for too long; taken by who reports it.
 
     Args:
         master: of the boards.
         arm: its times and bounds.
+        kinds: of the actuators.
         journal: counts switches.
     """
 
-    def __init__(self, master: Master, arm: ExecutedArm, journal: SwitchJournal) -> None:
+    def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
         self.free_at = 0.0
         self.target: int | None = None
+        self.uncertain = kinds.paired
         self.switches = 0
         self.fault: Fault | None = None
-        self._master, self._arm, self._journal = master, arm, journal
-        self._switched_at = [-1e12] * len(arm.actuators)
-        self._outputs: int | None = None  # as adopted, or switched since; None before the first time
+        self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
+        self._arrives_at = [-1e12] * len(arm.actuators)
+        self._states = 0  # of pairs that are off
+        self._adopted: int | None = None  # states as adopted, or switched since; None before the first time
         self._busy_since: float | None = None
+        self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
+        self._doubtful = 0  # pairs that a commit was to energise whose end nobody knows
+        self._boots: tuple[int, ...] = ()  # of each board when the outputs were adopted
 
-    def ready_at(self, states: int, strict: bool) -> float:
-        """Returns when states may be switched to [s]: the last stage has ended, and the actuators have rested."""
-        differ = self._master.outputs ^ states
+    @property
+    def states(self) -> int:
+        """The states that the outputs stand for, or stood for before a pulse ended."""
+        return self._kinds.states(self._master.outputs, self._states)
+
+    @property
+    def pulsing(self) -> bool:
+        """Whether an output is on for a pulse, on a board that is up."""
+        extending, contracting = self._kinds.on(self._master.outputs)
+        return bool((extending | contracting) & self._kinds.pulsed & self._master.known)
+
+    def differ(self, states: int, homing: int) -> int:
+        """Returns the mask of the actuators that a switch to states energises or lets go.
+
+        Args:
+            states: of all actuators.
+            homing: mask of the actuators that are energised also if their state is uncertain.
+        """
+        return (self.states ^ states) | (self.uncertain & homing)
+
+    def ready_at(self, differ: int, strict: bool) -> float:
+        """Returns when the actuators of a mask may switch [s]: the last stage has ended, and they have rested."""
         ready = 0.0
         if differ and (strict or self._arm.inrush is not None):
             ready = self.free_at
         if differ and self._arm.rest > 0:
-            last = max(self._switched_at[k] for k in indices(differ))
-            ready = max(ready, last + self._arm.timing.travel_time + self._arm.rest)
+            ready = max(ready, max(self._arrives_at[k] for k in indices(differ)) + self._arm.rest)
         return ready
 
-    def switch(self, states: int, now: float) -> bool:
+    def switch(self, states: int, now: float, homing: int = 0) -> bool:
         """Begins to switch to states; returns False if that is not possible now, to be tried again at the next tick."""
         if self.target is not None or self._master.committing:
             return False
         if not self._master.outputs_known:
             self._refused("a board is not up", now)
             return False
-        self._journal.intend(self._master.outputs, states)
+        differ = self.differ(states, homing) & self._kinds.paired
+        self._journal.intend(self.states, states)
         try:
-            self._master.commit(states, now)
+            self._master.commit(self._kinds.outputs(states, self._on(now) | differ), now)
         except Busy as error:
-            self._journal.resolve(self._master.outputs)
+            self._journal.resolve(self.states)
             self._refused(str(error), now)
             return False
-        self.target = states
+        self.target, self._doubtful = states, differ
         return True
 
-    def switched(self, mask: int, now: float) -> None:
-        """Notes that the SYNC of the actuators of a mask has left."""
-        self._moved(mask, now)
-        self._outputs = self._master.outputs
-        self.switches += mask.bit_count()
+    def tick(self, now: float) -> None:
+        """Ends the pulses whose time is over; to be called every period, in every mode."""
+        if not self._kinds.paired:
+            return
+        outputs = self._master.outputs
+        extending, contracting = self._kinds.on(outputs)
+        over = (extending & contracting) | ((extending | contracting) & ~self._on(now))
+        if not over & self._master.known:
+            return
+        try:
+            self._master.commit(self._kinds.without(outputs, over & self._master.known), now, release=True)
+        except Busy:
+            return  # the next tick tries again; a board that hears nobody does it by itself
+
+    def switched(self, lines: int, now: float) -> int:
+        """Notes that the SYNC of some output lines has left; returns the mask of the actuators that it moves."""
+        extending, contracting = self._kinds.on(self._master.outputs & lines)
+        energised = (extending ^ contracting) & self._kinds.paired
+        states = self.states
+        moved = (states ^ self._states) | (energised & self.uncertain)
+        for k in indices(energised & self._kinds.pulsed):
+            self._pulse_ends[k] = now + self._kinds.pulse[k]
+        self.uncertain &= ~energised
+        self._doubtful &= ~energised
+        self._states = self._adopted = states
+        self._moved(moved, now)
+        self.switches += moved.bit_count()
+        return moved
 
     def conclude(self, now: float) -> Commit | None:
         """Counts the switches of the commit that was under way; None if it still is, or there was none."""
         if self.target is None or self._master.committing or not self._master.outputs_known:
             return None
         states, self.target = self.target, None
-        self._journal.resolve(self._master.outputs)
+        self._journal.resolve(self.states)
         why = self._master.commit_failed
         if why is None:
             self._busy_since = None
         else:
             self._refused(why, now)
-        return Commit(states, reached=self._master.outputs == states)
+        reached = self.states == states and not self._doubtful
+        self._doubtful = 0
+        return Commit(states, reached)
 
-    def adopt(self, now: float) -> None:
+    def adopt(self, measured: int, definite: int, now: float) -> None:
         """Takes the outputs that the boards read back: counts what a commit before a fault or a start has switched.
 
         Actuators whose outputs have changed rest from now on; after a start all do, for the process before may have
-        switched them just now.
+        switched them just now. Nothing is energised.
+
+        Args:
+            measured: states as the end-stops tell.
+            definite: mask of the actuators of which they do.
+            now: [s].
         """
         self.target, self.fault = None, None
-        outputs, everything = self._master.outputs, (1 << len(self._switched_at)) - 1
-        self.switches += self._journal.resolve(outputs).bit_count()
-        self._moved(everything if self._outputs is None else self._outputs ^ outputs, now)
-        self._outputs = outputs
+        extending, contracting = self._kinds.on(self._master.outputs)
+        told = extending ^ contracting
+        self.uncertain = (self.uncertain | self._rebooted() | self._doubtful | (extending & contracting)) & ~told
+        resting = definite & self._kinds.paired & ~told
+        self._states = merged(resting, measured, self.states)
+        self.uncertain &= ~resting
+        self._doubtful = 0
+        states, first = self.states, self._adopted is None
+        self.switches += self._journal.resolve(states, self.uncertain).bit_count()
+        self._moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
+        self._adopted = states
         self.rest()
 
     def rest(self) -> None:
         """Forgets how long the bus has been busy: nothing is to be switched."""
         self._busy_since = None
 
+    def _on(self, now: float) -> int:
+        """Returns the mask of the pairs that are on and stay so: not those whose pulse is over."""
+        extending, contracting = self._kinds.on(self._master.outputs)
+        on = extending ^ contracting
+        over = (k for k in indices(on & self._kinds.pulsed) if now >= self._pulse_ends[k] - EARLY)
+        return on & ~sum(1 << k for k in over)
+
+    def _rebooted(self) -> int:
+        """Returns the mask of the pairs whose board has started anew since the last adoption."""
+        before, self._boots = self._boots, tuple(self._master.boots)
+        if before == self._boots or not before:
+            return 0
+        board_of = self._master.board_of
+        return sum(1 << k for k in indices(self._kinds.paired) if before[board_of[k]] != self._boots[board_of[k]])
+
     def _moved(self, mask: int, now: float) -> None:
         """Notes that the actuators of a mask have begun to move."""
-        if mask:
-            self.free_at = max(self.free_at, now + self._arm.timing.travel_time)
+        states = self.states
         for k in indices(mask):
-            self._switched_at[k] = now
+            self._arrives_at[k] = now + self._kinds.travel[k][states >> k & 1]
+            self.free_at = max(self.free_at, self._arrives_at[k])
 
     def _refused(self, why: str, now: float) -> None:
         if self._busy_since is None:

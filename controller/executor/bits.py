@@ -1,6 +1,7 @@
 """Sets of actuators as masks: actuator k is bit k of an integer."""
 
 from collections.abc import Iterator
+from itertools import islice
 
 
 def indices(mask: int) -> Iterator[int]:
@@ -14,3 +15,8 @@ def indices(mask: int) -> Iterator[int]:
 def merged(mask: int, chosen: int, other: int) -> int:
     """Returns states: `chosen` where the mask is set, `other` elsewhere."""
     return (chosen & mask) | (other & ~mask)
+
+
+def first(mask: int, count: int) -> int:
+    """Returns the mask of the first actuators of a mask, so many at most."""
+    return sum(1 << k for k in islice(indices(mask), max(count, 0)))

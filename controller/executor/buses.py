@@ -7,7 +7,7 @@ import select
 import stat
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from drivers.canopen.bus import CanBus
@@ -17,6 +17,7 @@ from drivers.canopen.faults import BusError
 from drivers.canopen.wiring import BusSettings, Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
+from drivers.simulation.variants import Variant
 
 log = logging.getLogger(__name__)
 
@@ -101,10 +102,12 @@ class CanBuses:
 class EmbeddedBoards:
     """Simulated boards, and their faults from the standard input. See `Buses`."""
 
-    def __init__(self, wiring: Wiring, timing: Timing) -> None:
-        """Takes the wiring and the times of the arm."""
+    def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
+        """Takes the wiring and the times of the arm, and the variants of its boards by name."""
         self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
-        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame)))
+        self._boards = SimulatedBuses(
+            wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame)), variants
+        )
         self._lines = FaultLines(self._boards)
         self._clock = self._last = -math.inf
 

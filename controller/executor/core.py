@@ -162,6 +162,7 @@ class Executor:
         self._awake, self._last_tick = self._clock(now), now
         self._master.tick(now)
         self._conclude(now)
+        self.motion.actuation.tick(now)
         for finding in self.motion.supervise(now):
             if finding.fault.code == "stuck":
                 self._locked.note_stuck(finding.actuator)

@@ -1,10 +1,9 @@
 """Locked actuators: which actuators cannot move, and in which state."""
 
 from collections.abc import Sequence
-from itertools import islice
 
 from controller.executor.arm import WORDS
-from controller.executor.bits import indices, merged
+from controller.executor.bits import first, indices, merged
 from drivers.canopen.faults import Fault
 
 
@@ -76,8 +75,7 @@ class LockedActuators:
             outputs: before; returned if all locked actuators have theirs.
             most: actuators that may switch at once.
         """
-        differ = indices(outputs ^ self.aligned(outputs))
-        return outputs ^ sum(1 << k for k in islice(differ, most))
+        return outputs ^ first(outputs ^ self.aligned(outputs), most)
 
     def faults(self) -> tuple[Fault, ...]:
         """Returns a warning for each locked actuator; none of them stops the arm."""

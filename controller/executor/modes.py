@@ -98,7 +98,7 @@ class Modes:
         """Boots the boards; `look` notes the end."""
         self.faults.clear()
         self._booting = True
-        self._motion.supervision.reset(0, 0)
+        self._motion.supervision.reset(0, 0, self._motion.ends, self._motion.clock)
         self._master.boot(now)
         self.enter("starting", reason)
 
@@ -131,9 +131,9 @@ class Modes:
 
     def go_on(self, now: float) -> None:
         """Holds what is measured, and is ready."""
-        self._locked.settle(self._master.measured, self._master.sensed & self._master.known)
+        self._locked.settle(self._motion.read, self._motion.definite)
+        self._motion.adopt(now)
         self._motion.supervision.accept(self._motion.measured, self._master.known)
-        self._motion.actuation.adopt(now)
         self.new_epoch()
         locked = f", {self._locked.sentence()}" if self._locked.mask else ""
         self.enter("ready", f"holding what the boards measured{locked}")
@@ -145,7 +145,9 @@ class Modes:
         if self.faults:
             self._enter_fault(self.faults.sentence(), now)
         else:
-            self._motion.supervision.reset(self._motion.measured, self._master.known)
+            self._motion.adopt(now)
+            motion = self._motion
+            motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
             self.go_on(now)
 
     def _enter_fault(self, reason: str, now: float) -> None:

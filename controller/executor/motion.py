@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 from controller.executor.actuation import Actuation, Commit
 from controller.executor.arm import ExecutedArm
-from controller.executor.bits import merged
+from controller.executor.bits import first, merged
 from controller.executor.clearance import ClearanceQuestions
+from controller.executor.kinds import Ends, Kinds
 from controller.executor.locked import LockedActuators
 from controller.executor.motion_supervision import Finding, MotionSupervision
 from controller.executor.program_execution import ProgramExecution
@@ -25,6 +26,7 @@ class Motion:
     Attributes:
         execution: of the running program.
         stream: of set-points that is followed.
+        kinds: of the actuators.
         actuation: of the boards.
         supervision: of the actuators.
         clearances: questions to the planner.
@@ -50,27 +52,53 @@ class Motion:
     ) -> None:
         self.execution: ProgramExecution | None = None
         self.stream: SetpointStream | None = None
-        self.actuation = Actuation(master, arm, journal)
+        self.kinds = Kinds(arm.wiring, arm.timing)
+        self.actuation = Actuation(master, arm, self.kinds, journal)
         places = [channel.place for channel in arm.wiring.channels]
-        timing = arm.timing
-        self.supervision = MotionSupervision(master, places, timing.travel_time, timing.settle_margin)
+        self.supervision = MotionSupervision(master, places, self.kinds)
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
         self.clock = 0.0
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
-        self._index, self._before = 0, 0  # of the stage whose commit is under way; outputs before it
+        self._index, self._before = 0, 0  # of the stage whose commit is under way; states before it
+        self._homes = False  # whether actuators are on their way to their first known state
         self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the commit under way
 
     # --- what is measured
 
     @property
+    def ends(self) -> Ends:
+        """What the end-stops read."""
+        return self.kinds.ends(self._master.ends)
+
+    @property
+    def read(self) -> int:
+        """States from the end-stops, else as commanded; 0 where the board is not up."""
+        return self.kinds.measured(self.ends, self.actuation.states) & self._master.known
+
+    @property
+    def definite(self) -> int:
+        """Mask of the actuators whose end-stops tell their state now."""
+        return self.kinds.definite(self.ends) & self._master.known
+
+    @property
     def measured(self) -> int:
-        """States from the end-stops, else from the outputs; of a locked actuator without end-stop its locked state."""
-        return merged(self._locked.mask & ~self._master.sensed, self._locked.states, self._master.measured)
+        """As `read`; of a locked actuator without end-stop its locked state."""
+        return merged(self._locked.mask & ~self.kinds.sensed, self._locked.states, self.read)
+
+    @property
+    def known(self) -> int:
+        """Mask of the actuators whose measured state is known."""
+        return self._master.known & ~self.homing
+
+    @property
+    def homing(self) -> int:
+        """Mask of the actuators that the next program is to bring to their state first, since it is unknown."""
+        return self.actuation.uncertain & ~self._locked.mask
 
     @property
     def moving(self) -> bool:
         """Whether a switched actuator has not arrived."""
-        return self.supervision.moving(self.measured, self.clock)
+        return self.supervision.moving(self.ends, self.clock)
 
     @property
     def busy(self) -> bool:
@@ -80,11 +108,15 @@ class Motion:
     def packed(self) -> tuple[bytes, bytes]:
         """Returns the measured states and the mask of the known ones, packed."""
         actuators = len(self._arm.actuators)
-        return pack(self.measured & self._master.known, actuators), pack(self._master.known, actuators)
+        return pack(self.measured & self.known, actuators), pack(self.known, actuators)
 
     def supervise(self, now: float) -> list[Finding]:
         """Returns the actuators that went astray since the last call; to be called every period."""
-        return self.supervision.tick(self.measured, self._master.known, self.clock, now)
+        return self.supervision.tick(self.ends, self._master.known, self.clock, now)
+
+    def adopt(self, now: float) -> None:
+        """Takes outputs and end-stops as they are now: nothing is switched for it."""
+        self.actuation.adopt(self.read, self.definite, now)
 
     # --- begin and end
 
@@ -132,9 +164,9 @@ class Motion:
 
     def conclude(self, now: float) -> None:
         """Notes what has switched since the last call; to be called after each event."""
-        for mask, at in self._master.take_switched():
-            self.actuation.switched(mask, at)
-            self.supervision.switched(mask, self._master.outputs, self.measured, self.clock, now)
+        for lines, at in self._master.take_switched():
+            mask = self.actuation.switched(lines, at)
+            self.supervision.switched(mask, self.actuation.states, self.ends, self.clock, now)
             running = self.execution if self._closing is None else self._closing[0]
             if running is not None:
                 running.switches += mask.bit_count()
@@ -156,28 +188,46 @@ class Motion:
         if execution.finished and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
             self.end("done", "all stages have settled")
             return f"holding; {execution.program.name} is done"
-        return None if self._realigns(now) else self._switch(execution, now)
+        return None if self._realigns(now, *execution.homed) else self._switch(execution, now)
 
-    def _realigns(self, now: float) -> bool:
-        """Sets outputs of locked actuators to their states before any stage; returns whether that goes on.
+    def _realigns(self, now: float, homed: int, target: int) -> bool:
+        """Sets outputs of locked actuators to their states, and homes others, before any stage.
 
         A locked actuator that comes loose then stays where it is.
+
+        Args:
+            now: [s].
+            homed: mask of the actuators that are brought to a state if theirs is unknown.
+            target: that state.
+
+        Returns:
+            Whether that goes on.
         """
-        states = self._locked.realigned(self._master.outputs, self._arm.most)
-        if states == self._master.outputs:
-            return False
-        if not self.busy and now >= self.actuation.ready_at(states, strict=False) - 1e-9:
-            self._index = REALIGNMENT
-            self.actuation.switch(states, now)
-        return True
+        before, most = self.actuation.states, self._arm.most
+        states = self._locked.realigned(before, most)
+        homing = first(self.homing & homed, most - (states ^ before).bit_count())
+        states = merged(homing, target, states)
+        differ = self.actuation.differ(states, homing)
+        if differ:
+            if not self.busy and now >= self.actuation.ready_at(differ, strict=False) - 1e-9:
+                self._index = REALIGNMENT
+                if self.actuation.switch(states, now, homing):
+                    self._homes |= bool(homing)
+            return True
+        if self._homes and (self.busy or self.moving or now < self.actuation.free_at - 1e-9):
+            return True
+        if self._homes and self.execution is not None:
+            self.execution.delay(now)
+        self._homes = False
+        return False
 
     def _switch(self, execution: ProgramExecution, now: float) -> str | None:
         """Begins the stage of a program that is due; returns a sentence if that ends the program."""
-        index = None if self.busy else execution.due(now, self._master.outputs, self._arm.most)
+        index = None if self.busy else execution.due(now, self.actuation.states, self._arm.most)
         if index is None:
             return None
         states = execution.state(index)
-        if (states ^ self._master.outputs).bit_count() > self._arm.most:
+        if (states ^ self.actuation.states).bit_count() > self._arm.most:
             self.end("aborted", "the outputs are too far from the next stage; the arm holds")
             return f"holding; {execution.program.name} was aborted: the outputs are too far from its next stage"
         touched = self._begin(index, execution.state(execution.taken), states, execution.strict, now)
@@ -191,9 +241,9 @@ class Motion:
         if now > stream.until:
             self.end("canceled", "")
             return "holding; the stream of setpoints has stopped"
-        if self.busy or (stream.stages and self._realigns(now)):
+        if self.busy or (stream.stages and self._realigns(now, self.kinds.everything, stream.start)):
             return None
-        index = stream.due(self._master.outputs, self._arm.most)
+        index = stream.due(self.actuation.states, self._arm.most)
         if index is None:
             self.clearances.forget()
             self.actuation.rest()
@@ -213,11 +263,12 @@ class Motion:
             strict: whether nothing may be moving, and it must be known to be clear.
             now: [s].
         """
-        self._index, self._before = index, self._master.outputs
+        self._index, self._before = index, self.actuation.states
         if states == self._before and not (strict and self.moving):
             self._took(Commit(states, reached=True))
             return None
-        if now < self.actuation.ready_at(states, strict) - 1e-9 or (strict and self.moving):
+        differ = self.actuation.differ(states, 0)
+        if now < self.actuation.ready_at(differ, strict) - 1e-9 or (strict and self.moving):
             return None
         if strict:
             start = merged(self.measured ^ states, self.measured, self._before)  # what may come free on the way

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from controller.executor.arm import WORDS
 from controller.executor.bits import indices, merged
+from controller.executor.kinds import Ends, Kinds
 from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
@@ -20,101 +21,143 @@ class Finding(NamedTuple):
 
 
 class MotionSupervision:
-    """Commanded against measured states of A actuators.
+    """Commanded states of A actuators against their end-stops, which read 1 only while the actuator is at the end.
 
-    A verdict needs an answer: an actuator that has not arrived in time is "stuck" only after its board was asked for
-    its inputs once more, and has answered or let the question time out.
+    An actuator has arrived when the end-stop that it goes to reads 1 and the one that it left reads 0. Where it goes to
+    an end without an end-stop, the travel time tells. A verdict needs an answer: an actuator that has not arrived in
+    time is "stuck" only after its board was asked for its inputs once more, and has answered or let the question time
+    out.
 
     Args:
         boards: the master.
         places: actuator and wiring of each actuator, for messages, shape (A,).
-        travel: longest time of an actuator from end-stop to end-stop [s].
-        margin: added to it before an actuator counts as late [s].
+        kinds: of the actuators.
     """
 
-    def __init__(self, boards: Master, places: Sequence[str], travel: float, margin: float) -> None:
-        self._boards, self._places, self._travel, self._margin = boards, places, travel, margin
+    def __init__(self, boards: Master, places: Sequence[str], kinds: Kinds) -> None:
+        self._boards, self._places, self._kinds = boards, places, kinds
         self._switched_at = [0.0] * len(places)
         self._ask_at = [0.0] * len(places)
         self._missed = [0] * len(places)
-        self.reset(0, 0)
+        self.reset(0, 0, Ends(0, 0), 0.0)
 
-    def reset(self, measured: int, known: int) -> None:
-        """Forgets all motions and reports; the measured states are right from now on, where known."""
-        self._commanded, self._commanded_known = measured, known
-        self._pending = self._confirms = self._reported = self._suspect = self._final = 0
-        self._last = measured
+    def reset(self, states: int, known: int, ends: Ends, clock: float) -> None:
+        """Forgets all motions and reports.
+
+        The states are right from now on, where known; but an actuator between its two end-stops is on its way.
+        """
+        self._commanded, self._commanded_known = states, known
+        self._pending = self._confirms = self._reported = self._suspect = self._final = self._doubtful = 0
+        self._last = ends
         self._missed = [0] * len(self._places)
+        self._pending = self._confirms = self._late(ends) & ~ends.extended & ~ends.contracted & known
+        for k in indices(self._pending):
+            self._switched_at[k] = clock
+            self._ask_at[k] = clock + self._travel(k)
 
-    def accept(self, measured: int, known: int) -> None:
-        """Takes the measured states as right; actuators on their way stay so, they cannot stop between the ends."""
-        self._commanded = merged(self._pending, self._commanded, measured)
+    def accept(self, states: int, known: int) -> None:
+        """Takes the states as right; actuators on their way stay so, they cannot stop between the ends."""
+        self._commanded = merged(self._pending, self._commanded, states)
         self._commanded_known = merged(self._pending, self._commanded_known, known)
 
-    def switched(self, mask: int, states: int, measured: int, clock: float, now: float) -> None:
+    def switched(self, mask: int, states: int, ends: Ends, clock: float, now: float) -> None:
         """Notes that the actuators of a mask were switched to `states`.
 
         Args:
             mask: of the actuators.
             states: of all actuators.
-            measured: before the switch.
+            ends: before the switch.
             clock: see `tick` [s].
             now: for a question [s].
         """
-        self._count_missed(mask, measured, clock, now)
+        self._count_missed(mask, ends, clock, now)
         self._commanded = merged(mask, states, self._commanded)
         self._commanded_known |= mask
         self._pending |= mask
         self._final &= ~mask
         # An actuator called back halfway has not left its end-stop; only the travel time can tell when it is there.
-        self._confirms = merged(mask, self._boards.sensed & (measured ^ states), self._confirms)
+        self._confirms = merged(mask, self._awaited(ends), self._confirms)
         for k in indices(mask):
             self._switched_at[k] = clock
-            self._ask_at[k] = clock + self._travel
+            self._ask_at[k] = clock + self._travel(k)
 
-    def moving(self, measured: int, clock: float) -> bool:
+    def moving(self, ends: Ends, clock: float) -> bool:
         """Whether a switched actuator has not arrived, by its end-stop or else by the travel time."""
-        if self._pending & self._confirms & (measured ^ self._commanded):
+        if self._pending & self._confirms & self._late(ends):
             return True
         unconfirmed = self._pending & ~self._confirms
-        return any(clock - self._switched_at[k] < self._travel for k in indices(unconfirmed))
+        return any(clock - self._switched_at[k] < self._travel(k) for k in indices(unconfirmed))
 
-    def tick(self, measured: int, known: int, clock: float, now: float) -> list[Finding]:
-        """Asks the boards of late actuators for their inputs, and compares commanded with measured states.
+    def tick(self, ends: Ends, known: int, clock: float, now: float) -> list[Finding]:
+        """Asks the boards of late actuators for their inputs, and compares commanded states with the end-stops.
 
         Args:
-            measured: states.
+            ends: what the end-stops read.
             known: mask of the actuators whose board is up.
             clock: time that the executor was awake [s]: a stall of its loop is no delay of an actuator.
             now: for the questions [s].
 
         Returns:
-            "stuck" for each actuator that did not arrive, "unexpected-motion" for each that moved by itself; one for an
-            actuator until `reset`.
+            "end-stops" for each actuator that is at both ends at once, "stuck" for each that did not arrive,
+            "unexpected-motion" for each that moved by itself; one for an actuator until `reset`.
         """
-        readable = self._boards.sensed & known & self._commanded_known
-        wrong = readable & (measured ^ self._commanded)
-        self._forgive(measured)
-        stuck = self._overdue(wrong, clock, now) | self._unreliable(readable)
-        stray = wrong & ~self._pending & ~self._reported & ~stuck
+        readable = known & self._commanded_known
+        late = self._late(ends) & readable
+        self._forgive(ends)
+        broken = self._contradicted(ends.extended & ends.contracted & known, now) & ~self._reported
+        doubtful = self._doubtful | broken
+        stuck = (self._overdue(late, clock, now) | self._unreliable(readable)) & ~doubtful
+        stray = late & ~self._pending & ~self._reported & ~stuck & ~doubtful
         stuck &= ~self._reported
-        self._reported |= stuck | stray
-        return [self._stuck(k, measured) for k in indices(stuck)] + [self._stray(k, measured) for k in indices(stray)]
+        self._reported |= stuck | stray | broken
+        return [
+            *(self._broken(k) for k in indices(broken)),
+            *(self._stuck(k, ends) for k in indices(stuck)),
+            *(self._stray(k, ends) for k in indices(stray)),
+        ]
 
-    def _overdue(self, wrong: int, clock: float, now: float) -> int:
+    def _travel(self, k: int) -> float:
+        """Returns the longest time of an actuator to where it was commanded [s]."""
+        return self._kinds.travel[k][self._commanded >> k & 1]
+
+    def _awaited(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stop at the end they were commanded to reads 0."""
+        extended = self._kinds.ends_extended & ~ends.extended
+        contracted = self._kinds.ends_contracted & ~ends.contracted
+        return merged(self._commanded, extended, contracted)
+
+    def _left_behind(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stop at the other end reads 1."""
+        return merged(self._commanded, ends.contracted, ends.extended)
+
+    def _late(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stops do not read as commanded."""
+        return self._awaited(ends) | self._left_behind(ends)
+
+    def _contradicted(self, both: int, now: float) -> int:
+        """Returns the mask of the actuators whose two end-stops read 1 also after their boards were asked."""
+        for k in indices(both & ~self._doubtful & ~self._reported):
+            self._boards.question(self._boards.board_of[k], now)
+        asked = (k for k in indices(both & self._doubtful) if not self._boards.questioning(self._boards.board_of[k]))
+        certain = sum(1 << k for k in asked)
+        self._doubtful = both & ~certain
+        return certain
+
+    def _overdue(self, late: int, clock: float, now: float) -> int:
         """Asks after actuators that should have arrived; returns the mask of those that have not, for certain."""
         stuck = 0
         for k in indices(self._pending):
-            bit, late = 1 << k, clock - self._switched_at[k] - self._travel
-            if not wrong & bit:  # it has arrived, or nobody can tell
-                if late >= self._margin:
+            bit, over = 1 << k, clock - self._switched_at[k] - self._travel(k)
+            margin = self._kinds.margin[k]
+            if not late & bit:  # it has arrived, or nobody can tell
+                if over >= margin:
                     self._pending &= ~bit
             elif self._final & bit:
                 if not self._boards.questioning(self._boards.board_of[k]):
                     stuck |= bit
-            elif late >= 0 and clock >= self._ask_at[k]:
+            elif over >= 0 and clock >= self._ask_at[k]:
                 self._ask(k, clock, now)
-                if late >= self._margin:
+                if over >= margin:
                     self._final |= bit
         self._pending &= ~stuck
         return stuck
@@ -127,39 +170,57 @@ class MotionSupervision:
         self._pending &= ~mask
         return mask
 
-    def _count_missed(self, mask: int, measured: int, clock: float, now: float) -> None:
+    def _count_missed(self, mask: int, ends: Ends, clock: float, now: float) -> None:
         """Counts commands that are called back after the travel time, before a verdict, with the end-stop unchanged."""
-        for k in indices(mask & self._pending & self._confirms & (measured ^ self._commanded) & ~self._reported):
-            if clock - self._switched_at[k] >= self._travel:
+        missed = (self._confirms & self._awaited(ends)) | self._left_behind(ends)
+        for k in indices(mask & self._pending & missed & ~self._reported):
+            if clock - self._switched_at[k] >= self._travel(k):
                 self._missed[k] += 1
                 if self._missed[k] >= MOST_MISSED and not self._suspect >> k & 1:
                     self._suspect |= 1 << k
                     self._boards.question(self._boards.board_of[k], now)
 
-    def _forgive(self, measured: int) -> None:
-        """Forgets the missed commands of the actuators whose end-stop has changed: they move."""
-        for k in indices(measured ^ self._last):
+    def _forgive(self, ends: Ends) -> None:
+        """Forgets the missed commands of the actuators whose end-stops have changed: they move."""
+        if ends == self._last:
+            return
+        for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
             self._missed[k] = 0
             self._suspect &= ~(1 << k)
-        self._last = measured
+        self._last = ends
 
     def _ask(self, actuator: int, clock: float, now: float) -> None:
         board = self._boards.board_of[actuator]
-        self._ask_at[actuator] = clock + max(self._margin / 3, ASK_EVERY)
+        self._ask_at[actuator] = clock + max(self._kinds.margin[actuator] / 3, ASK_EVERY)
         if not self._boards.questioning(board):
             self._boards.question(board, now)
 
-    def _stuck(self, k: int, measured: int) -> Finding:
-        reads, should = WORDS[measured >> k & 1], WORDS[self._commanded >> k & 1]
-        limit, place = self._travel + self._margin, self._places[k]
+    def _reads(self, k: int, ends: Ends) -> str:
+        """Returns what the end-stops of an actuator read that should be where it was commanded, in words."""
+        should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
+        if self._left_behind(ends) >> k & 1:
+            return f"its end-stop still reads {other}"
+        if self._kinds.ends_extended & self._kinds.ends_contracted & 1 << k:
+            return f"it has left its {other} end, and neither end-stop reads"
+        return f"its end-stop does not read {should}"
+
+    def _stuck(self, k: int, ends: Ends) -> Finding:
+        should, place = WORDS[self._commanded >> k & 1], self._places[k]
+        limit = self._travel(k) + self._kinds.margin[k]
         if self._missed[k] >= MOST_MISSED:
-            text = f"actuator {place} missed {self._missed[k]} commands; its end-stop reads {reads} all the time"
+            text = f"actuator {place} missed {self._missed[k]} commands; its end-stop reads the same all the time"
         else:
-            text = f"actuator {place} was to be {should} within {limit:g} s; its end-stop still reads {reads}"
+            text = f"actuator {place} was to be {should} within {limit:g} s; {self._reads(k, ends)}"
         return Finding(k, Fault("stuck", place, text))
 
-    def _stray(self, k: int, measured: int) -> Finding:
-        reads, should = WORDS[measured >> k & 1], WORDS[self._commanded >> k & 1]
+    def _stray(self, k: int, ends: Ends) -> Finding:
+        should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
         place = self._places[k]
-        text = f"the end-stop of actuator {place} reads {reads}, and it was not commanded: it should be {should}"
+        reads = f"reads {other}" if self._left_behind(ends) >> k & 1 else f"does not read {should} any more"
+        text = f"the end-stop of actuator {place} {reads}, and it was not commanded: it should be {should}"
         return Finding(k, Fault("unexpected-motion", place, text))
+
+    def _broken(self, k: int) -> Finding:
+        place = self._places[k]
+        text = f"both end-stops of actuator {place} read 1 at once: check their wires and switches, then reset"
+        return Finding(k, Fault("end-stops", place, text))

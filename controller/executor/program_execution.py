@@ -57,6 +57,18 @@ class ProgramExecution:
         """Returns the states in which a stage ends; of stage -1 those from which the program was planned."""
         return self._start if index < 0 else self._states[index]
 
+    @property
+    def homed(self) -> tuple[int, int]:
+        """Mask of the actuators that are brought to a state before the first stage if theirs is unknown; that state."""
+        if self.program.homed:
+            return unpack(self.program.homed), self._states[-1] if self._states else self._start
+        return -1, self._start
+
+    def delay(self, now: float) -> None:
+        """Begins now, if the time for the first stage has come before actuators were homed."""
+        if self.taken < 0:
+            self.begin = max(self.begin, now)
+
     def due(self, now: float, outputs: int, most: int) -> int | None:
         """Returns the stage to switch to now: the latest whose time has come, for nothing old is made up for.
 

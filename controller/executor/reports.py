@@ -47,7 +47,7 @@ class Reports:
     def snapshot_due(self, now: float) -> bool:
         """Returns whether a snapshot is due at a tick, also because what is measured has changed."""
         motion = self._motion
-        shown = (self._master.outputs, motion.measured, self._master.known, int(motion.moving))
+        shown = (motion.actuation.states, motion.measured, motion.known, int(motion.moving))
         self.changed |= shown != self._shown
         self._shown = shown
         return self.changed or now >= self._next_snapshot
@@ -64,10 +64,11 @@ class Reports:
             mode=mode,
             reason=reason[:1_000],
             epoch=epoch,
-            outputs=pack(self._master.outputs, size),
+            outputs=pack(motion.actuation.states, size),
             measured=measured,
             known=known,
-            sensed=pack(self._master.sensed, size),
+            sensed=pack(motion.kinds.sensed, size),
+            homing=pack(motion.homing & self._master.known, size),
             locked=pack(self._locked.mask, size),
             locks=self._locked.number,
             moving=motion.moving,

@@ -119,10 +119,12 @@ class Requests:
             return Declined(number, "malformed", f"a program of number {self._program} came before")
         try:
             start = checked_states(message.start, self._size)
+            if message.homed:
+                checked_states(message.homed, self._size)
             check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
         except Misfit as misfit:
             return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
-        if start != self._master.outputs or self._motion.busy:
+        if start != self._motion.actuation.states or self._motion.busy:
             return Declined(number, "moved", "the arm has moved since the program was planned")
         return None
 
@@ -184,8 +186,8 @@ class Requests:
 
     def _lock(self, client: Client, message: Lock, now: float) -> None:
         """Locks an actuator, or unlocks it; nothing moves."""
-        readable = self._master.sensed & self._master.known
-        refusal = self._locked.refusal(message.actuator, message.state, self._master.measured, readable)
+        motion = self._motion
+        refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
         mode = self._modes.mode
         if mode == "executing" or self._motion.moving or self._motion.busy:
             refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"

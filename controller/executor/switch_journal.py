@@ -43,8 +43,8 @@ class SwitchJournal(Protocol):
     def intend(self, before: int, after: int) -> None:
         """Notes that outputs are to be switched from the states `before` to the states `after`."""
 
-    def resolve(self, outputs: int) -> int:
-        """Counts the intended switches that the outputs show; returns the mask of these actuators."""
+    def resolve(self, states: int, unknown: int = 0) -> int:
+        """Counts the intended switches that the states show, where known; returns the mask of these actuators."""
 
     def raise_to(self, counts: Sequence[int]) -> None:
         """Raises counts (A,) to those that somebody else knows: counts only grow, so the greater is right."""
@@ -67,11 +67,11 @@ class MemoryJournal:
         self._intended, self._after = before ^ after, after
         self._write()
 
-    def resolve(self, outputs: int) -> int:
+    def resolve(self, states: int, unknown: int = 0) -> int:
         """See `SwitchJournal`."""
         if not self._intended:
             return 0
-        switched = self._intended & ~(self._after ^ outputs)
+        switched = self._intended & ~(self._after ^ states) & ~unknown
         for k in indices(switched):
             self.counts[k] += 1
         self._intended = 0

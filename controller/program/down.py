@@ -35,6 +35,8 @@ class Program(Message, frozen=True, tag="program"):
         strict: no stage may be left out or begin before the one before has settled.
         name: for sentences, e.g. "goal a1".
         context: opaque; comes back with its result, so that a restarted planner can publish it.
+        homed: packed mask. Those of these actuators whose state is unknown are brought to that of the last stage before
+            the first stage, and no others are. Empty: all are brought to their state of `start`.
     """
 
     program: Number
@@ -46,6 +48,7 @@ class Program(Message, frozen=True, tag="program"):
     strict: bool
     name: Text
     context: Annotated[bytes, Meta(max_length=8_192)] = b""
+    homed: States = b""
 
 
 class Replacement(Message, frozen=True, tag="replacement"):

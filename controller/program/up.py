@@ -178,6 +178,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
         mark: its last mark reached, -1 if none.
         stream: number of the stream that is followed, -1 if none.
         faults: active faults and warnings.
+        homing: packed, 1 where the state is unknown until the next program brings it about; `outputs` has a guess.
     """
 
     at: Seconds
@@ -196,6 +197,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
     mark: Index
     stream: Annotated[int, Meta(ge=-1)]
     faults: Annotated[tuple[Fault, ...], Meta(max_length=100)]
+    homing: States = b""
 
 
 class Diagnostics(Message, frozen=True, tag="diagnostics"):

@@ -137,10 +137,11 @@ class Master:
         self._commit.forget()
         self._booting.begin(self._network.rearm(), self._clock.at(now))
 
-    def commit(self, states: int, now: float) -> None:
+    def commit(self, states: int, now: float, release: bool = False) -> None:
         """Switches all actuators to `states`, on each bus at one instant: RPDOs, and when all have left, SYNC.
 
         Nothing is sent if nothing changes. The end shows in `committing`, `commit_failed` and `take_switched`.
+        `release` tells that outputs only go off.
 
         Raises:
             Busy: a commit is under way, or a bus or a board is not up.
@@ -209,6 +210,21 @@ class Master:
     def measured(self) -> int:
         """States from the end-stops, else from the outputs; 0 where unknown."""
         return self._network.measured
+
+    @property
+    def ends(self) -> int:
+        """Levels of the input lines; 0 where unknown."""
+        return self._network.image.ends
+
+    @property
+    def inputs_known(self) -> int:
+        """Mask of the input lines whose board is up."""
+        return self._network.image.known
+
+    @property
+    def boots(self) -> tuple[int, ...]:
+        """Boot-up messages heard of each board."""
+        return tuple(station.board.boots for station in self._network.stations)
 
     @property
     def known(self) -> int:

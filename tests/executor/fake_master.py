@@ -10,29 +10,37 @@ from drivers.canopen.wiring import Timing, Wiring
 
 
 class FakeMaster:
-    """A master without buses: what is committed leaves with the next event, and is measured a travel time later."""
+    """A master without buses: what is committed leaves with the next event, and is measured a travel time later.
+
+    Outputs and inputs are lines in the order of `Wiring`. An end-stop reads 1 only while its actuator is at that end.
+    """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Any) -> None:
         nodes = sorted({(c.bus, c.node) for c in wiring.channels})
         self.board_of = tuple(nodes.index((c.bus, c.node)) for c in wiring.channels)
-        self.sensed = sum(1 << k for k, c in enumerate(wiring.channels) if c.input is not None)
+        self._wiring, self._size = wiring, len(wiring.channels)
         self.outputs = self.inputs = 0
-        self.all, self._travel = (1 << len(wiring.channels)) - 1, timing.travel_time
+        for i in range(len(wiring.input_lines) - self._size):  # contracted ends, closed interlocks
+            self.inputs |= 1 << self._size + i
+        self.all, self._travel = (1 << self._size) - 1, timing.travel_time
         self.up = self.answers = True
         self.back = False
         self.known = 0
         self.booting = self.committing = False
-        self.boots = 0
+        self.boots = (0,) * len(nodes)
+        self.booted = 0
         self.boot_faults: list[Fault] = []
         self.commit_failed: str | None = None
         self.commits: list[tuple[float, int]] = []
         self.questions: list[tuple[int, float]] = []
         self.busy = self.slow_sync = False
-        self.stuck = self.partly = 0  # masks: that never arrive, that a SYNC does not switch
+        self.stuck = self.partly = 0  # masks: of actuators that never leave, of lines that a SYNC does not switch
+        self.halfway = 0  # mask: of actuators that leave, and never arrive
         self.halt: Fault | None = None
         self.broken: set[str] = set()
         self.ticks: list[float] = []
-        self.left: list[tuple[float, int]] = []  # when which actuators were switched
+        self.left: list[tuple[float, int]] = []  # when which lines were switched
+        self._targets = 0  # states that the actuators go to
         self._target = 0
         self._arrivals: list[tuple[float, int, int]] = []
         self._faults: list[Fault] = []
@@ -48,11 +56,11 @@ class FakeMaster:
         if self.booting:
             self.booting = False
             self.known = 0 if self.boot_faults else self.all
-        for due, mask, states in list(self._arrivals):
+        for due, k, state in list(self._arrivals):
             if now >= due - 1e-9:
-                moved = mask & ~self.stuck
-                self.inputs = (self.inputs & ~moved) | (states & moved)
-                self._arrivals.remove((due, mask, states))
+                if not (self.stuck | self.halfway) >> k & 1:
+                    self._reads(k, state, 1)
+                self._arrivals.remove((due, k, state))
         if self.answers:
             self._asked.clear()
         if not self.slow_sync:
@@ -65,10 +73,34 @@ class FakeMaster:
             mask = (self.outputs ^ self._target) & ~self.partly
             self.outputs ^= mask
             self.commit_failed = "one bus failed" if self.partly else None
-            self._arrivals.append((now + 0.8 * self._travel, mask, self.outputs))
             self._switched.append((mask, now))
+            self._drive(now)
             if mask:
                 self.left.append((now, mask))
+
+    def _drive(self, now: float) -> None:
+        """Moves the actuators as their outputs say; with both off, one with two outputs goes on as before."""
+        for k, channel in enumerate(self._wiring.channels):
+            on, state = self.outputs >> k & 1, self._targets >> k & 1
+            if channel.output_off is not None:
+                off = self.outputs >> self._size + self._wiring.paired.index(k) & 1
+                assert not on & off, "both outputs are on"
+                on = on if on or off else state
+            if on != state:
+                self._targets ^= 1 << k
+                self._arrivals = [arrival for arrival in self._arrivals if arrival[1] != k]
+                self._arrivals.append((now + 0.8 * (channel.travel or (self._travel,) * 2)[on], k, on))
+                if not self.stuck >> k & 1:
+                    self._reads(k, 1 - on, 0)
+
+    def _reads(self, k: int, end: int, level: int) -> None:
+        """Sets what an actuator's end-stop reads at an end, if it has that one."""
+        channel, line = self._wiring.channels[k], k
+        if (channel.input if end else channel.input_contracted) is None:
+            return
+        if not end:
+            line = self._size + self._wiring.ended.index(k)
+        self.inputs = self.inputs & ~(1 << line) | level << line
 
     def halted(self, now: float) -> Fault | None:
         halt, self.halt = self.halt, None
@@ -76,16 +108,18 @@ class FakeMaster:
 
     def boot(self, now: float) -> None:
         self._break("boot")
-        self.boots += 1
+        self.booted += 1
         self.booting, self.committing = True, False
         self._faults.clear()
 
-    def commit(self, states: int, now: float) -> None:
+    def commit(self, outputs: int, now: float, release: bool = False) -> None:
         self._break("commit")
         if self.busy or self.committing:
             raise Busy("the queue is full")
-        self.commits.append((now, states))
-        self._target, self.committing = states, True
+        assert not release or outputs == outputs & self.outputs, "a release switches something on"
+        if not release:
+            self.commits.append((now, outputs))
+        self._target, self.committing = outputs, True
         if not self.slow_sync:
             self.leave(now)
 
@@ -108,9 +142,13 @@ class FakeMaster:
         return self.ready and not self.committing
 
     @property
-    def measured(self) -> int:
+    def ends(self) -> int:
         self._break("measured")
-        return ((self.inputs & self.sensed) | (self.outputs & ~self.sensed)) & self.known
+        return self.inputs
+
+    @property
+    def inputs_known(self) -> int:
+        return -1 if self.known else 0
 
     def fail(self, fault: Fault, lost: int = 0) -> None:
         self._faults.append(fault)

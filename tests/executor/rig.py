@@ -26,13 +26,13 @@ CAN = Ignored("can0", 100)  # an event of a bus that changes nothing by itself
 T = TypeVar("T")
 
 
-def small_arm(sensed: int = 0b111111, **fields: Any) -> ExecutedArm:
+def small_arm(sensed: int = 0b111111, margin: float = MARGIN, **fields: Any) -> ExecutedArm:
     """An arm of two boards with three actuators each."""
     channels = tuple(
         Channel(label, "can0", 1 + k // 3, k % 3, k % 3 if sensed >> k & 1 else None) for k, label in enumerate(LABELS)
     )
     wiring = Wiring((BusSettings("can0", "virtual", "can0"),), channels)
-    timing = Timing(travel_time=TRAVEL, settle_margin=MARGIN)
+    timing = Timing(travel_time=TRAVEL, settle_margin=margin)
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
 
 

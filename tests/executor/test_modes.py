@@ -109,12 +109,12 @@ def test_what_passes_is_left_by_itself(rig: Rig, code: str) -> None:
 
 
 def test_one_that_fails_again_is_tried_once_a_second(rig: Rig) -> None:
-    boots = rig.master.boots
+    boots = rig.master.booted
     rig.master.back, rig.master.boot_faults = True, [LOST]
     rig.master.fail(LOST)
     rig.go(10 * RETRY)
     assert rig.mode == "fault"
-    assert 5 <= rig.master.boots - boots <= 10
+    assert 5 <= rig.master.booted - boots <= 10
 
 
 def test_faults_of_a_boot_are_told_at_its_end(rig: Rig) -> None:

@@ -28,6 +28,7 @@ from controller.program import (
 )
 from drivers.canopen.events import Changed, Echoed, Received
 from drivers.simulation.buses import SimulatedBuses
+from drivers.simulation.fault_commands import perform
 from tests.executor.rig import SIZE, TRAVEL, small_arm
 
 A, B = 0b000111, 0b011100
@@ -119,12 +120,12 @@ def test_a_program_moves_the_actuators_and_its_sync_leaves_with_its_message(worl
 
 
 def test_an_actuator_that_sticks_is_found_and_reset_goes_on_with_it_released(world: World) -> None:
-    world.boards.stick("1.left", 0)
+    perform(world.boards, "stick", "1.left", 0)
     world.run(1, A)
     world.go(0.3)
     assert (world.mode, world.last(Ended).status) == ("fault", "aborted")
     assert [fault.code for fault in world.last(Snapshot).faults] == ["stuck"]
-    world.boards.release("1.left")
+    perform(world.boards, "release", "1.left")
     world.go(0.5)
     world.send(Reset(1))
     world.go(2.0)
@@ -136,7 +137,7 @@ def test_an_actuator_that_sticks_is_found_and_reset_goes_on_with_it_released(wor
 
 
 def test_one_toggled_at_every_transition_that_sticks_is_found(world: World) -> None:
-    world.boards.stick("1.left", 0)
+    perform(world.boards, "stick", "1.left", 0)
     number = 0
     while world.mode != "fault" and number < 30:
         number += 1

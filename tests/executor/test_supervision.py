@@ -26,7 +26,7 @@ def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(
     rig.go(4 * PERIOD)
     assert (rig.mode, rig.results) == ("fault", [(1, "aborted")])
     assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
-    assert "was to be extended within 0.08 s; its end-stop still reads contracted" in rig.last(Ended).message
+    assert "was to be extended within 0.08 s; its end-stop does not read extended" in rig.last(Ended).message
     assert {board for board, _ in rig.master.questions} == {0}
 
 
@@ -63,8 +63,8 @@ def test_a_stall_of_the_executor_is_no_delay_of_an_actuator(rig: Rig) -> None:
     assert rig.results == [(1, "done")]
 
 
-def test_the_margin_is_the_arms(rig: Rig) -> None:
-    rig.core.motion.supervision._margin = 0.5
+def test_the_margin_is_the_arms() -> None:
+    rig = ready(margin=0.5)
     rig.master.stuck = 1
     rig.run(1)
     rig.go(TRAVEL + 0.4)
