@@ -12,11 +12,15 @@ def execute(
     file: Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)],
     socket: Annotated[Path | None, typer.Option(help="The socket for the planner, or its folder.")] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="Simulated boards in this process.")] = False,
+    board: Annotated[
+        list[str], typer.Option(help="What simulated boards are like; see `simulate --help`.", show_default=False)
+    ] = [],  # noqa: B006  # typer needs a list
     journal: Annotated[Path | None, typer.Option(help="Where the switches are counted.")] = None,
     list_modules: Annotated[bool, typer.Option("--list-modules", hidden=True)] = False,
 ) -> None:
     """Run the executor: motion programs from a planner to boards over CAN, until SIGTERM."""
     options = [f"--socket={socket}"] * (socket is not None) + [f"--journal={journal}"] * (journal is not None)
+    options += [f"--board={word}" for word in board]
     flags = ["--simulate"] * simulate + ["--list-modules"] * list_modules
     # The executor must not carry the command line's modules: this process becomes another, of the same number.
     sys.stdout.flush()

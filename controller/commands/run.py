@@ -25,6 +25,9 @@ SIGNALS = (signal.SIGTERM, signal.SIGINT)
 def run(
     file: ArmFile,
     simulate: Annotated[bool, typer.Option("--simulate", help="Simulated boards, inside the executor.")] = False,
+    board: Annotated[
+        list[str], typer.Option(help="What simulated boards are like; see `simulate --help`.", show_default=False)
+    ] = [],  # noqa: B006  # typer needs a list
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
     zenoh_file: ZenohFile = None,
@@ -33,6 +36,8 @@ def run(
     """Run the daemon: goals over Zenoh to an executor, which moves the arm, until SIGTERM."""
     if simulate and socket is not None:
         raise InputFaults(Path("run"), ["give --simulate to the executor at --socket, not to this command"])
+    if board and not simulate:
+        raise InputFaults(Path("run"), ["--board is for simulated boards: give --simulate as well"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
 
@@ -45,7 +50,7 @@ def run(
         executor = None
         if socket is None:  # first, so that the boards boot while the kernels load
             journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # the counts of this ledger alone
-            executor = ExecutorProcess(file, path, simulate=simulate, journal=journal)
+            executor = ExecutorProcess(file, path, simulate=simulate, journal=journal, board=board)
             stack.callback(executor.close)
         serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
 

@@ -3,15 +3,29 @@
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from controller.commands.common import ArmFile, Failed, console, errors
+from controller.strict import InputFaults
+from drivers.simulation.variants import VARIANTS, choose
 
 if TYPE_CHECKING:
     from drivers.simulation.simulation import Simulation
 
 
-def simulate(file: ArmFile) -> None:
+BOARD = (
+    "What boards are like: NAME for all boards, or BOARD=NAME for one, e.g. can0/5=guarding-only; several times. "
+    "Names: " + "; ".join(f"{name}: {variant.text}" for name, variant in VARIANTS.items())
+)
+
+
+def simulate(
+    file: ArmFile,
+    board: Annotated[list[str], typer.Option(help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
+) -> None:
     """Run simulated boards on the arm's own bus, in place of the real ones, until SIGTERM."""
     from controller.executor.arm import read_arm
 
@@ -20,13 +34,18 @@ def simulate(file: ArmFile) -> None:
     import can
 
     from drivers.simulation import fault_commands
+    from drivers.simulation.buses import board_names
     from drivers.simulation.simulation import Simulation
 
+    try:
+        variants = choose(board, board_names(arm.wiring))
+    except ValueError as error:
+        raise InputFaults(Path("--board"), [str(error)]) from None
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ending.set())
     try:
-        simulation = Simulation(arm.wiring, arm.timing)
+        simulation = Simulation(arm.wiring, arm.timing, variants=variants)
     except (can.CanError, OSError) as error:
         raise Failed(f"the bus cannot be opened: {error}") from None
     simulation.start()

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
@@ -23,11 +24,15 @@ class ExecutorProcess:
         path: of the socket.
         simulate: whether the executor simulates the boards.
         journal: path of its switch journal; its default if None.
+        board: variants of simulated boards, as `hyperbit simulate` takes them.
     """
 
-    def __init__(self, file: Path, path: Path, *, simulate: bool, journal: Path | None = None) -> None:
+    def __init__(
+        self, file: Path, path: Path, *, simulate: bool, journal: Path | None = None, board: Sequence[str] = ()
+    ) -> None:
         command = [sys.executable, "-m", "controller.cli", "execute", str(file), "--socket", str(path)]
         command += ["--journal", str(journal)] if journal else []
+        command += [f"--board={word}" for word in board]
         parent, prctl = os.getpid(), ctypes.CDLL(None).prctl  # looked up before the fork
 
         def die_with_parent() -> None:

@@ -135,46 +135,6 @@ class SimulatedBuses:
 
     # --- faults, and their ends
 
-    def stick(self, label: str, state: int) -> None:
-        """Lets an actuator go to an end, 0 or 1, and stay there whatever its drive."""
-        with self._changing(label) as actuator:
-            actuator.stick(state)
-
-    def release(self, label: str) -> None:
-        """Lets an actuator follow its drive again."""
-        with self._changing(label) as actuator:
-            actuator.release()
-
-    def jam(self, label: str, position: float | None = None) -> None:
-        """Holds an actuator at a position, 0 to 1, as soon as it comes there; where it is now if None."""
-        with self._changing(label) as actuator:
-            actuator.jam(position)
-
-    def slow(self, label: str, factor: float) -> None:
-        """Makes an actuator's travel longer by a factor; 1 is as built."""
-        with self._changing(label) as actuator:
-            actuator.slow(factor)
-
-    def lose_sensor(self, label: str) -> None:
-        """Freezes what an actuator's end-stops read."""
-        with self._changing(label) as actuator:
-            actuator.lose_sensor()
-
-    def short_wires(self, label: str) -> None:
-        """Lets the inputs of an actuator's end-stops read 1."""
-        with self._changing(label) as actuator:
-            actuator.short_wires()
-
-    def cut_wires(self, label: str) -> None:
-        """Lets the inputs of an actuator's end-stops read 0."""
-        with self._changing(label) as actuator:
-            actuator.cut_wires()
-
-    def restore_sensor(self, label: str) -> None:
-        """Lets an actuator's end-stops read again."""
-        with self._changing(label) as actuator:
-            actuator.restore_sensor()
-
     def silence(self, board: str) -> None:
         """Cuts a board, e.g. "can0/5", off from the bus."""
         self.board(board).silent = True
@@ -221,8 +181,12 @@ class SimulatedBuses:
         self._due[board] = board.timer
 
     @contextmanager
-    def _changing(self, label: str) -> Iterator[Actuator]:
-        """Gives an actuator, at the time of the last call, to be changed; then the boards read their inputs."""
+    def actuator(self, label: str) -> Iterator[Actuator]:
+        """Gives an actuator, at the time of the last call, to be changed; then the boards read their inputs.
+
+        Raises:
+            KeyError: there is no such actuator.
+        """
         if label not in self._actuators:
             raise KeyError(f"no actuator {label}, there are {', '.join(self._actuators)}")
         self.step(self._now)
@@ -254,3 +218,9 @@ def _wired(channel: Channel, actuator: Actuator) -> Wired:
     inverted = "output" in channel.inverted, "output_off" in channel.inverted
     outputs = channel.output, channel.output_off
     return Wired(actuator, outputs[0], channel.input, outputs[1], channel.input_contracted, inverted)
+
+
+def board_names(wiring: Wiring) -> list[str]:
+    """The names of the boards of a wiring, e.g. "can0/5"."""
+    places = {(c.bus, c.node) for c in wiring.channels} | {(lock.bus, lock.node) for lock in wiring.interlocks}
+    return [f"{bus}/{node}" for bus, node in sorted(places)]

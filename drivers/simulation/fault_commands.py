@@ -9,10 +9,8 @@ Faults on demand, a line each: stick 5.left 1 | jam 5.left | jam 5.left 0.5 | re
 lose_sensor 5.left | cut_wires 5.left | short_wires 5.left | restore_sensor 5.left | silence can0/5 | unsilence can0/5 |
 power_cut can0/5 | power_on can0/5 | error can0/5 2320 | error_over can0/5 2320 | open door | close door"""
 
-_VERBS = (
-    *("jam", "release", "lose_sensor", "cut_wires", "short_wires", "restore_sensor"),
-    *("silence", "unsilence", "power_cut", "power_on", "open", "close"),
-)
+_ACTUATOR = ("jam", "release", "lose_sensor", "cut_wires", "short_wires", "restore_sensor")
+_OTHERS = ("silence", "unsilence", "power_cut", "power_on", "open", "close")
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
@@ -24,14 +22,22 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
     """
     match words:
         case ["stick", str(label), ("0" | "1" | 0 | 1) as state]:
-            boards.stick(label, int(state))
-        case ["jam", str(label), position]:
-            boards.jam(label, min(number(position), 1.0))
-        case ["slow", str(label), factor]:
-            boards.slow(label, positive(factor))
+            with boards.actuator(label) as it:
+                it.stick(int(state))
+        case ["jam", str(label), text]:
+            position = min(number(text), 1.0)
+            with boards.actuator(label) as it:
+                it.jam(position)
+        case ["slow", str(label), text]:
+            factor = positive(text)
+            with boards.actuator(label) as it:
+                it.slow(factor)
+        case [str(verb), str(label)] if verb in _ACTUATOR:
+            with boards.actuator(label) as it:
+                getattr(it, verb)()
         case ["error" | "error_over" as verb, str(name), str(code)]:
             getattr(boards, verb)(name, int(code, 16) & 0xFFFF)
-        case [str(verb), str(name)] if verb in _VERBS:
+        case [str(verb), str(name)] if verb in _OTHERS:
             getattr(boards, verb)(name)
         case _:
             raise ValueError(f"{' '.join(map(str, words))!r} is no fault. {HELP}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -190,3 +190,23 @@ VARIANTS: Mapping[str, Variant] = {
         "1001h = 01h stands, 5000h, and keeps it pre-operational", errors=(StandingError(0x5000, 0x01),), starts=False
     ),
 }
+
+
+def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:
+    """Returns the variants of boards that words ask for, each "NAME" for all boards, or "can0/5=NAME" for one.
+
+    A word for one board counts more than a word for all; of two for the same, the later counts.
+
+    Raises:
+        ValueError: there is no such board or variant.
+    """
+    named = [word.rpartition("=")[::2] for word in words]
+    names = list(boards)
+    chosen: dict[str, Variant] = {}
+    for board, name in sorted(named, key=lambda pair: pair[0] != ""):
+        if name not in VARIANTS:
+            raise ValueError(f"no variant {name} of boards, there are {', '.join(VARIANTS)}")
+        if board and board not in names:
+            raise ValueError(f"no board {board}, there are {', '.join(names)}")
+        chosen.update(dict.fromkeys([board] if board else names, VARIANTS[name]))
+    return chosen

@@ -8,6 +8,7 @@ from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame, State
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
+from drivers.simulation.fault_commands import perform
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import OnItsWay
 from tests.simulation.facts import Commit, Switch
@@ -77,7 +78,7 @@ class BoardSide:
         self._step()
         if verb == "power_on" and self._buses.board(name).state is not None:
             return
-        getattr(self._buses, verb)(name, *numbers)
+        perform(self._buses, verb, name, *numbers)
         self._see("fault")
         self._set_timer()
         self.silent = any(self._buses.board(board).silent for board in self.names)

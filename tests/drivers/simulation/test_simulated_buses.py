@@ -3,9 +3,10 @@ from __future__ import annotations
 import pytest
 
 from drivers.canopen.cia301 import Frame
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
 from drivers.simulation import fault_commands
-from drivers.simulation.buses import SimulatedBuses
+from drivers.simulation.buses import SimulatedBuses, board_names
+from drivers.simulation.variants import VARIANTS, choose
 
 WIRING = Wiring(
     buses=(BusSettings("can0", "virtual", "a"), BusSettings("can1", "virtual", "b")),
@@ -101,7 +102,9 @@ def test_a_board_without_supply_contracts_its_actuators(bench):
     assert bench.heard() == [("can0", 0x705, "00")]
 
 
-@pytest.mark.parametrize("line", ["", "explode 5.left", "stick 5.left", "stick 5.left 2", "slow 5.left 0", "receive x"])
+@pytest.mark.parametrize(
+    "line", ["", "explode 5.left", "stick 5.left", "stick 5.left 2", "slow 5.left 0", "jam 5.left -1", "receive x"]
+)
 def test_words_that_make_no_fault_are_refused(bench, line):
     with pytest.raises(ValueError, match=r"no fault|not a positive number"):
         fault_commands.perform(bench.buses, *line.split())
@@ -112,3 +115,102 @@ def test_names_that_are_not_there_are_refused_with_those_that_are(bench):
         fault_commands.perform(bench.buses, "stick", "7.left", 1)
     with pytest.raises(KeyError, match="no board can0/9, there are can0/5, can1/5"):
         fault_commands.perform(bench.buses, "power_cut", "can0/9")
+
+
+def test_variants_by_words():
+    names = board_names(WIRING)
+    assert names == ["can0/5", "can1/5"]
+    chosen = choose(["can1/5=no-sync", "guarding-only"], names)
+    assert chosen == {"can0/5": VARIANTS["guarding-only"], "can1/5": VARIANTS["no-sync"]}
+    assert choose([], names) == {}
+    with pytest.raises(ValueError, match="no variant x of boards, there are standard, guarding-only,"):
+        choose(["can0/5=x"], names)
+    with pytest.raises(ValueError, match="no board can0/9, there are can0/5, can1/5"):
+        choose(["can0/9=standard"], names)
+
+
+def test_a_variant_of_one_board_is_its_own():
+    sent: list[tuple[str, Frame]] = []
+    buses = SimulatedBuses(WIRING, Timing(), lambda *it: sent.append(it), {"can1/5": VARIANTS["no-output-bit"]})
+    buses.step(0.0)
+    sent.clear()
+    for bus in ("can0", "can1"):
+        buses.receive(bus, Frame(0x605, bytes.fromhex("4000100000000000")), 0.0)
+    assert [frame.data.hex() for _, frame in sent] == ["4300100091010300", "4300100091010000"]
+
+
+KINDS = Wiring(
+    buses=WIRING.buses,
+    channels=(
+        Channel("two", "can0", 5, 0, 0, output_off=1, input_contracted=1, travel=(0.4, 0.1)),
+        Channel("resting extended", "can0", 5, 2, 2, input_contracted=3, inverted=frozenset({"output", "input"})),
+    ),
+    interlocks=(Interlock("door", "can1", 7, 4), Interlock("stop", "can1", 7, 5, inverted=True)),
+)
+
+
+@pytest.fixture
+def kinds() -> Bench:
+    bench = Bench.__new__(Bench)
+    bench.sent = []
+    bench.buses = SimulatedBuses(KINDS, Timing(), lambda *sent: bench.sent.append(sent))
+    bench.buses.step(0.0)
+    for bus in ("can0", "can1"):
+        bench.receive(bus, Frame(0x000, b"\x01\x00"), now=0.0)
+    return bench
+
+
+def inputs(bench: Bench) -> list[int]:
+    """First bytes of the TPDOs since the last call."""
+    return [int(data[:2], 16) for _, cob_id, data in bench.heard() if cob_id & 0x780 == 0x180]
+
+
+def test_two_outputs_move_an_actuator_there_and_back(kinds):
+    assert inputs(kinds) == [0b0010, 0b01_0000]
+    kinds.receive("can0", Frame(0x205, b"\x01" + bytes(7)), now=1.0)
+    kinds.receive("can0", Frame(0x205, bytes(8)), now=1.02)
+    kinds.buses.step(1.1)
+    assert (kinds.buses.positions(), kinds.buses.coils()) == ([1.0, 1.0], [(0, 0), (0, 0)])
+    assert inputs(kinds) == [0b0000, 0b0001]
+    kinds.receive("can0", Frame(0x205, b"\x02" + bytes(7)), now=2.0)
+    kinds.receive("can0", Frame(0x205, b"\x03" + bytes(7)), now=2.105)
+    assert kinds.buses.positions() == pytest.approx([0.5, 1.0])
+    assert kinds.buses.both_on() == [1, 0]
+    kinds.buses.step(2.3)
+    assert kinds.buses.positions() == [0.0, 1.0], "the last winner stays"
+
+
+def test_an_actuator_that_rests_extended_contracts_by_its_output(kinds):
+    assert kinds.buses.positions() == [0.0, 1.0]
+    kinds.heard()
+    kinds.receive("can0", Frame(0x205, b"\x04" + bytes(7)), now=1.0)
+    kinds.buses.step(2.0)
+    assert (kinds.buses.positions(), kinds.buses.drives()) == ([0.0, 0.0], [0, 0])
+    assert inputs(kinds)[-1] == 0b1110, "the inverted end-stop reads 1 where the actuator is not"
+    kinds.buses.power_cut("can0/5")
+    kinds.buses.step(3.0)
+    assert kinds.buses.positions() == [0.0, 1.0]
+
+
+def test_interlocks_open_and_close(kinds):
+    kinds.heard()
+    for line, levels in (
+        ("open door", 0b00_0000),
+        ("open stop", 0b10_0000),
+        ("close door", 0b11_0000),
+        ("close stop", 0b01_0000),
+    ):
+        fault_commands.perform(kinds.buses, *line.split())
+        assert inputs(kinds) == [levels]
+    with pytest.raises(KeyError, match="no interlock window, there are door, stop"):
+        fault_commands.perform(kinds.buses, "open", "window")
+
+
+def test_an_error_is_told_once_and_stands_until_it_is_over(bench):
+    fault_commands.perform(bench.buses, "error", "can0/5", "2320")
+    fault_commands.perform(bench.buses, "error", "can0/5", "2320")
+    assert bench.heard() == [("can0", 0x085, "2023030000000000")]
+    bench.receive("can0", Frame(0x605, bytes.fromhex("4001100000000000")), now=1.0)
+    assert bench.heard() == [("can0", 0x585, "4f01100003000000")]
+    fault_commands.perform(bench.buses, "error_over", "can0/5", "2320")
+    assert bench.heard() == [("can0", 0x085, "0000000000000000")]
