@@ -82,8 +82,9 @@ class Executor:
 
     @property
     def ended(self) -> bool:
-        """Whether it was asked to end, and no stage is under way."""
-        return self._requests.quitting and not (self.motion.busy and self._master.committing)
+        """Whether it was asked to end, and no stage or pulse is under way."""
+        motion = self.motion
+        return self._requests.quitting and not ((motion.busy and self._master.committing) or motion.actuation.pulsing)
 
     def step(self, event: Event, now: float) -> list[Action]:
         """Acts on an event.

@@ -79,7 +79,7 @@ class Modes:
         self.epoch = 1
         self.faults = ActiveFaults(frozenset({"stuck"} if locked.continue_on_stuck else ()))
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
-        self._booting = False
+        self._booting = self._waits = False  # a boot is under way, or waits for the end of a pulse
         self._next_try = 0.0
 
     def enter(self, mode: Mode, reason: str) -> None:
@@ -97,16 +97,17 @@ class Modes:
     def boot(self, reason: str, now: float) -> None:
         """Boots the boards; `look` notes the end."""
         self.faults.clear()
-        self._booting = True
+        self._booting = self._waits = True
         self._motion.supervision.reset(0, 0, self._motion.ends, self._motion.clock)
-        self._master.boot(now)
         self.enter("starting", reason)
+        self._begin_boot(now)
 
     def look(self, now: float) -> None:
         """Takes the master's faults, and notes the end of a boot; to be called after each event."""
         for fault in self._master.take_faults():
             self.fail(fault, now)
-        if self._booting and not self._master.booting:
+        self._begin_boot(now)
+        if self._booting and not self._waits and not self._master.booting:
             self._booting = False
             if self.mode == "starting":  # after a stop, Reset boots again
                 self._booted(now)
@@ -137,6 +138,12 @@ class Modes:
         self.new_epoch()
         locked = f", {self._locked.sentence()}" if self._locked.mask else ""
         self.enter("ready", f"holding what the boards measured{locked}")
+
+    def _begin_boot(self, now: float) -> None:
+        """Has the master boot, as soon as no output is on for a pulse: nothing could end it meanwhile."""
+        if self._waits and not self._motion.actuation.pulsing:
+            self._waits = False
+            self._master.boot(now)
 
     def _booted(self, now: float) -> None:
         for fault in self._master.boot_faults:

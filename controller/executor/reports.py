@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import asdict
 
-from controller.executor.arm import ExecutedArm
+from controller.executor.arm import WORDS, ExecutedArm
+from controller.executor.bits import indices
 from controller.executor.locked import LockedActuators
 from controller.executor.motion import Motion
 from controller.executor.switch_journal import SwitchJournal
@@ -102,4 +103,10 @@ class Reports:
 
     def _own(self) -> tuple[BoardFault, ...]:
         problem = self._journal.problem
-        return () if problem is None else (BoardFault("journal", "executor", problem),)
+        journal = () if problem is None else (BoardFault("journal", "executor", problem),)
+        return journal + tuple(self._unknown(k) for k in indices(self._motion.homing & self._master.known))
+
+    def _unknown(self, k: int) -> BoardFault:
+        label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]
+        text = f"nobody knows where actuator {label} is: the next goal brings it to {guess} first, or jog it"
+        return BoardFault("unknown-position", label, text)

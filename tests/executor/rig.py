@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from controller.executor.arm import ExecutedArm
 from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Client, ClientGone, FromClient, Log, Notify, Tick, ToClient
 from controller.executor.switch_journal import MemoryJournal
-from controller.program import Alive, Diagnostics, Ended, Hello, Program, Setpoint, Settled, Snapshot, Stage, pack
+from controller.program import (
+    Alive,
+    Diagnostics,
+    Ended,
+    Hello,
+    Program,
+    Setpoint,
+    Settled,
+    Snapshot,
+    Stage,
+    pack,
+    unpack,
+)
 from drivers.canopen.events import Ignored
 from drivers.canopen.faults import Fault
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 
 SIZE = 6
@@ -26,12 +38,31 @@ CAN = Ignored("can0", 100)  # an event of a bus that changes nothing by itself
 T = TypeVar("T")
 
 
-def small_arm(sensed: int = 0b111111, margin: float = MARGIN, **fields: Any) -> ExecutedArm:
-    """An arm of two boards with three actuators each."""
+def small_arm(
+    sensed: int = 0b111111,
+    margin: float = MARGIN,
+    channel: dict[str, Any] | None = None,
+    interlocks: tuple[Interlock, ...] = (),
+    on_loss: Literal["hold", "contract"] = "hold",
+    **fields: Any,
+) -> ExecutedArm:
+    """An arm of two boards with three actuators each; `channel`: more of each actuator; second lines are +8."""
+    more = dict(channel or {})
+    second = {name for name in ("output_off", "input_contracted") if more.pop(name, False)}
     channels = tuple(
-        Channel(label, "can0", 1 + k // 3, k % 3, k % 3 if sensed >> k & 1 else None) for k, label in enumerate(LABELS)
+        Channel(
+            label,
+            "can0",
+            1 + k // 3,
+            k % 3,
+            k % 3 if sensed >> k & 1 else None,
+            **dict.fromkeys(second, 8 + k % 3),
+            **more,
+        )
+        for k, label in enumerate(LABELS)
     )
-    wiring = Wiring((BusSettings("can0", "virtual", "can0"),), channels)
+    buses = (BusSettings("can0", "virtual", "can0"),)
+    wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks)
     timing = Timing(travel_time=TRAVEL, settle_margin=margin)
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
 
@@ -86,7 +117,7 @@ class Rig:
             Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + PERIOD)
             for k, bits in enumerate(states)
         )
-        given = {"number": self._programs, "epoch": self.snapshot.epoch, "start": self.master.outputs, "begin": 0.0}
+        given = {"number": self._programs, "epoch": self.snapshot.epoch, "start": self.states, "begin": 0.0}
         given |= {"strict": False, "name": f"goal {self._programs}", "context": b"", "stages": stages} | fields
         return Program(
             program=given["number"],
@@ -98,6 +129,7 @@ class Rig:
             strict=given["strict"],
             name=given["name"],
             context=given["context"],
+            homed=pack(given["homed"], SIZE) if "homed" in given else b"",
         )
 
     def run(self, *states: int, **fields: Any) -> Program:
@@ -106,7 +138,7 @@ class Rig:
         return program
 
     def follow(self, stream: int, *stages: int, lasting: float = 0.25, **fields: Any) -> None:
-        given = {"epoch": self.snapshot.epoch, "start": self.master.outputs, "strict": False} | fields
+        given = {"epoch": self.snapshot.epoch, "start": self.states, "strict": False} | fields
         self.send(
             Setpoint(
                 stream=stream,
@@ -145,6 +177,11 @@ class Rig:
     def switched(self) -> list[int]:
         """States of all commits."""
         return [states for _, states in self.master.commits]
+
+    @property
+    def states(self) -> int:
+        """What is commanded, as the planner sees it."""
+        return unpack(self.snapshot.outputs)
 
     @property
     def mode(self) -> str:

@@ -3,7 +3,7 @@
 import pytest
 
 from controller.executor.core import PERIOD
-from controller.program import Ended
+from controller.program import Ended, Reset
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -119,3 +119,139 @@ def test_a_lost_board_ends_the_motions_of_its_actuators(rig: Rig) -> None:
     rig.go(0.2)
     assert not rig.core.motion.moving
     assert rig.mode != "fault", "that a board is lost is for the master to say"
+
+
+BOTH = {"input_contracted": True}
+
+
+def far(k: int) -> int:
+    """The line of the contracted end of an actuator."""
+    return 1 << SIZE + k
+
+
+@pytest.mark.parametrize(("direction", "reads"), [(1, "contracted"), (0, "extended")])
+def test_one_with_two_end_stops_that_stays_at_its_start_is_stuck_there(direction: int, reads: str) -> None:
+    rig = ready(channel=BOTH)
+    if not direction:
+        rig.run(1)
+        rig.go(0.2)
+    rig.master.stuck = 1
+    rig.run(direction)
+    rig.go(0.2)
+    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    assert rig.reason.endswith(f"its end-stop still reads {reads}")
+
+
+def test_one_with_two_end_stops_that_stays_between_them_is_stuck_there_also_after_a_reset() -> None:
+    rig = ready(channel=BOTH)
+    rig.master.halfway = 1
+    rig.run(1)
+    rig.go(TRAVEL)
+    assert rig.core.motion.moving
+    rig.go(0.2)
+    assert rig.reason.endswith("it has left its contracted end, and neither end-stop reads")
+    rig.send(Reset(1))
+    rig.go(0.3)
+    assert (rig.mode, codes(rig)) == ("fault", [("stuck", "1.left (can0/1 output 0)")])
+    rig.master.halfway = 0
+    rig.master.inputs |= 1
+    rig.send(Reset(2))
+    rig.go(0.3)
+    assert (rig.mode, rig.snapshot.faults) == ("ready", ())
+
+
+def test_a_retraction_that_sticks_is_found_by_the_end_stop_that_it_does_not_leave(rig: Rig) -> None:
+    rig.run(1)
+    rig.go(0.2)
+    rig.master.stuck = 1
+    rig.run(0)
+    rig.go(0.2)
+    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    assert rig.reason.endswith("was to be contracted within 0.08 s; its end-stop still reads extended")
+
+
+def test_a_retraction_takes_its_travel_time_though_its_end_stop_has_opened(rig: Rig) -> None:
+    rig.run(1)
+    rig.go(0.2)
+    rig.run(0)
+    rig.go(2 * PERIOD)
+    assert rig.master.inputs & 1 == 0
+    assert rig.core.motion.moving
+    rig.go(TRAVEL)
+    assert not rig.core.motion.moving
+
+
+def test_two_end_stops_tell_the_arrival_before_the_travel_time() -> None:
+    rig = ready(channel={**BOTH, "travel": (1.0, 1.0)})
+    rig.run(1)
+    rig.go(0.5)
+    assert rig.core.motion.moving
+    rig.master.inputs |= 1
+    rig.go()
+    assert not rig.core.motion.moving
+
+
+def test_each_direction_has_its_own_time() -> None:
+    rig = ready(channel={"travel": (0.4, 0.1)}, sensed=0)
+    rig.go(0.4)  # what an executor before has switched would have settled
+    for states, time in ((1, 0.1), (0, 0.4)):
+        rig.run(states)
+        rig.go(time - PERIOD)
+        assert rig.core.motion.moving
+        rig.go(2 * PERIOD)
+        assert not rig.core.motion.moving
+        rig.go(0.1)
+    assert rig.results == [(1, "done"), (2, "done")]
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_both_end_stops_at_once_are_a_fault_of_their_own_after_the_board_was_asked(moving: bool) -> None:
+    rig = ready(channel=BOTH)
+    if moving:
+        rig.run(1)
+        rig.go(PERIOD)
+    rig.master.answers = False
+    rig.master.inputs |= 1 | far(0)
+    rig.go(4 * PERIOD)
+    assert rig.mode != "fault"
+    rig.master.answers = True
+    rig.go(2 * PERIOD)
+    assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
+    rig.send(Reset(1))
+    rig.go(0.2)
+    assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
+    rig.master.inputs &= ~far(0)
+    rig.send(Reset(2))
+    rig.go(0.2)
+    assert rig.mode == "ready"
+
+
+def test_both_end_stops_for_an_instant_are_none() -> None:
+    rig = ready(channel=BOTH)
+    rig.master.answers = False
+    rig.master.inputs |= 1
+    rig.go(PERIOD)
+    rig.master.inputs &= ~1
+    rig.master.answers = True
+    rig.go(0.2)
+    assert rig.mode == "ready"
+
+
+@pytest.mark.parametrize(("lines", "words"), [(0, "does not read contracted any more"), (1, "reads extended")])
+def test_leaving_an_end_unasked_is_a_fault(lines: int, words: str) -> None:
+    rig = ready(channel=BOTH)
+    rig.master.inputs = rig.master.inputs & ~far(0) | lines
+    rig.go(2 * PERIOD)
+    assert codes(rig) == [("unexpected-motion", "1.left (can0/1 output 0)")]
+    assert words in rig.reason
+
+
+def test_an_end_stop_at_the_contracted_end_alone_tells_what_it_can() -> None:
+    rig = ready(channel=BOTH, sensed=0)
+    rig.run(1)
+    rig.go(0.2)
+    assert (rig.results, rig.core.motion.measured) == ([(1, "done")], 1)
+    rig.master.stuck = 1
+    rig.run(0)
+    rig.go(0.2)
+    assert rig.reason.endswith("its end-stop does not read contracted")
