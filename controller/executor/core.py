@@ -7,6 +7,7 @@ from typing import ParamSpec
 
 from controller.executor.arm import ExecutedArm
 from controller.executor.clients import Clients
+from controller.executor.ending import Ending
 from controller.executor.events import (
     Action,
     Client,
@@ -47,6 +48,7 @@ class Executor:
         reports: what the event loop adds to them.
         modes: mode and faults.
         motion: the running program or stream.
+        ending: what is done before the process ends.
 
     Args:
         arm: the arm.
@@ -73,7 +75,8 @@ class Executor:
         self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         self.modes = Modes(master, motion, locked, self.reports, self._act)
-        self._requests = Requests(arm, master, motion, locked, self.modes, clients, self._act)
+        self._requests = Requests(arm, motion, locked, self.modes, clients, self._act)
+        self.ending = Ending(arm, motion, locked, self.modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
         self._next_beat = 0.0
@@ -82,9 +85,8 @@ class Executor:
 
     @property
     def ended(self) -> bool:
-        """Whether it was asked to end, and no stage or pulse is under way."""
-        motion = self.motion
-        return self._requests.quitting and not ((motion.busy and self._master.committing) or motion.actuation.pulsing)
+        """Whether it was asked to end, and may."""
+        return self.ending.over
 
     def step(self, event: Event, now: float) -> list[Action]:
         """Acts on an event.
@@ -159,6 +161,8 @@ class Executor:
         if self._last_tick is None:
             self._act(Notify("READY=1"))
             self._act(Notify(f"STATUS={self.modes.mode}: {self.modes.reason}"))
+            if (warning := self.ending.warning()) is not None:
+                self._act(Log(logging.WARNING, warning))
             self.modes.boot(self.modes.reason, now)
         self._awake, self._last_tick = self._clock(now), now
         self._master.tick(now)
@@ -171,12 +175,13 @@ class Executor:
         if self._clients.fell_silent(self.motion.clock):
             self._hold("the planner is silent")
         self._advance(now)
+        self.ending.advance(now)
         self.modes.recover(now)
         self._report(now)
 
     def _advance(self, now: float) -> None:
         """Goes on with the program, or with what is followed."""
-        if self.modes.mode == "executing" and not self._requests.quitting:
+        if self.modes.mode == "executing":
             end = self.motion.advance(now)
             if end is not None:
                 self.modes.enter("ready", end)
@@ -232,13 +237,13 @@ class Executor:
 
     def _quit(self) -> None:
         """Ends what runs with a result; asked again, does not wait for the stage under way."""
-        if self._requests.quitting:
+        if self.ending.begun:
             self.motion.close()
             self._results.send_counts()
             return
         self._requests.quitting = True
-        self._act(Notify("STOPPING=1"))
         self._hold("the executor is shutting down")
+        self.ending.begin()
 
     # --- actions
 

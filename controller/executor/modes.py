@@ -111,6 +111,9 @@ class Modes:
             self._booting = False
             if self.mode == "starting":  # after a stop, Reset boots again
                 self._booted(now)
+        if not self._booting:
+            for fault in self._motion.interlocks():
+                self.fail(fault, now)
 
     def fail(self, fault: Fault, now: float) -> None:
         """Holds, ends the program, and waits for Reset or recovery; during a boot, the end of the boot decides."""
@@ -146,7 +149,7 @@ class Modes:
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:
-        for fault in self._master.boot_faults:
+        for fault in (*self._master.boot_faults, *self._motion.interlocks()):
             if self.faults.add(fault):
                 self._act(Log(logging.ERROR, f"{fault.code}: {fault.message}"))
         if self.faults:

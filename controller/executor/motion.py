@@ -14,6 +14,7 @@ from controller.executor.results import Results
 from controller.executor.setpoint_stream import SetpointStream
 from controller.executor.switch_journal import SwitchJournal
 from controller.program import Begun, Settled, Up, pack
+from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
@@ -105,6 +106,11 @@ class Motion:
         """Whether a commit is under way."""
         return self.actuation.target is not None
 
+    @property
+    def committing(self) -> bool:
+        """Whether frames of a commit are on their way."""
+        return self.busy and self._master.committing
+
     def packed(self) -> tuple[bytes, bytes]:
         """Returns the measured states and the mask of the known ones, packed."""
         actuators = len(self._arm.actuators)
@@ -117,6 +123,12 @@ class Motion:
     def adopt(self, now: float) -> None:
         """Takes outputs and end-stops as they are now: nothing is switched for it."""
         self.actuation.adopt(self.read, self.definite, now)
+
+    def interlocks(self) -> list[Fault]:
+        """Returns a fault for each interlock that is open: nothing may move."""
+        opened = self.kinds.open(self._master.ends, self._master.inputs_known)
+        places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
+        return [Fault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
 
     # --- begin and end
 
@@ -171,7 +183,7 @@ class Motion:
             if running is not None:
                 running.switches += mask.bit_count()
         commit = self.actuation.conclude(now)
-        if not (self.busy and self._master.committing):
+        if not self.committing:
             self.close()
         if commit is not None and commit.reached and self._index != REALIGNMENT:
             self._took(commit)

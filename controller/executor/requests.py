@@ -27,7 +27,6 @@ from controller.program import (
     Reset,
     Setpoint,
 )
-from drivers.canopen.master import Master
 
 
 class Requests:
@@ -39,8 +38,7 @@ class Requests:
 
     Args:
         arm: the arm.
-        master: of its boards.
-        motion: on them.
+        motion: on its boards.
         locked: the locked actuators.
         modes: of the executor.
         clients: of the executor.
@@ -50,7 +48,6 @@ class Requests:
     def __init__(
         self,
         arm: ExecutedArm,
-        master: Master,
         motion: Motion,
         locked: LockedActuators,
         modes: Modes,
@@ -58,7 +55,7 @@ class Requests:
         act: Callable[[Action], None],
     ) -> None:
         self.quitting = False
-        self._arm, self._master, self._motion, self._locked = arm, master, motion, locked
+        self._arm, self._motion, self._locked = arm, motion, locked
         self._modes, self._clients, self._act = modes, clients, act
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
@@ -88,7 +85,7 @@ class Requests:
                 self._halt()
                 self._answer(client, message.request, True, "stopped; the arm holds until reset")
             case Reset():
-                self._answer(client, message.request, True, self._reset(now))
+                self._answer(client, message.request, *self._reset(now))
             case Lock():
                 self._lock(client, message, now)
 
@@ -177,12 +174,15 @@ class Requests:
         self._motion.end("aborted", "emergency stop; the arm holds")
         self._modes.enter("stopped", "emergency stop; the arm holds until reset")
 
-    def _reset(self, now: float) -> str:
+    def _reset(self, now: float) -> tuple[bool, str]:
+        """Boots the boards after a fault or a halt; returns whether, and the answer."""
         if self._modes.mode not in ("fault", "stopped"):
-            return f"nothing to reset: the arm is {self._modes.mode}"
+            return True, f"nothing to reset: the arm is {self._modes.mode}"
+        if opened := self._motion.interlocks():
+            return False, opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
         self._modes.new_epoch()
         self._modes.boot("the boards are being booted after a reset", now)
-        return "resetting; the mode will be ready, or fault with the reason"
+        return True, "resetting; the mode will be ready, or fault with the reason"
 
     def _lock(self, client: Client, message: Lock, now: float) -> None:
         """Locks an actuator, or unlocks it; nothing moves."""

@@ -144,7 +144,7 @@ class EventLoop:
     def _end(self) -> None:
         """Ends the program with a result, and closes all."""
         self._step(Quit())
-        until = self._clock() + CLOSING
+        until = self._clock() + CLOSING + self._core.ending.patience
         while not self._core.ended and self._clock() < until:
             self._round()
         self._step(Quit())

@@ -148,7 +148,7 @@ class FakeMaster:
 
     @property
     def inputs_known(self) -> int:
-        return -1 if self.known else 0
+        return (1 << len(self._wiring.input_lines)) - 1 if self.known else 0
 
     def fail(self, fault: Fault, lost: int = 0) -> None:
         self._faults.append(fault)

@@ -1,0 +1,108 @@
+"""The end of the executor: what the arm does before it, and what the boards do after it."""
+
+import logging
+from collections.abc import Callable
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.bits import first
+from controller.executor.events import Action, Log, Notify
+from controller.executor.locked import LockedActuators
+from controller.executor.modes import Modes
+from controller.executor.motion import Motion
+from controller.executor.setpoint_stream import SetpointStream
+from controller.program import Setpoint, pack
+
+STAGE = 0.1  # [s] that a stage may take beside the travel time, its margin and the rest
+
+
+class Ending:
+    """Contracts the arm before the executor ends, if the arm's file says so; else says what the boards will do.
+
+    Attributes:
+        begun: whether the executor is to end.
+        patience: how long that may take [s].
+
+    Args:
+        arm: the arm.
+        motion: on its boards.
+        locked: its locked actuators.
+        modes: of the executor.
+        act: takes actions.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        motion: Motion,
+        locked: LockedActuators,
+        modes: Modes,
+        act: Callable[[Action], None],
+    ) -> None:
+        self.begun, self.patience = False, 0.0
+        self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
+        self._contracting = False
+        levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
+        self._let_go = sum(1 << k for k in range(len(arm.actuators)) if levels[k] == 0 and k not in pairs.values())
+        self._let_go |= sum(1 << k for line, k in pairs.items() if levels[line] == 1)
+
+    @property
+    def over(self) -> bool:
+        """Whether the executor may end: no stage and no pulse is under way, and nothing is to be contracted."""
+        motion = self._motion
+        return self.begun and not (self._contracting or motion.committing or motion.actuation.pulsing)
+
+    def warning(self) -> str | None:
+        """Returns what the boards do when the executor has ended, in words; None if they hold."""
+        count = self._let_go.bit_count()
+        if not count or self._arm.contract_on_stop:
+            return None
+        which = f"all {count} actuators" if count == len(self._arm.actuators) else f"{count} actuators"
+        return f"when the executor has ended, the boards contract {which} (on_loss: contract)"
+
+    def begin(self) -> None:
+        """Ends what runs, and begins to contract the arm if that is asked for and allowed."""
+        self.begun = True
+        self._act(Notify("STOPPING=1"))
+        warning, modes = self.warning(), self._modes
+        if not self._arm.contract_on_stop:
+            if warning is not None:
+                self._act(Log(logging.WARNING, warning))
+                modes.enter(modes.mode, f"the executor is shutting down; {warning}")
+        elif modes.mode != "ready":
+            self._act(Log(logging.WARNING, f"the arm does not contract before the end (on_stop): it is {modes.mode}"))
+        else:
+            self._contract()
+
+    def advance(self, now: float) -> None:
+        """Notes when the arm is contracted, or cannot be; to be called every period."""
+        if not self._contracting:
+            return
+        motion = self._motion
+        stream, moving = motion.stream, motion.busy or motion.moving or now < motion.actuation.free_at
+        if stream is None or not (stream.stages or moving):
+            self._contracting = False
+            if stream is not None:
+                motion.end("done", "")
+                self._modes.enter("ready", "contracted before the end of the executor")
+
+    def _contract(self) -> None:
+        """Begins to contract all actuators but the locked ones, as many at once as may be."""
+        states, size = self._motion.actuation.states, len(self._arm.actuators)
+        stages, rest = list[bytes](), states & ~self._locked.mask
+        while rest:
+            rest &= ~first(rest, self._arm.most)
+            stages.append(pack(rest | (states & self._locked.mask), size))
+        homes = -(-self._motion.homing.bit_count() // self._arm.most)
+        travel, margin = self._motion.kinds.longest(self._motion.kinds.everything), max(self._motion.kinds.margin)
+        self.patience = (len(stages) + homes + 1) * (travel + margin + self._arm.rest + STAGE)
+        self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.patience + 5) * 1e6)}"))
+        reason = "contracting before the end of the executor"
+        message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
+        stream = SetpointStream(message, self._arm.most, self._locked, size)
+        if not stages and not homes:
+            return
+        if not stages:  # the states are unknown: they are brought about, and that is all
+            stream.stages = [stream.start]
+        self._contracting = True
+        self._motion.follow(stream)
+        self._modes.enter("executing", reason)

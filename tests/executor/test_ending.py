@@ -1,0 +1,102 @@
+"""The end of the executor: what the arm does before it, and what is told of the boards."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+
+import pytest
+
+from controller.executor.core import PERIOD
+from controller.executor.events import Quit
+from controller.program import Halt, Lock, unpack
+from tests.executor.rig import SIZE, TRAVEL, Rig, ready
+
+ALL = (1 << SIZE) - 1
+TOLD = "when the executor has ended, the boards contract all 6 actuators (on_loss: contract)"
+
+
+def warnings(rig: Rig) -> list[str]:
+    return [text for level, text in rig.logged if level == logging.WARNING]
+
+
+def extended(**fields: object) -> Rig:
+    rig = ready(**fields)
+    rig.run(*(ALL & ~(ALL << k) for k in range(1, SIZE + 1)), step=0.08)
+    rig.go(2.0)
+    assert rig.states == ALL
+    return rig
+
+
+def test_that_the_boards_will_contract_is_told_at_the_start_and_before_the_end() -> None:
+    rig = extended(on_loss="contract")
+    assert warnings(rig) == [TOLD]
+    rig.do(Quit())
+    assert warnings(rig) == [TOLD, TOLD]
+    assert rig.snapshot.reason == f"the executor is shutting down; {TOLD}"
+    assert rig.core.ended
+    assert rig.states == ALL
+
+
+def test_nothing_is_told_where_the_boards_hold() -> None:
+    rig = extended()
+    rig.do(Quit())
+    assert (warnings(rig), rig.core.ended, rig.states) == ([], True, ALL)
+
+
+@pytest.mark.parametrize("inrush", [None, 2])
+def test_the_arm_contracts_in_stages_before_the_end(inrush: int | None) -> None:
+    rig = extended(inrush=inrush, contract_on_stop=True, on_loss="contract")
+    begun = len(rig.master.left)
+    rig.do(Quit())
+    assert (rig.mode, rig.core.ended) == ("executing", False)
+    assert rig.core.ending.patience > 3 * TRAVEL
+    rig.go(1.0)
+    assert rig.core.ended
+    assert (rig.mode, rig.states, rig.core.motion.moving) == ("ready", 0, False)
+    stages = rig.master.left[begun:]
+    assert [mask.bit_count() for _, mask in stages] == ([SIZE] if inrush is None else [2, 2, 2])
+    assert all(b[0] - a[0] >= TRAVEL for a, b in itertools.pairwise(stages))
+    assert any(text.startswith("EXTEND_TIMEOUT_USEC=") for text in rig.notified)
+
+
+def test_a_locked_actuator_is_left_alone() -> None:
+    rig = extended(contract_on_stop=True)
+    rig.send(Lock(1, 3, 1))
+    rig.do(Quit())
+    rig.go(0.5)
+    assert (rig.core.ended, rig.states) == (True, 0b001000)
+
+
+def test_an_arm_that_is_stopped_does_not_contract() -> None:
+    rig = extended(contract_on_stop=True)
+    rig.send(Halt(1))
+    rig.do(Quit())
+    assert (rig.core.ended, rig.states) == (True, ALL)
+    assert "the arm does not contract before the end (on_stop): it is stopped" in warnings(rig)
+
+
+def test_a_fault_or_a_halt_ends_the_contraction() -> None:
+    rig = extended(contract_on_stop=True, inrush=1)
+    rig.do(Quit())
+    rig.go(TRAVEL)
+    rig.send(Halt(1))
+    rig.go(0.1)
+    assert rig.core.ended
+    assert 0 < rig.states.bit_count() < SIZE
+
+
+def test_a_contracted_arm_ends_at_once() -> None:
+    rig = ready(contract_on_stop=True)
+    rig.do(Quit())
+    assert rig.core.ended
+
+
+def test_actuators_of_unknown_state_are_contracted_too() -> None:
+    rig = ready(contract_on_stop=True, channel={"output_off": True, "pulse": 0.05}, sensed=0)
+    rig.do(Quit())
+    rig.go(PERIOD)
+    assert not rig.core.ended
+    rig.go(0.5)
+    assert (rig.core.ended, rig.switched) == (True, [ALL << SIZE])
+    assert unpack(rig.snapshot.homing) == 0
