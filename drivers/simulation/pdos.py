@@ -42,7 +42,6 @@ class Pdos:
     ) -> None:
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send
         self._latched: dict[int, bytes] = {}  # what the next SYNC takes, by index of the RPDO
-        self._published: dict[int, bytes] = {}  # what was sent last, by index of the TPDO
         self._received = [index for index in _RPDOS if objects.has(index)]
         self._sent = [index for index in _TPDOS if objects.has(index)]
         self.configure()
@@ -53,9 +52,8 @@ class Pdos:
         self._tpdos = self._pdos(self._sent)
 
     def forget(self) -> None:
-        """Forgets what waits for SYNC, and what was sent."""
+        """Forgets what waits for SYNC."""
         self._latched.clear()
-        self._published.clear()
 
     def receive(self, cob_id: int, data: bytes) -> bool:
         """Takes the frame of an RPDO; returns whether outputs may have changed."""
@@ -92,30 +90,25 @@ class Pdos:
         return changed
 
     def publish(self, changed: Mapping[int, int] | None = None) -> None:
-        """Sends the TPDOs whose data changed.
+        """Sends TPDOs.
 
         Args:
-            changed: bits of 6000h that changed, by sub-index; None: whatever changed since the board was started.
+            changed: bits of 6000h that changed, by sub-index, for the TPDOs that carry them; None: all TPDOs.
         """
         if not self._objects.number(0x6005):
             return
         for pdo in self._tpdos:
-            data = b"".join(
-                self._objects.number(index, sub).to_bytes(bits // 8, "little") for index, sub, bits in pdo.entries
-            )
-            if data == self._published.get(pdo.index):
-                continue
-            if changed is not None and not self._wakes(pdo, changed):
-                continue
-            self._published[pdo.index] = data
-            self._send(pdo.cob_id, data)
+            if changed is None or self._wakes(pdo, changed):
+                values = (
+                    self._objects.number(index, sub).to_bytes(bits // 8, "little") for index, sub, bits in pdo.entries
+                )
+                self._send(pdo.cob_id, b"".join(values))
 
     def _wakes(self, pdo: _Pdo, changed: Mapping[int, int]) -> bool:
-        """Whether the mask of input changes, 6006h, lets a TPDO be sent; without 6006h all changes do."""
-        if not self._objects.has(0x6006):
-            return True
+        """Whether changes of inputs that the mask 6006h lets through are in a TPDO; without 6006h all are."""
+        masked = self._objects.has(0x6006)
         subs = [sub for index, sub, _ in pdo.entries if index == 0x6000]
-        return any(changed.get(sub, 0) & self._objects.number(0x6006, sub) for sub in subs)
+        return any(changed[sub] & (self._objects.number(0x6006, sub) if masked else 0xFF) for sub in subs)
 
     def _pdos(self, indices: list[int]) -> list[_Pdo]:
         pdos = []

@@ -1,55 +1,13 @@
-"""The simulated board by itself, with time as the test has it."""
+"""The standard board."""
 
 from __future__ import annotations
-
-import struct
 
 import canopen
 import pytest
 
 from drivers.canopen import cia301
-from drivers.simulation.actuator import Actuator
 from drivers.simulation.dictionary import EDS
-from drivers.simulation.firmware import SimulatedBoard, Wired
-
-
-class Bench:
-    """A board on a bench; every method returns the frames it answers with."""
-
-    def __init__(self, *bits: tuple[int, int | None]) -> None:
-        self.now = 0.0
-        self.sent: list[tuple[int, str]] = []
-        self.actuators = [Actuator(f"{output}", 0.1) for output, _ in bits]
-        wired = [Wired(a, output, input_) for a, (output, input_) in zip(self.actuators, bits, strict=True)]
-        self.board = SimulatedBoard(5, wired, lambda cob_id, data: self.sent.append((cob_id, data.hex(" "))))
-        self.board.power_on(0.0)
-
-    def answers(self) -> list[tuple[int, str]]:
-        sent, self.sent[:] = list(self.sent), []
-        return sent
-
-    def say(self, cob_id: int, data: bytes = b"") -> list[tuple[int, str]]:
-        self.board.receive(cob_id, data, self.now)
-        return self.answers()
-
-    def wait(self, seconds: float) -> list[tuple[int, str]]:
-        self.now += seconds
-        self.board.step(self.now)
-        return self.answers()
-
-    def nmt(self, order: cia301.Command, node: int = 5) -> list[tuple[int, str]]:
-        return self.say(0, bytes([order, node]))
-
-    def write(self, index: int, sub: int, value: int, size: int = 1) -> int:
-        """Returns 0 or the abort code."""
-        data = value.to_bytes(size, "little").ljust(4, b"\0")
-        [(cob_id, answer)] = self.say(0x605, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + data)
-        assert cob_id == 0x585
-        raw = bytes.fromhex(answer)
-        return int.from_bytes(raw[4:], "little") if raw[0] == 0x80 else 0
-
-    def outputs(self) -> int:
-        return self.board.objects.number(0x6200, 1)
+from tests.drivers.simulation.bench import Bench
 
 
 @pytest.fixture
