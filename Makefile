@@ -44,6 +44,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.daemon
 	$(BIN)/python -m tests.benchmarks.real_time
 	$(BIN)/python -m tests.benchmarks.load
+	$(BIN)/python -m tests.benchmarks.floods
 	$(BIN)/python -m tests.benchmarks.steps
 
 fuzz: $(VENV)/installed

@@ -10,7 +10,7 @@ from typing import Protocol
 import zenoh
 
 from controller.gateway.encoding import content
-from controller.gateway.malformed import MalformedGoals
+from controller.gateway.floods import FloodBrake
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.motion import codes
@@ -96,7 +96,7 @@ class Server:
     ) -> None:
         self._session, self._outbox, self._goals = session, outbox, goals
         self._prefix = f"hyperbit/{arm}"
-        self._second, self._refusals, self._malformed = 0, 0, MalformedGoals()
+        self._second, self._refusals, self._brake = 0, 0, FloodBrake()
         self._declared: list[Declared] = []
         described = {**requests.description(), "daemon": {"host": socket.gethostname(), "pid": os.getpid()}}
         self._command("stop", lambda _, reply: requests.stop(reply), everywhere=True)
@@ -122,10 +122,12 @@ class Server:
         """Takes commands on `key`, by query and by put; `everywhere`: also those whose wildcard matches the arm."""
 
         def on_query(query: zenoh.Query) -> None:
-            received(query.key_expr, query.payload, query.attachment, self._outbox.answer(query, key))
+            reply = self._outbox.answer(query, key)
+            self._braked(reply, lambda reply: received(query.key_expr, query.payload, query.attachment, reply))
 
         def on_put(sample: zenoh.Sample) -> None:
-            received(sample.key_expr, sample.payload, sample.attachment, self._publish_refusal)
+            reply = self._publish_refusal
+            self._braked(reply, lambda reply: received(sample.key_expr, sample.payload, sample.attachment, reply))
 
         def received(
             expression: zenoh.KeyExpr, payload: zenoh.ZBytes | None, attached: zenoh.ZBytes | None, reply: Reply
@@ -154,7 +156,7 @@ class Server:
         """Returns a function that hands on payloads which decode as goals, and refuses others."""
 
         def take_well_formed(payload: bytes, reply: Reply) -> None:
-            refusal = self._malformed.refusal(payload)
+            refusal = self._brake.refusal(payload)
             if refusal is None:
                 take(payload, reply)
             else:
@@ -166,9 +168,22 @@ class Server:
         """Answers queries on `key`."""
 
         def on_query(query: zenoh.Query) -> None:
-            carry_out(take, content(query.payload), self._outbox.answer(query, key))
+            self._braked(self._outbox.answer(query, key), lambda reply: carry_out(take, content(query.payload), reply))
 
         self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
+
+    def _braked(self, reply: Reply, act: Callable[[Reply], None]) -> None:
+        """Acts on a request. Where many are refused at once, the callback pauses, and with it who sends them."""
+        refused_at_once = False
+
+        def note(answer: Payload) -> None:
+            nonlocal refused_at_once
+            refused_at_once |= answer.get("accepted") is False
+            reply(answer)
+
+        act(note)
+        if refused_at_once:
+            self._brake.slow_down()
 
     def _latest(self, key: str) -> Receive:
         """Returns the function that returns the latest sample put on `key` itself; None if there is no new one."""

@@ -1,7 +1,7 @@
-"""Payloads that are no goals are refused in the Zenoh callback, at little cost: a flood of them delays nobody.
+"""Floods of bad requests: refused in the Zenoh callback at little cost, and slowed down, so that they delay nobody.
 
 In a flood the callback pauses. Zenoh then stops to read the connections of the flood, and the interpreter is free for
-others. A goal from another client waits for the 256 messages before it in the callback's queue, some 30 ms.
+others. A goal from another client waits for the 256 messages before it in the callback's queue, some 60 ms.
 """
 
 import threading
@@ -14,18 +14,15 @@ from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import MOST_BYTES, GoalMessage, parse
 from controller.planning.messages import Payload, refused
 
-MOST_EXPLAINED = 20  # refusals in one second; finding the words takes a hundred times as long as the check
-PAUSE_EVERY, PAUSE = 20, 0.002  # malformed goals beyond these, and [s]
-BRIEFLY = "the goal is malformed; why is not said, as too many malformed goals come"
+MOST_AT_ONCE = 20  # refusals in one second before the pauses; only these say why, which takes a hundred times as long
+PAUSE_EVERY, PAUSE = 10, 0.002  # refusals beyond these, and [s]
+BRIEFLY = "the goal is malformed; why is not said, as too many bad requests come"
 
 _decode = msgspec.json.Decoder(GoalMessage).decode
 
 
-class MalformedGoals:
-    """Refuses payloads that do not decode as a goal. For any thread.
-
-    Attributes:
-        refused: how many so far.
+class FloodBrake:
+    """Refuses payloads that are no goals, and slows refused requests down if many come. For any thread.
 
     Args:
         clock: [s].
@@ -36,33 +33,29 @@ class MalformedGoals:
         self, clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep
     ) -> None:
         self._clock, self._pause, self._lock = clock, pause, threading.Lock()
-        self._since, self._explained = -float("inf"), 0
-        self.refused = 0
+        self._since, self._refused = -float("inf"), 0  # in the second that began then
 
     def refusal(self, payload: bytes) -> Payload | None:
         """Returns the answer to a malformed goal; None if the payload is to be looked at further."""
         if decodes(payload):
             return None
-        if not self._explains():
-            self.refused += 1
-            if self.refused % PAUSE_EVERY == 0:
-                self._pause(PAUSE)
+        if self._refused >= MOST_AT_ONCE and self._clock() - self._since < 1.0:
             return refused(INVALID_GOAL, BRIEFLY)
         try:
             parse(payload)
         except Refusal as refusal:
-            self.refused += 1
             return refused(refusal.code, str(refusal))
         return None
 
-    def _explains(self) -> bool:
-        """Whether there is time to find the words of a refusal."""
+    def slow_down(self) -> None:
+        """Notes a request that was refused at once, and pauses now and then if there are too many."""
         with self._lock:
-            now = self._clock()
-            if now - self._since >= 1.0:
-                self._since, self._explained = now, 0
-            self._explained += 1
-            return self._explained <= MOST_EXPLAINED
+            if (now := self._clock()) - self._since >= 1.0:
+                self._since, self._refused = now, 0
+            self._refused += 1
+            pauses = self._refused > MOST_AT_ONCE and self._refused % PAUSE_EVERY == 0
+        if pauses:
+            self._pause(PAUSE)
 
 
 def decodes(payload: bytes) -> bool:
