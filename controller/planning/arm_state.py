@@ -67,10 +67,16 @@ class ArmState:
             return self.commanded
         return np.where(self.measured >= 0, self.measured, self.commanded).astype(np.uint8)
 
+    @cached_property
+    def homing(self) -> NDArray[np.bool_]:
+        """Which actuators are of unknown state; the executor brings them to their bit of `outputs` first, shape (A,)."""
+        actuators = len(self.manipulator.actuators)
+        return unpack_states(self.snapshot.homing or bytes((actuators + 7) // 8), actuators).astype(np.bool_)
+
     @property
     def known(self) -> bool:
-        """Whether all boards are up, so that the outputs are known."""
-        return bool((self.measured >= 0).all())
+        """Whether all boards are up, so that the outputs are known, or are brought about first."""
+        return bool(((self.measured >= 0) | self.homing).all())
 
     @cached_property
     def configuration(self) -> Configuration | None:

@@ -8,7 +8,7 @@ import numpy as np
 from controller.config import Arm
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.jog import STATES, decode
-from controller.motion.program import in_groups
+from controller.motion.program import in_groups, pack_states
 from controller.planning.arm_state import ArmState
 from controller.planning.goal_planning import pace_of
 from controller.planning.keep_out import KeepOut
@@ -80,6 +80,7 @@ class Jogging:
             strict,
             f"jog {name}",
             (report := JogReport(self._manipulator, name, target, list(wanted))).context,
+            homed=pack_states(np.isin(np.arange(len(labels)), list(wanted)).astype(np.uint8)[None, :])[0],
         )
         run = RunningGoal(program, report, None)
         words = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())

@@ -13,6 +13,7 @@ from controller.program import (
     Lock,
     Program,
     Replacement,
+    pack,
     unpack,
 )
 from tests.planning.conftest import DOCUMENT, Desk
@@ -157,3 +158,21 @@ def test_a_state_that_is_no_configuration_is_left_by_single_actuators(
     assert desk.inbox.next("result")["status"] == "succeeded"
     desk.settle()
     assert desk.planning.state()["faults"] == []
+
+
+def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_only_its_own(
+    desk: Desk,
+) -> None:
+    unknown = pack(0b000011, desk.executor.actuators)
+    known = pack(((1 << desk.executor.actuators) - 1) & ~0b000011, desk.executor.actuators)
+    desk.show(known=known, homing=unknown)
+    desk.goal(C, name="c")
+    program = desk.executor.expect(Program)
+    assert (program.start, program.homed) == (desk.executor.state.outputs, b"")
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+    desk.executor.end(program, "aborted")
+    desk.inbox.next("result")
+    jog(desk, m1_left="contracted")
+    program = desk.executor.expect(Program, Acknowledge)
+    assert unpack(program.homed) == 1
