@@ -4,11 +4,10 @@ import contextlib
 import ctypes
 import logging
 import os
-import platform
 import resource
-import struct
 from pathlib import Path
 
+from controller.scheduling import shorten_slice
 from controller.settings import RealTimeSettings
 
 log = logging.getLogger(__name__)
@@ -16,9 +15,6 @@ log = logging.getLogger(__name__)
 # Of asm-generic/mman.h. With ONFAULT, pages that were never touched stay out of memory, where they need no room.
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 CAP_IPC_LOCK = 14  # of linux/capability.h
-SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # number of the system call
-SCHED_ATTR = struct.Struct("=IIQiIQQQ")  # size, policy, flags, nice, priority, runtime [ns], deadline, period
-SLICE = 100_000  # [ns], the least that is taken
 
 
 def enter_real_time(settings: RealTimeSettings | None) -> str:
@@ -41,17 +37,6 @@ def enter_real_time(settings: RealTimeSettings | None) -> str:
     for word in missing:
         log.warning("real time: %s; going on without", word)
     return "; ".join(missing) or "on"
-
-
-def shorten_slice() -> bool:
-    """Asks for short turns on the processor, which come sooner; returns whether the kernel knows of it.
-
-    Needs no permission. Linux 6.12 and later go by it: on a busy machine most ticks are then less late.
-    """
-    number = SCHED_SETATTR.get(platform.machine())
-    nice = os.getpriority(os.PRIO_PROCESS, 0)
-    attributes = SCHED_ATTR.pack(SCHED_ATTR.size, os.SCHED_OTHER, 0, nice, 0, SLICE, 0, 0)
-    return number is not None and ctypes.CDLL(None).syscall(number, 0, attributes, 0) == 0
 
 
 def leave_real_time() -> None:

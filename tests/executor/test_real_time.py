@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from controller.executor import real_time
-from controller.executor.real_time import enter_real_time, leave_real_time, shorten_slice
+from controller.executor.real_time import enter_real_time, leave_real_time
+from controller.scheduling import shorten_slice
 from controller.settings import RealTimeSettings
 
 
