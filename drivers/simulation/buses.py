@@ -46,13 +46,13 @@ class SimulatedBuses:
         self._now = 0.0
         self._take = send
         self._booted = False
-        self._actuators = {c.actuator: _actuator(c, timing) for c in wiring.channels}
+        self._actuators = {c.actuator: build_actuator(c, timing) for c in wiring.channels}
         self._interlocks = {lock.name: lock for lock in wiring.interlocks}
         self._boards: dict[str, dict[int, SimulatedBoard]] = {bus.name: {} for bus in wiring.buses}
         self._by_name: dict[str, SimulatedBoard] = {}
         wired: dict[tuple[str, int], list[Wired]] = {(lock.bus, lock.node): [] for lock in wiring.interlocks}
         for channel in wiring.channels:
-            wired.setdefault((channel.bus, channel.node), []).append(_wired(channel, self._actuators[channel.actuator]))
+            wired.setdefault((channel.bus, channel.node), []).append(wire(channel, self._actuators[channel.actuator]))
         for (bus, node), here in sorted(wired.items(), key=lambda item: item[0]):
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
             board = SimulatedBoard(node, here, partial(self._send, bus), variant)
@@ -200,7 +200,8 @@ class SimulatedBuses:
         self._take(bus, Frame(cob_id, data))
 
 
-def _actuator(channel: Channel, timing: Timing) -> Actuator:
+def build_actuator(channel: Channel, timing: Timing) -> Actuator:
+    """The actuator of a channel, in good order."""
     to_contracted, to_extended = channel.travel or (timing.travel_time, timing.travel_time)
     single = channel.output_off is None
     return Actuator(
@@ -214,7 +215,8 @@ def _actuator(channel: Channel, timing: Timing) -> Actuator:
     )
 
 
-def _wired(channel: Channel, actuator: Actuator) -> Wired:
+def wire(channel: Channel, actuator: Actuator) -> Wired:
+    """An actuator on the outputs and inputs of its channel."""
     inverted = "output" in channel.inverted, "output_off" in channel.inverted
     outputs = channel.output, channel.output_off
     return Wired(actuator, outputs[0], channel.input, outputs[1], channel.input_contracted, inverted)

@@ -5,15 +5,16 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.master import Master
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
-from drivers.simulation.actuator import Actuator
-from drivers.simulation.firmware import SimulatedBoard, Wired
+from drivers.simulation.buses import build_actuator, wire
+from drivers.simulation.firmware import SimulatedBoard
+from drivers.simulation.variants import STANDARD, Variant
 
 QUEUE = 10  # frames; the kernel's default of txqueuelen
 TICK = 0.01
@@ -87,6 +88,7 @@ class World:
         *,
         latency: float = 0.001,
         bitrate: int = 1_000_000,
+        variants: Mapping[str, Variant] | None = None,
         **options: object,
     ) -> None:
         channels = channels or one_board()
@@ -98,13 +100,12 @@ class World:
         self._order = itertools.count()
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self.buses = {bus.name: SimulatedBus(self, bus.name, bus.bitrate) for bus in buses}
-        self.actuators = {c.actuator: Actuator(c.actuator, 0.5 * self.timing.travel_time) for c in channels}
+        self.actuators = {c.actuator: build_actuator(c, self.timing) for c in channels}
         self.boards: dict[tuple[str, int], SimulatedBoard] = {}
         for bus, node in sorted({(c.bus, c.node) for c in channels}):
-            wired = [
-                Wired(self.actuators[c.actuator], c.output, c.input) for c in channels if (c.bus, c.node) == (bus, node)
-            ]
-            self.boards[bus, node] = SimulatedBoard(node, wired, self._mouth(bus, node))
+            wired = [wire(c, self.actuators[c.actuator]) for c in channels if (c.bus, c.node) == (bus, node)]
+            variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
+            self.boards[bus, node] = SimulatedBoard(node, wired, self._mouth(bus, node), variant)
         self.lost: Callable[[str, int, Frame], bool] = lambda bus, node, frame: False  # frames of boards
         self.faults: list[Fault] = []
         self.switched: list[tuple[int, float]] = []
