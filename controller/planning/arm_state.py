@@ -69,7 +69,7 @@ class ArmState:
 
     @cached_property
     def homing(self) -> NDArray[np.bool_]:
-        """Which actuators are of unknown state; the executor brings them to their bit of `outputs` first, shape (A,)."""
+        """Which actuators are of unknown state, (A,); the executor brings them to their bit of `outputs` first."""
         actuators = len(self.manipulator.actuators)
         return unpack_states(self.snapshot.homing or bytes((actuators + 7) // 8), actuators).astype(np.bool_)
 
