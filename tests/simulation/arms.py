@@ -6,6 +6,11 @@ from random import Random
 
 from controller.executor.arm import ExecutedArm
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.simulation.buses import board_names
+from drivers.simulation.variants import VARIANTS, Variant
+
+# Variants of boards that boot and obey each SYNC whatever the arm's file says.
+ORDINARY = ("standard", "many-outputs", "saves-writes", "all-bits", "no-error-behaviour")
 
 
 def draw_arm(random: Random) -> ExecutedArm:
@@ -50,3 +55,10 @@ def draw_arm(random: Random) -> ExecutedArm:
         continue_on_stuck=random.random() < 0.4,
         digest=64 * "0",
     )
+
+
+def draw_variants(random: Random, wiring: Wiring) -> dict[str, Variant]:
+    """Returns what the boards of a wiring are like: half of the arms have standard boards only."""
+    if random.random() < 0.5:
+        return {}
+    return {name: VARIANTS[random.choice(ORDINARY)] for name in board_names(wiring)}

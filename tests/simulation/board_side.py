@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame, State
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
+from drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import OnItsWay
 from tests.simulation.facts import Commit, Switch
@@ -25,6 +26,7 @@ class BoardSide:
     Args:
         wiring: buses, boards and actuators.
         timing: of the actuators.
+        variants: of boards, by name.
         agenda: time.
         record: hears of outputs that change.
         send: takes the frames of the boards.
@@ -34,6 +36,7 @@ class BoardSide:
         self,
         wiring: Wiring,
         timing: Timing,
+        variants: Mapping[str, Variant],
         agenda: Agenda,
         record: Record,
         send: Callable[[str, Frame], None],
@@ -45,7 +48,7 @@ class BoardSide:
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self._buses = SimulatedBuses(wiring, timing, send)
+        self._buses = SimulatedBuses(wiring, timing, send, variants)
         self._agenda, self._record = agenda, record
         self._drives = 0
         self._timer = float("inf")

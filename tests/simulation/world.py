@@ -10,7 +10,7 @@ from controller.program import unpack
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Event
 from tests.simulation.agenda import Agenda
-from tests.simulation.arms import draw_arm
+from tests.simulation.arms import draw_arm, draw_variants
 from tests.simulation.board_side import BoardSide
 from tests.simulation.bus_model import BusModel, OnItsWay
 from tests.simulation.facts import Step
@@ -52,7 +52,8 @@ class World:
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, record)
         self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
         self.executor.connect(self.planner.connection.deliver, self.planner.cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, agenda, record, self._from_board)
+        variants = draw_variants(drawn("boards"), arm.wiring)
+        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board)
         self.trouble = Trouble(self, drawn("trouble"))
         self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
