@@ -16,10 +16,7 @@ if TYPE_CHECKING:
     from drivers.simulation.simulation import Simulation
 
 
-BOARD = (
-    "What boards are like: NAME for all boards, or BOARD=NAME for one, e.g. can0/5=guarding-only; several times. "
-    "Names: " + "; ".join(f"{name}: {variant.text}" for name, variant in VARIANTS.items())
-)
+BOARD = "What boards are like: NAME for all, or BOARD=NAME for one, e.g. can0/5=guarding-only; several times."
 
 
 def simulate(
@@ -56,6 +53,11 @@ def simulate(
         ending.wait()
     finally:
         simulation.stop()
+
+
+simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nNames of boards:\n" + "\n".join(
+    f"  {name:18} {variant.text}" for name, variant in VARIANTS.items()
+)
 
 
 def obey(simulation: "Simulation") -> None:
