@@ -9,8 +9,10 @@ import time
 
 import zenoh
 
+from controller.gateway.session import LEASE
+
 GRACE = 0.5  # [s] in which a session that connects to somebody hears of the tokens there
-PATIENCE = 5.0  # [s] in which the token of a daemon that was killed goes away
+PATIENCE = LEASE + 2.0  # [s] in which the token of a daemon that was killed, or whose host is gone, goes away
 ANSWER = 1.0  # [s] for the first daemon to say where it runs
 POLL = 0.1  # [s]
 

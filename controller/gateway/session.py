@@ -7,7 +7,8 @@ from pathlib import Path
 import zenoh
 
 ENDPOINT = "tcp/127.0.0.1:7447"
-LEASE = 1.0  # [s] after which a frozen peer is given up, also while a message waits for room
+LEASE = 10.0  # [s] without a sign of life after which a peer is given up; busy machines stand still for seconds
+MOST_BLOCKED = 1.0  # [s] that a message waits for room, before the peer that does not read is given up
 TLS = "transport/link/tls"
 TLS_FILES = (
     *("root_ca_certificate", "listen_certificate", "listen_private_key"),
@@ -32,7 +33,7 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
             "link": {
                 "tx": {
                     "lease": round(LEASE * 1e3),
-                    "queue": {"congestion_control": {"block": {"wait_before_close": round(LEASE * 1e6)}}},
+                    "queue": {"congestion_control": {"block": {"wait_before_close": round(MOST_BLOCKED * 1e6)}}},
                 }
             }
         },

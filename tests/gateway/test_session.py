@@ -1,13 +1,28 @@
 """Configurations of Zenoh sessions from files: those that are shipped, and paths in them."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from controller.gateway import session
+from tests.gateway.conftest import ARM, Gateway
 from tests.keys import DEPLOY
 
+HEAR = """
+import sys, zenoh
+from controller.gateway import session
+
+with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:
+    it.declare_subscriber(sys.argv[2], lambda sample: print(sample.payload.to_string(), flush=True))
+    print("ready", flush=True)
+    sys.stdin.read()
+"""
+STANDSTILL = 2.5  # [s], as processes of a busy machine have
 NAMES = ("root_ca_certificate", "connect_certificate", "connect_private_key")
 
 
@@ -56,3 +71,17 @@ def test_nothing_is_found_by_itself(tmp_path: Path, name: str) -> None:
         (folder / f"hyperbit.{file}.pem").touch()
     scouting = json.loads(session.from_file(copy).get_json("scouting"))
     assert (scouting["multicast"]["enabled"], scouting["gossip"]["enabled"]) == (False, False)
+
+
+def test_a_client_that_stood_still_hears_the_results_of_that_time(gateway: Gateway) -> None:
+    command = [sys.executable, "-c", HEAR, gateway.endpoint, f"hyperbit/{ARM}/result"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
+        assert client.stdout
+        assert client.stdout.readline() == "ready\n"
+        gateway.reached()
+        client.send_signal(signal.SIGSTOP)
+        time.sleep(STANDSTILL)
+        gateway.outbox.publish("result", {"status": "succeeded"})
+        client.send_signal(signal.SIGCONT)
+        assert json.loads(client.stdout.readline()) == {"status": "succeeded"}
+        client.communicate()
