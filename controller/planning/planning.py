@@ -224,9 +224,9 @@ class Planning:
             densities = map_densities(reduced, self._arm.pixel, self._arm.level_pixels)
         else:
             reduced = self._arm.left
-        solvers = [Solver(reduced, densities, self._weights) for _ in range(3)]
-        solvers[0].prepare()
-        return solvers
+        for_goals = Solver(reduced, densities, self._weights)
+        for_goals.prepare()
+        return [for_goals, for_goals.another(), for_goals.another()]
 
     def _rebuild(self, held: Held) -> None:
         """Has all searches go by other locked states (A,)."""

@@ -27,10 +27,13 @@ class Cells:
         self._grid, self._tolerance, self._limit = np.empty(13), 0.0, np.inf
         self._sorted: Sorted
 
-    def claim(self) -> None:
-        """Has the system hand out the memory now, not in the middle of a search."""
-        for array in (self._starts, self._cells, self._order, self._prices, self._room, self._unsorted):
-            array.fill(0)
+    def claim(self, most: int | None = None) -> None:
+        """Has the system hand out the memory for so many points, or for all, now, not in the middle of a search."""
+        self._starts.fill(0)
+        for array in (self._cells, self._order, self._prices):
+            array[:most].fill(0)
+        for array in (self._room, self._unsorted):
+            array[: most and most * self._whole].fill(0)
 
     def fill(self, rows: Array, costs: Array, tolerance: float, limit: float = np.inf) -> None:
         """Takes points, the first numbers of rows (n, ...), and their costs (n,).

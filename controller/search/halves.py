@@ -52,11 +52,11 @@ class Halves:
         self._known = np.zeros(self._storages[0].rows, dtype=np.int8)  # of the lower rows, whether they touch
         self._guard: Guard = None
 
-    def claim(self) -> None:
-        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+    def claim(self, most: int | None = None) -> None:
+        """Has the system hand out the memory of so many rows, or of all, before a search with a deadline."""
         for storage in self._storages:
-            storage.claim()
-        self._cells.claim()
+            storage.claim(most)
+        self._cells.claim(most)
         self._key = ()
 
     def list(self, centre: Configuration, distances: Array, costs: Array, most: int | None = None) -> None:

@@ -41,9 +41,12 @@ class MinimumSwitch:
         self._row_time = 0.0
 
     def claim(self) -> None:
-        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+        """Has the system hand out memory now, not in the middle of a search with a deadline.
+
+        Only searches that take long list more than the first rung of LADDER; they have the time to wait for memory.
+        """
         self._near.claim()
-        self._wide.claim()
+        self._wide.claim(LADDER[0])
         self._quarters.claim()
         self._nearest.claim()
 

@@ -68,11 +68,11 @@ class Storage:
         self.lengths, self.costs = np.empty(rows), np.empty(rows)
         self.frames = np.empty((rows, width))
 
-    def claim(self) -> None:
-        """Has the system hand out the memory now, not in the middle of a search."""
+    def claim(self, rows: int | None = None) -> None:
+        """Has the system hand out the memory of so many rows, or of all, now, not in the middle of a search."""
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
-                array.fill(0)
+                array[:rows].fill(0)
 
 
 def build_segment(

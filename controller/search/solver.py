@@ -75,6 +75,13 @@ class Solver:
         other.clearance, other._guard = clearance, guard_of(self.manipulator, clearance)
         return other
 
+    def another(self) -> "Solver":
+        """Returns a solver with the same tables and memory of its own: both may search at the same time."""
+        other = copy(self)
+        vars(other).pop("_minimum", None)
+        other._candidates = None
+        return other
+
     def prepare(self) -> None:
         """Claims the memory of the search for fewest switches, which the first searches would else wait for."""
         self._minimum.claim()

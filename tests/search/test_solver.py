@@ -188,3 +188,13 @@ def test_a_spatial_arm_approaches_what_is_out_of_reach():
     solver = solver_of(spatial_arm(8), 0.05)
     solution = solver.solve((0, 0, 50), np.zeros(8, dtype=np.int64), TOLERANCE)
     assert solution.tip[2, 3] > 1.95  # of 2.0, all extended
+
+
+def test_another_solver_shares_the_tables_and_searches_at_the_same_time(solver):
+    other, previous = solver.another(), np.zeros(16, dtype=np.int64)
+    assert other.densities is solver.densities
+    assert other._paths is solver._paths
+    assert other._minimum is not solver._minimum
+    for target in TARGETS:
+        alone, beside = (one.solve(target, previous, TOLERANCE) for one in (solver, other))
+        assert alone.within_tolerance == beside.within_tolerance
