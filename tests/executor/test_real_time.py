@@ -88,3 +88,12 @@ def test_what_is_not_permitted_is_said_and_gone_without(
     assert "SCHED_FIFO with priority 50 is not permitted: CPUSchedulingPolicy=fifo" in status
     assert "memory can be locked up to 8388608 bytes only: LimitMEMLOCK=infinity" in status
     assert len(caplog.records) == 2
+
+
+def test_short_turns_leave_a_policy_that_was_chosen() -> None:
+    def ask() -> None:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        assert not shorten_slice()
+        assert os.sched_getscheduler(0) == os.SCHED_BATCH
+
+    in_thread(ask)
