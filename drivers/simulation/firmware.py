@@ -20,7 +20,7 @@ from drivers.simulation.pdos import Pdos
 from drivers.simulation.supervision import Supervision
 from drivers.simulation.variants import STANDARD, Variant
 
-_MASTER_LOST = 0x8130
+_MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
 _INPUTS = 0x6000
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
 _MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # bytes written in segments, and the abort code beyond
@@ -118,7 +118,7 @@ class SimulatedBoard:
         """When `step` is to be called at the latest [s]."""
         answer = self._requests[0][0] if self._requests else math.inf
         actuators = min((wired.actuator.due for wired in self.wired), default=math.inf)
-        return min(self._boots_at, answer, self._supervision.due, actuators)
+        return min(self._boots_at, answer, self._supervision.due, self._pdos.sync_due, actuators)
 
     def step(self, now: float) -> None:
         """Does what time brings: actuators arrive, heartbeats are due or missing; `now` in [s]."""
@@ -133,6 +133,9 @@ class SimulatedBoard:
         while self._requests and self._requests[0][0] <= now:
             self._serve(self._requests.popleft()[1])
         self._supervision.step(now, self.state)
+        if now >= self._pdos.sync_due:
+            self._pdos.forget()
+            self._fall(_SYNC_LOST)
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
         """Takes a frame with an 11 bit identifier from the bus; `now` in [s]."""
@@ -143,7 +146,7 @@ class SimulatedBoard:
             if len(data) == 2 and data[1] in (0, self.node):
                 self._obey(data[0])
         elif cob_id == self.objects.number(0x1005) & 0x7FF:
-            if self.state is State.OPERATIONAL and self._pdos.sync(data):
+            if self.state is State.OPERATIONAL and self._pdos.sync(data, now):
                 self._drive()
         elif cob_id == cia301.SDO_REQUEST + self.node:
             self._request(data)
@@ -229,13 +232,18 @@ class SimulatedBoard:
             if state is State.STOPPED:
                 self._fail_safe()
             if state is State.OPERATIONAL:
+                self.emergencies.recover(_SYNC_LOST)
                 self._pdos.publish()
 
     def _hear_master(self) -> None:
         self.emergencies.recover(_MASTER_LOST)
 
     def _lose_master(self) -> None:
-        self.emergencies.report(_MASTER_LOST)
+        self._fall(_MASTER_LOST)
+
+    def _fall(self, code: int) -> None:
+        """Enters the error state, and the state that 1029h tells."""
+        self.emergencies.report(code)
         self._fail_safe()
         if (behaviour := self.objects.number(0x1029, 1)) == 0 and self.state is State.OPERATIONAL:
             self._enter(State.PRE_OPERATIONAL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from drivers.simulation.outputs import Outputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240
+_SYNC_TOLERANCE = 1.5  # periods without a SYNC that are an error, as in CANopenNode
 _LAST_SYNCHRONOUS = 240  # transmission type
 
 
@@ -35,11 +37,15 @@ class Pdos:
         outputs: takes what RPDOs bring.
         emergencies: told of frames of the wrong length.
         send: takes COB-ID and data of a TPDO.
+
+    Attributes:
+        sync_due: when the next SYNC must have come [s]; infinity if none is expected.
     """
 
     def __init__(
         self, objects: Objects, outputs: Outputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
     ) -> None:
+        self.sync_due = math.inf
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send
         self._latched: dict[int, bytes] = {}  # what the next SYNC takes, by index of the RPDO
         self._received = [index for index in _RPDOS if objects.has(index)]
@@ -52,8 +58,9 @@ class Pdos:
         self._tpdos = self._pdos(self._sent)
 
     def forget(self) -> None:
-        """Forgets what waits for SYNC."""
+        """Forgets what waits for SYNC, and expects none."""
         self._latched.clear()
+        self.sync_due = math.inf
 
     def receive(self, cob_id: int, data: bytes) -> bool:
         """Takes the frame of an RPDO; returns whether outputs may have changed."""
@@ -76,8 +83,10 @@ class Pdos:
                 changed = True
         return changed
 
-    def sync(self, data: bytes) -> bool:
+    def sync(self, data: bytes, now: float) -> bool:
         """Takes a SYNC; returns whether outputs may have changed."""
+        period = self._objects.number(0x1006) / 1e6
+        self.sync_due = now + _SYNC_TOLERANCE * period if period else math.inf
         if len(data) != (self._objects.number(0x1019) != 0):  # with a counter, a SYNC has one byte
             self._emergencies.report(_SYNC_LENGTH)
             return False

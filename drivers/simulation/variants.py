@@ -180,6 +180,10 @@ VARIANTS: Mapping[str, Variant] = {
     "sync-counter": Variant(
         "a SYNC counter is stored: 1019h = 10", changes={(0x1019, 0): number(1)}, stored={(0x1019, 0): 10}
     ),
+    "sync-period": Variant(
+        "a SYNC period is stored: 1006h = 100 ms; if SYNCs stop, that is an error state (CANopenNode)",
+        stored={(0x1006, 0): 100_000},
+    ),
     "inverted-outputs": Variant(
         "an inverted polarity is stored: 6202h = FFh", stored={(0x6202, sub): 0xFF for sub in range(1, 9)}
     ),

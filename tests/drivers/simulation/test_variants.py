@@ -282,6 +282,27 @@ def test_with_a_sync_counter_a_sync_without_one_is_an_error():
     assert it.driven() == [1, 1]
 
 
+def test_with_a_sync_period_the_end_of_syncs_is_an_error():
+    it = bench("sync-period")
+    assert it.sdo("40 06 10 00") == "43 06 10 00 a0 86 01 00"
+    assert it.write(0x1400, 2, 1) == 0
+    it.nmt(Command.START)
+    it.say(0x205, EXTEND)
+    assert LOST not in it.wait(1.0), "it expects SYNCs from the first on"
+    it.say(0x080)
+    assert it.driven() == [1, 1]
+    it.wait(0.14)
+    it.say(0x080)
+    assert it.wait(0.14) == []
+    assert it.wait(0.02) == [(0x085, "00 81 11 00 00 00 00 00")]
+    assert (it.driven(), it.board.state) == ([0, 0], State.PRE_OPERATIONAL)
+    assert OVER in it.nmt(Command.START)
+    it.say(0x080)
+    assert it.write(0x1006, 0, 0, 4) == 0
+    it.say(0x080)
+    assert [cob_id for cob_id, _ in it.wait(10.0)] == [0x185], "it does not miss them any more"
+
+
 def test_inverted_outputs_are_on_while_6200h_is_0():
     it = bench("inverted-outputs")
     assert it.sdo("40 02 62 01") == "4f 02 62 01 ff 00 00 00"
