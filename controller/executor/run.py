@@ -1,5 +1,6 @@
 """The event loop: CAN, socket, ticks and signals around the core. One thread; nothing in it waits but `select`."""
 
+import contextlib
 import gc
 import logging
 import os
@@ -18,6 +19,7 @@ from controller.notify import Notifier
 
 log = logging.getLogger("executor")
 
+SIGNALS = (signal.SIGTERM, signal.SIGINT)
 MOST_ROUNDS = 32  # of events that the handling of others brings, before the tick is looked at
 CLOSING = 0.25  # [s] for the stage under way at the end
 FLUSHING = 0.5  # [s] for what waits to be sent at the end
@@ -59,7 +61,8 @@ class EventLoop:
     def quit(self) -> None:
         """Asks the loop to end; from any thread or signal handler."""
         self._quitting = True
-        os.write(self._woken, b"q")
+        with contextlib.suppress(OSError):  # the loop has ended already
+            os.write(self._woken, b"q")
 
     def run(self) -> None:
         """Runs until `quit`; ends with a result for the running program, and all closed."""
@@ -71,9 +74,11 @@ class EventLoop:
 
     def run_until_signal(self) -> None:
         """Runs until SIGTERM or SIGINT."""
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in SIGNALS:
             signal.signal(number, lambda *_: self.quit())
         self.run()
+        for number in SIGNALS:  # a second one, as of a parent that has died, must not cut the rest short
+            signal.signal(number, signal.SIG_IGN)
 
     def _round(self) -> None:
         """Waits for the next event, and acts on all there are."""
@@ -100,6 +105,8 @@ class EventLoop:
         read, written, _ = select.select(readable, writable, [], patience)
         if written:
             self._server.flush()
+        if self._wake in read:
+            os.read(self._wake, 4096)
         return read
 
     def _take_frames(self) -> None:
@@ -156,7 +163,8 @@ class EventLoop:
         self._server.close()
         self._buses.close()
         os.close(self._wake)
-        os.close(self._woken)
+        woken, self._woken = self._woken, -1
+        os.close(woken)
 
 
 class Timekeeper:

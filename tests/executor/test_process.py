@@ -173,3 +173,13 @@ def test_all_arms_of_a_computer_are_halted_without_planner_and_zenoh(executor: P
     run = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True)
     assert (run.returncode, run.stdout) == (0, "planar16: stopped; the arm holds until reset\n"), run.stderr
     planner.wait(Snapshot, lambda message: message.mode == "stopped")
+
+
+def test_signals_at_the_end_change_nothing(executor: Process) -> None:
+    planner = Planner(executor.socket)
+    planner.wait(Snapshot, lambda message: message.mode == "ready")
+    while executor.process.poll() is None:
+        executor.process.send_signal(signal.SIGTERM)
+        time.sleep(0.0005)
+    _, err = executor.process.communicate(timeout=60)
+    assert (executor.process.returncode, "Errno" in err, "Traceback" in err) == (0, False, False), err
