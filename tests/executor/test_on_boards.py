@@ -83,6 +83,16 @@ class World:
             while self.events:
                 self._do(self.events.popleft())
 
+    def stall(self, seconds: float, *fault: str) -> None:
+        """Lets the boards go on, with a fault of theirs, while the executor does not run."""
+        begun = self.now
+        while self.now < begun + seconds:
+            self.now += STEP
+            self.boards.step(self.now)
+            if fault and self.now > begun + seconds / 2:
+                perform(self.boards, *fault)
+                fault = ()
+
     def run(self, number: int, *states: int, step: float = 0.2) -> None:
         snapshot = self.last(Snapshot)
         stages = tuple(Stage(pack(bits, SIZE), at=step * k, mark=k) for k, bits in enumerate(states))
@@ -168,6 +178,20 @@ def test_a_halted_executor_lets_the_boards_hold_and_acts_on_nothing_old(world: W
     world.run(2, B)
     world.go(0.1)
     assert (world.mode, len(world.syncs)) == ("fault", 1)
+
+
+@pytest.mark.parametrize("code", ["8130", "2320", "8120"])
+def test_what_waited_during_a_stall_is_no_fault_after_a_reset(world: World, code: str) -> None:
+    world.stall(3.0, "error", "can0/1", code)
+    world.boards.step(world.now)
+    perform(world.boards, "error_over", "can0/1", code)
+    waiting = list(world.events)
+    world.events.clear()
+    world.send(Reset(1))
+    world.events.extend(waiting)
+    world.go(1.0)
+    assert world.mode == "ready", world.logged
+    assert world.last(Snapshot).faults == ()
 
 
 def test_halt_and_end(world: World) -> None:
