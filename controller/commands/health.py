@@ -54,12 +54,12 @@ def check(
 
 def ask_boards(arm: Arm) -> list[dict[str, Any]]:
     """Returns what each board of an arm answers."""
-    from controller.executor.arm import wiring_of
+    from controller.executor.arm import timing_of, wiring_of
     from drivers.canopen.faults import BusError
     from drivers.canopen.probe import probe
 
     try:
-        answers = probe(wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring))
+        answers = probe(wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings))
     except BusError as error:
         raise Failed(str(error)) from None
     return [{"board": answer.board, "ok": answer.ok, "answer": answer.text} for answer in answers]

@@ -1,21 +1,26 @@
-"""Boot of one board without switching an output: find, check, configure, start, read back."""
+"""Boot of one board without switching an output: find, inspect, configure, start, read back."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from drivers.canopen import configuration, objects
+from drivers.canopen import configuration, inspection, objects
 from drivers.canopen.board import Board
-from drivers.canopen.cia301 import NO_REMOTE, Command, State
-from drivers.canopen.configuration import OnLoss
-from drivers.canopen.device_type import check_type
+from drivers.canopen.cia301 import INVALID, Command, State
 from drivers.canopen.faults import Fault
+from drivers.canopen.inspection import Inspection
+from drivers.canopen.layout import BoardLayout
+from drivers.canopen.objects import Need
 from drivers.canopen.outputs import Outputs
-from drivers.canopen.procedure import Ask, BoardError, Order, Procedure, Wait
-from drivers.canopen.sdo import TIMEOUT, Transfer
-from drivers.canopen.wiring import Timing
+from drivers.canopen.pdo import INPUTS, Pdo, subs_of, union
+from drivers.canopen.pdo_setup import set_up
+from drivers.canopen.procedure import Ask, BoardError, Order, Procedure, Step, Wait
+from drivers.canopen.sdo import TIMEOUT, Outcome, Transfer
+from drivers.canopen.wiring import ErrorState, Timing
+
+_ERROR_PATIENCE = 0.5  # [s] for a standing error to end once the board hears the master
 
 
 @dataclass
@@ -23,142 +28,257 @@ class Boot:
     """The boot of one board.
 
     Attributes:
+        index: of the board.
         board: the board.
         outputs: takes the outputs that are read back.
         timing: heartbeats and boot time.
-        on_loss: what the outputs do if the master is no longer heard.
+        error_state: what a person knows of boards without an error mode.
+        it: what is read of the board.
+        kind: its device type.
+        found: its state as it was found.
     """
 
+    index: int
     board: Board
     outputs: Outputs
     timing: Timing
-    on_loss: OnLoss
+    error_state: ErrorState | None
+    it: Inspection
+    kind: int = 0
+    found: State | None = None
 
 
-def boot(it: Boot) -> Procedure:
+def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
     """Boots a board; a board that is operational and rightly configured is left alone."""
+    it = Inspection(board.layout, refuses_sync=board.refuses_sync)
+    boot = Boot(index, board, outputs, timing, error_state, it)
     for step in _STEPS:
-        yield from step(it)
+        yield from step(boot)
 
 
-def _find(it: Boot) -> Procedure:
-    """Asks for the device type until the board answers."""
-    board, patience = it.board, it.timing.boot_timeout
-    before, kind, ordered = board.frames, None, False
+def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, int]:
+    """Asks for the device type until the board answers; returns it.
+
+    Args:
+        layout: of the board.
+        patience: longest time for it to answer [s].
+        board: what is heard of it; None if it is not listened to.
+    """
+    name, kind, ordered = layout.name, None, False
+    before = 0 if board is None else board.frames
 
     def stopped() -> bool:  # then it answers no SDO
-        return board.state is State.STOPPED and not ordered
+        return board is not None and board.state is State.STOPPED and not ordered
 
     for _ in range(1 + math.ceil(patience / TIMEOUT)):
         outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
         if outcome.silence is None:
-            kind = objects.number(board.name, 0x1000, 0, 4, outcome)
+            kind = objects.number(name, 0x1000, 0, 4, outcome)
             break
         if stopped():
-            yield from _order(it, Command.PRE_OPERATIONAL)
+            yield from _order(layout, Command.PRE_OPERATIONAL)
             ordered = True
     if kind is not None:
-        check_type(board.layout, kind)
-        return
-    text = f"board {board.name} neither booted nor answered within {patience:g} s: is it powered?"
-    if board.frames > before:
-        text = f"board {board.name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
-    raise BoardError(Fault("board-missing", board.name, text))
+        return kind
+    text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
+    if board is not None and board.frames > before:
+        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
+    raise BoardError(Fault("board-missing", name, text))
 
 
-def _learn_state(it: Boot) -> Procedure:
-    """Waits for a heartbeat of a board that has only answered so far, if it sends heartbeats."""
-    board = it.board
-    if board.state is None:
-        period = (yield from objects.read(board.name, 0x1017, 0, size=2)) / 1000
-        yield Wait(lambda: board.state is not None, min(2 * period, it.timing.boot_timeout))
+def _find(boot: Boot) -> Procedure:
+    board = boot.board
+    stopped = board.state is State.STOPPED
+    boot.kind = yield from find(board.layout, boot.timing.boot_timeout, board)
+    boot.found = State.STOPPED if stopped else board.state
 
 
-def _configure(it: Boot) -> Procedure:
+def _inspect(boot: Boot) -> Procedure:
+    """Reads what the board is and holds."""
+    it = boot.it
+    yield from inspection.inspect(it, boot.kind, boot.timing, boot.error_state)
+    board, stopped = boot.board, boot.found is State.STOPPED
+    yield from _learn_state(boot)
+    boot.found = State.STOPPED if stopped else board.state
+    yield from inspection.read_pdos(it, in_full=board.state is State.OPERATIONAL)
+
+
+def _learn_state(boot: Boot) -> Procedure:
+    """Waits for a heartbeat, or an answer to node guarding, of a board that has only answered to SDO so far."""
+    board, it, timing = boot.board, boot.it, boot.timing
+    period = it.held.get((0x1017, 0), 0) / 1000
+    if it.guarded:
+        ours = not it.unmet(configuration.guarding(timing)) and not period
+        period = timing.heartbeat if ours else 0.0
+        if ours and not board.guarded:
+            board.guard()
+    elif period:
+        board.guarded = False
+    if board.state is None and period:
+        yield Wait(lambda: board.state is not None, min(2 * period, timing.boot_timeout))
+
+
+def _configure(boot: Boot) -> Procedure:
     """Configures and starts the board, unless it is operational and configured."""
-    board, name = it.board, it.board.name
-    no_remote = 0
-    if board.layout.tpdo is not None:
-        no_remote = (yield from objects.read(name, board.layout.tpdo.parameters, 1, size=4)) & NO_REMOTE
-    entries = configuration.communication(board.layout, it.timing, it.on_loss, no_remote)
+    board, it = boot.board, boot.it
     if board.state is State.OPERATIONAL:
-        expected = configuration.final(entries) + configuration.error_mode(board.layout, it.on_loss)
-        for entry in expected:
-            if not (yield from objects.holds(name, entry)):
-                break
-        else:
+        wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
+        if not wrong and inspection.as_is(it):
             board.state = None  # it may have left operational since its last heartbeat
             return
-    # Some boards apply 6207h already on entering pre-operational: the outputs hold until all is configured.
-    for entry in configuration.hold(board.layout):
-        yield from objects.write(name, entry)
+    if board.state in (State.OPERATIONAL, None):
+        # Some boards apply 6207h already on entering pre-operational: the outputs hold until all is configured.
+        yield from _settle(it, configuration.held(board.layout))
     if board.state is not State.PRE_OPERATIONAL:
-        yield from _order(it, Command.PRE_OPERATIONAL)
-    for entry in entries:
-        yield from objects.write(name, entry)
+        yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    yield from _settle(it, it.needs)
+    for pdos in (it.rpdos, it.tpdos):
+        for i, (wanted, held) in enumerate(pdos):
+            if not held.fits(wanted) or (wanted.parameters < 0x1800 and not it.synchronous):
+                pdos[i] = wanted, (yield from set_up(it.layout, wanted, held, it.synchronous))
+    if it.synchronous:
+        board.refuses_sync = any(not held.pdo.on_sync for _, held in it.rpdos)
+    yield from _release(boot)
+    board.guarded = False
+    if it.guarded:
+        board.guard()
     board.state = None  # an older heartbeat must not count as the answer
-    yield from _order(it, Command.START)
+    yield from _order(board.layout, Command.START)
 
 
-def _await_operational(it: Boot) -> Procedure:
+def _release(boot: Boot) -> Procedure:
+    """Switches off the outputs that a board may have switched off itself, so that its start energises nothing.
+
+    A board that lost its master has applied its error mode. It may still hold the values of before in 6200h, and switch
+    them again when it is started.
+    """
+    board, it, layout = boot.board, boot.it, boot.board.layout
+    if boot.found not in (State.STOPPED, State.PRE_OPERATIONAL):
+        return
+    loss, levels = layout.loss
+    bits = union(b.place for b in layout.outputs if loss & b.place and b.inverted == bool(levels & b.place))
+    if not it.has_error_mode and (layout.settings.error_state or boot.error_state) != "hold":
+        bits = layout.output_bits
+    off = union(b.place for b in layout.outputs if b.inverted)
+    for sub in subs_of(bits):
+        mask, value = (number >> 8 * (sub - 1) & 0xFF for number in (bits, off))
+        need = Need(layout.settings.object, sub, value & mask, 1, "outputs", mask=mask)
+        held = yield from objects.read(board.name, need.index, sub)
+        if not need.met(held):
+            yield from objects.settle(board.name, need, held)
+
+
+def _await_operational(boot: Boot) -> Procedure:
     """Waits for the board to be operational; configures it once more if it fell back.
 
     It may have missed the heartbeat of the master before just now, and left operational because of it.
     """
-    board, patience = it.board, it.timing.boot_timeout
-    up = Wait(lambda: board.state is State.OPERATIONAL, 3 * it.timing.heartbeat)
+    board, patience = boot.board, boot.timing.boot_timeout
+    up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
     if (yield up).data is not None:
         return
     if board.state is State.STOPPED:
-        yield from _order(it, Command.PRE_OPERATIONAL)
+        yield from _order(board.layout, Command.PRE_OPERATIONAL)
     if board.state in (State.STOPPED, State.PRE_OPERATIONAL):
-        yield from _configure(it)
+        yield from _configure(boot)
     if (yield Wait(up.until, patience)).data is None:
         seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
         text = f"board {board.name} did not become operational within {patience:g} s; {seen}"
+        if board.state is not State.STOPPED:
+            _, why, _ = yield from inspection.read_errors(boot.it, board)
+            text += f"; {why}" if why else ""
         raise BoardError(Fault("board-stopped", board.name, text))
 
 
-def _set_error_mode(it: Boot) -> Procedure:
+def _set_error_mode(boot: Boot) -> Procedure:
     """Writes the error mode; until here the outputs were to hold."""
-    if it.on_loss != "hold":
-        for entry in configuration.error_mode(it.board.layout, it.on_loss):
-            yield from objects.write(it.board.name, entry)
+    yield from _settle(boot.it, boot.it.error_mode)
 
 
-def _read_back(it: Boot) -> Procedure:
+def _check_errors(boot: Boot) -> Procedure:
+    """Refuses a board with a standing error; one that ends because the board hears the master is waited for."""
+    board, it = boot.board, boot.it
+    for _ in range(6):
+        register, text, lost = yield from inspection.read_errors(it, board)
+        if not register:
+            return
+        yield Wait(lambda: False, _ERROR_PATIENCE / 5)
+    if not lost:
+        text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
+        raise BoardError(Fault("board-error", board.name, text))
+    it.warn(f"it keeps an error of the time before this start: {text}")
+    it.kept_errors = register
+
+
+def _read_back(boot: Boot) -> Procedure:
     """Adopts the outputs and inputs as they are."""
-    board, layout = it.board, it.board.layout
-    outputs, inputs = b"", dict[int, int]()
-    for sub in layout.outputs:
-        outputs += bytes([(yield from objects.read(board.name, 0x6200, sub))])
+    board, it, inputs = boot.board, boot.it, dict[int, int]()
+    rpdos, tpdos = inspection.adopt(it)
+    values = dict[int, int]()
+    for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > 7}:
+        values[entry] = yield from _value(board, entry)
+    board.take_inputs_from(tpdos)
     before = board.input_frames
-    for sub in layout.inputs:
-        inputs[sub] = yield from objects.read(board.name, 0x6000, sub)
+    for sub in subs_of(board.layout.input_bits):
+        inputs[sub] = yield from objects.read(board.name, INPUTS, sub)
     if board.state is not State.OPERATIONAL:
         left = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         raise BoardError(
             Fault("board-stopped", board.name, f"board {board.name} left operational while booting; {left}")
         )
-    it.outputs.adopt(layout, outputs)
+    boot.outputs.adopt(boot.index, rpdos, values)
     if board.input_frames == before:  # otherwise a TPDO brought newer ones
         for sub, value in inputs.items():
             board.set_input(sub, value)
+    board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.kept_errors
+    board.expected = _expected(it, rpdos + tpdos)
     board.ready = True
 
 
-def _order(it: Boot, command: Command) -> Procedure:
+def _value(board: Board, entry: int) -> Generator[Step, Outcome, int]:
+    """Reads an object that an RPDO carries; one that is no used output may be missing or unreadable."""
+    index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+    size = (count + 7) // 8
+    if index == board.layout.settings.object and board.layout.output_bits >> 8 * (sub - 1) & 0xFF:
+        return (yield from objects.read(board.name, index, sub))
+    outcome = yield Transfer(index, sub)
+    return int.from_bytes((outcome.data or b"")[:size], "little")
+
+
+def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
+    """Returns what the board holds, so that a later change is noticed."""
+    needs = {(n.index, n.sub): n for n in (*it.needs, *it.error_mode) if (n.index, n.sub) in it.held}
+    for _, held in (*it.rpdos, *it.tpdos):
+        index, mapping = held.parameters, held.mapping
+        needs[index, 1] = Need(index, 1, held.cob_id & ~INVALID, 4, "COB-ID", mask=INVALID | 0x7FF)
+        needs[index, 2] = Need(index, 2, held.kind, 1, "transmission type")
+        needs[index + 0x200, 0] = Need(index + 0x200, 0, len(mapping), 1, "number of mapped objects")
+        needs |= {
+            (index + 0x200, 1 + i): Need(index + 0x200, 1 + i, entry, 4, "mapped object")
+            for i, entry in enumerate(mapping)
+        }
+    return tuple(needs.values())
+
+
+def _settle(it: Inspection, needs: list[Need]) -> Procedure:
+    """Writes what differs."""
+    for need in it.unmet(needs):
+        yield from objects.settle(it.name, need, it.held[need.index, need.sub])
+        it.held[need.index, need.sub] = need.corrected(it.held[need.index, need.sub])
+
+
+def _order(layout: BoardLayout, command: Command) -> Procedure:
     if (yield Order(command)).data is None:
-        name, bus = it.board.name, it.board.layout.bus
-        text = f"board {name} could not be told to change its state: {bus} takes no frames"
-        raise BoardError(Fault("board-missing", name, text))
+        text = f"board {layout.name} could not be told to change its state: {layout.bus} takes no frames"
+        raise BoardError(Fault("board-missing", layout.name, text))
 
 
 _STEPS: tuple[Callable[[Boot], Procedure], ...] = (
     _find,
-    _learn_state,
+    _inspect,
     _configure,
     _await_operational,
     _set_error_mode,
+    _check_errors,
     _read_back,
 )

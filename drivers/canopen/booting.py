@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from drivers.canopen.boot import Boot, boot
+from drivers.canopen.boot import boot_board
 from drivers.canopen.faults import Fault
 from drivers.canopen.outputs import Outputs
 from drivers.canopen.station import Station
@@ -19,13 +19,13 @@ class Booting:
     Args:
         stations: all boards.
         outputs: takes the outputs that are read back.
-        wiring: what boards do on loss of the master.
+        wiring: what is known of boards without an error mode.
         timing: heartbeats and boot time.
     """
 
     def __init__(self, stations: Sequence[Station], outputs: Outputs, wiring: Wiring, timing: Timing) -> None:
         self._stations, self._outputs = stations, outputs
-        self._on_loss, self._timing = wiring.on_loss, timing
+        self._error_state, self._timing = wiring.error_state, timing
         self._pending: set[int] = set()  # indices of boards
         self._reboots: dict[int, int] = {}
         self._bus_faults: dict[str, Fault] = {}
@@ -84,7 +84,7 @@ class Booting:
         def ended(fault: Fault | None, now: float) -> None:
             self._ended(station.index, fault)
 
-        procedure = boot(Boot(station.board, self._outputs, self._timing, self._on_loss))
+        procedure = boot_board(station.index, station.board, self._outputs, self._timing, self._error_state)
         station.runner.start(procedure, ended, now)
 
     def _ended(self, i: int, fault: Fault | None) -> None:

@@ -17,6 +17,7 @@ from drivers.canopen.wiring import BusSettings
 
 _MOST_EVENTS = 256  # of one poll, so that a flood does not stop the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
+_OLDEST = 1.0  # [s]; a frame whose time stamp is older, or in the future, counts as one without
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # there is no frame after all
 
@@ -156,7 +157,9 @@ class CanBus:
         if (remote and message.is_rx) or message.is_extended_id or message.is_fd:
             return Ignored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
         frame = Frame(message.arbitration_id | (REMOTE if remote else 0), bytes(message.data))
-        return Received(self.name, frame) if message.is_rx else Echoed(self.name, frame)
+        late = time.time() - message.timestamp  # an interface may have another clock
+        at = time.monotonic() - late if 0.0 <= late < _OLDEST else None
+        return Received(self.name, frame, at) if message.is_rx else Echoed(self.name, frame, at)
 
     def _open(self) -> can.BusABC:
         s = self.settings

@@ -8,10 +8,17 @@ from drivers.canopen.cia301 import Frame
 
 
 class Received(NamedTuple):
-    """A data frame with an 11 bit identifier from another node or program."""
+    """A data frame with an 11 bit identifier from another node or program.
+
+    Attributes:
+        bus: name.
+        frame: the frame.
+        at: when it was on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell.
+    """
 
     bus: str
     frame: Frame
+    at: float | None = None
 
 
 class Ignored(NamedTuple):
@@ -27,10 +34,17 @@ class Ignored(NamedTuple):
 
 
 class Echoed(NamedTuple):
-    """A frame left this computer: a frame of ours, or of another program on the same interface."""
+    """A frame left this computer: a frame of ours, or of another program on the same interface.
+
+    Attributes:
+        bus: name.
+        frame: the frame.
+        at: as of `Received`.
+    """
 
     bus: str
     frame: Frame
+    at: float | None = None
 
 
 class SendFailed(NamedTuple):

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from drivers.canopen import cia301
-from drivers.canopen.cia301 import State
-from drivers.canopen.link import Link
+from drivers.canopen.cia301 import Frame, State
+from drivers.canopen.link import Link, Outgoing
+from drivers.canopen.station import Station
 from drivers.canopen.wiring import MASTER, Timing
 
 _LONGEST_STEP = 0.05  # [s]
+_PHASES = 10  # of the polls of node guarding
 BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
 class Heartbeat:
-    """Sends the master's heartbeat on all buses; knows when boards were without it. Times are real time [s].
+    """Sends the master's heartbeat on all buses, and polls boards that are supervised by node guarding.
+
+    It knows when boards were without both. Times are real time [s].
 
     Args:
         links: of all buses.
+        stations: all boards.
         timing: period, and the time-out of the boards.
     """
 
-    def __init__(self, links: Iterable[Link], timing: Timing) -> None:
+    def __init__(self, links: Iterable[Link], stations: Sequence[Station], timing: Timing) -> None:
         self._links, self._timing = tuple(links), timing
+        self._by_name = {link.name: link for link in self._links}
+        self._stations = stations
+        self._polls: dict[int, tuple[float, Outgoing]] = {}  # of guarded boards, by index: when, and what was sent
         self._last: float | None = None  # when `tick` was called last
         self._sent: dict[str, float] = {}  # of each bus, the last heartbeat
         self._before: dict[str, float] = {}  # and the one before it
@@ -37,6 +45,26 @@ class Heartbeat:
                 link.send(BEAT, now)
                 self._before[link.name] = self._sent.get(link.name, -math.inf)
                 self._sent[link.name] = clock
+        for station in self._stations:
+            if station.board.guarded:
+                self._poll(station, clock, now)
+
+    def _poll(self, station: Station, clock: float, now: float) -> None:
+        """Sends the remote frame of node guarding if it is due and the one before is not on its way."""
+        i, board = station.index, station.board
+        link = self._by_name[board.layout.bus]
+        at, last = self._polls.get(i, (-math.inf, None))
+        if not link.usable or clock < at + self._timing.heartbeat - 1e-6:
+            return
+        if last is None:  # boards are not polled all at the same tick
+            at = clock - self._timing.heartbeat * (i % _PHASES) / _PHASES
+        elif not (last.left or last.cancelled):
+            return
+        else:
+            at = max(at + self._timing.heartbeat, clock - self._timing.heartbeat / 2)
+        outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
+        self._polls[i] = at, outgoing
+        link.queue(outgoing, now, urgent=True)
 
     def failed(self, bus: str) -> None:
         """Notes that the last heartbeat was not sent; the next tick tries again, for the bus is failing."""

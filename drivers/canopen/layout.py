@@ -1,50 +1,17 @@
-"""Layout of the process data: each actuator's bit in the boards' bytes, and the PDOs that carry the bytes."""
+"""Layout of the process data: each line's bit on its board, and the PDOs that are to carry the bits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.canopen import cia301
-from drivers.canopen.wiring import Channel, Wiring
+from drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
+from drivers.canopen.wiring import Line, NodeSettings, Wiring
 
-_FRAME_BYTES = 8
-
-
-class Pdo(NamedTuple):
-    """One PDO as a board is configured for it.
-
-    Attributes:
-        parameters: index of its communication parameters, 1400h or 1800h; its mapping is 200h above.
-        cob_id: of its frame.
-        mapping: entries, dummies included.
-    """
-
-    parameters: int
-    cob_id: int
-    mapping: tuple[int, ...]
-
-
-class Bit(NamedTuple):
-    """One actuator in a number that is made of little-endian bytes."""
-
-    actuator: int  # mask of one bit
-    place: int  # mask of one bit
-
-
-class Run(NamedTuple):
-    """Neighbouring actuators on neighbouring bits, to copy them at once.
-
-    Attributes:
-        actuator: index of the first.
-        mask: of as many bits as there are actuators, from bit 0.
-        place: bit of the first.
-    """
-
-    actuator: int
-    mask: int
-    place: int
+_PDO_BYTES = 8
+_MOST_PDOS = 4  # of one board and direction: there are as many COB-IDs with its node id
 
 
 @dataclass(frozen=True)
@@ -52,72 +19,68 @@ class BoardLayout:
     """The wiring of one board.
 
     Attributes:
-        bus: name of its bus.
-        node: node id.
-        outputs: used sub-indices of 6200h, ascending.
-        inputs: used sub-indices of 6000h, ascending.
-        rpdo: carries its outputs.
-        tpdo: carries its inputs; None without end-stops.
-        frame: index of the RPDO frame in `Layout.frames`.
-        offset: of its first byte in that frame.
+        settings: what the arm's file says of it, or defaults.
+        outputs: its output lines, their places as bits of 6200h or of the maker's object.
+        inputs: its input lines, their places as bits of 6000h.
+        rpdos: wanted to carry its outputs.
+        tpdos: wanted to carry its inputs.
+        shared: whether its RPDO is shared with other boards.
         actuators: mask of its actuators.
-        sensed: mask of its actuators that have an end-stop.
-        ends: the end-stops in the number that its input bytes make.
+        sensed: mask of its output lines whose actuators have an end-stop.
+        loss: output bits that take a certain level if the master is lost, as a mask, and those levels.
     """
 
-    bus: str
-    node: int
-    outputs: tuple[int, ...]
-    inputs: tuple[int, ...]
-    rpdo: Pdo
-    tpdo: Pdo | None
-    frame: int
-    offset: int
+    settings: NodeSettings
+    outputs: tuple[Bit, ...]
+    inputs: tuple[Bit, ...]
+    rpdos: tuple[Pdo, ...]
+    tpdos: tuple[Pdo, ...]
+    shared: bool
     actuators: int
     sensed: int
-    ends: tuple[Bit, ...]
+    loss: tuple[int, int]
+
+    @property
+    def bus(self) -> str:
+        """Name of its bus."""
+        return self.settings.bus
+
+    @property
+    def node(self) -> int:
+        """Node id."""
+        return self.settings.node
 
     @property
     def name(self) -> str:
         """For messages, e.g. "can0/5"."""
-        return f"{self.bus}/{self.node}"
+        return f"{self.settings.bus}/{self.settings.node}"
 
+    @property
+    def output_lines(self) -> int:
+        """Mask of its output lines."""
+        return sum(bit.line for bit in self.outputs)
 
-@dataclass(frozen=True)
-class RpdoFrame:
-    """One RPDO frame of the master; several boards may take it.
+    @property
+    def output_bits(self) -> int:
+        """Mask of the used bits of its outputs."""
+        return sum(bit.place for bit in self.outputs)
 
-    Attributes:
-        bus: name of its bus.
-        cob_id: its COB-ID.
-        size: [bytes].
-        actuators: mask of the actuators in it.
-        used: mask of the bits that are actuators', in the number that its bytes make.
-        bits: the actuators in that number.
-        runs: the same, in runs.
-    """
-
-    bus: str
-    cob_id: int
-    size: int
-    actuators: int
-    used: int
-    bits: tuple[Bit, ...]
-    runs: tuple[Run, ...]
+    @property
+    def input_bits(self) -> int:
+        """Mask of the used bits of its inputs."""
+        return sum(bit.place for bit in self.inputs)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """All boards and RPDO frames of an arm.
+    """All boards of an arm.
 
     Attributes:
         boards: by bus, in the order of the wiring, and node id.
-        frames: likewise.
         board_of: index of each actuator's board.
     """
 
     boards: tuple[BoardLayout, ...]
-    frames: tuple[RpdoFrame, ...]
     board_of: tuple[int, ...]
 
 
@@ -126,85 +89,93 @@ class _Place(NamedTuple):
     node: int
 
 
-_Wired = list[tuple[int, Channel]]  # of one board: actuators with their index
-
-
 def lay_out(wiring: Wiring) -> Layout:
-    """Assigns the boards' bytes to frames."""
+    """Assigns the boards' bits to PDOs.
+
+    Raises:
+        ValueError: a board's outputs or inputs do not fit in four PDOs.
+    """
     order = {bus.name: i for i, bus in enumerate(wiring.buses)}
-    wired: dict[_Place, _Wired] = {}
-    for k, channel in sorted(enumerate(wiring.channels), key=lambda item: (order[item[1].bus], item[1].node)):
-        wired.setdefault(_Place(channel.bus, channel.node), []).append((k, channel))
-    outputs = {place: _subs(c.output for _, c in here) for place, here in wired.items()}
+    outputs, inputs = _by_board(wiring.output_lines), _by_board(wiring.input_lines)
+    places = sorted({*outputs, *inputs}, key=lambda place: (order[place.bus], place.node))
+    objects = {_Place(node.bus, node.node): node for node in wiring.nodes}
+    groups = _groups({place: outputs[place] for place in places if place in outputs}, wiring.shared_rpdo)
 
+    sensed = sum(1 << k for k, c in enumerate(wiring.channels) if c.input is not None or c.input_contracted is not None)
+    for i, k in enumerate(wiring.paired):
+        sensed |= (sensed >> k & 1) << len(wiring.channels) + i
     boards: list[BoardLayout] = []
-    frames: list[RpdoFrame] = []
-    for group in _groups(outputs, wiring.shared_rpdo):
-        cob_id, size = cia301.RPDO1 + group[0].node, sum(len(outputs[place]) for place in group)
-        bits: list[Bit] = []
-        offset = 0
-        for place in group:
-            here, subs = wired[place], outputs[place]
-            mapping = [cia301.DUMMY_BYTE] * offset
-            mapping += [cia301.mapping(0x6200, sub) for sub in subs]
-            mapping += [cia301.DUMMY_BYTE] * (size - len(mapping))
-            bits += [Bit(1 << k, 1 << 8 * offset << _bit(c.output, subs)) for k, c in here]
-            rpdo = Pdo(0x1400, cob_id, tuple(mapping))
-            boards.append(_board(place, here, subs, rpdo, len(frames), offset))
-            offset += len(subs)
-        actuators, used = sum(bit.actuator for bit in bits), sum(bit.place for bit in bits)
-        frames.append(RpdoFrame(group[0].bus, cob_id, size, actuators, used, tuple(bits), _runs(bits)))
+    for place in places:
+        settings = objects.get(place, NodeSettings(place.bus, place.node))
+        out, into = tuple(outputs.get(place, ())), tuple(inputs.get(place, ()))
+        group = groups.get(place, [])
+        rpdos = _shared(group, place, outputs, settings.object) if len(group) > 1 else None
+        bits = tuple(bit.place for bit in out)
+        levels = [(bit, wiring.loss_levels[bit.line.bit_length() - 1]) for bit in out]
+        held = [(bit, level) for bit, level in levels if level is not None]
+        boards.append(
+            BoardLayout(
+                settings=settings,
+                outputs=out,
+                inputs=into,
+                rpdos=rpdos or _pdos(place, 0x1400, cia301.RPDO1, settings.object, bits),
+                tpdos=_pdos(place, 0x1800, cia301.TPDO1, INPUTS, tuple(bit.place for bit in into)),
+                shared=len(group) > 1,
+                actuators=sum(1 << k for k, c in enumerate(wiring.channels) if (c.bus, c.node) == place),
+                sensed=sum(bit.line for bit in out) & sensed,
+                loss=(
+                    sum(bit.place for bit, _ in held),
+                    sum(bit.place for bit, level in held if level != bit.inverted),
+                ),
+            )
+        )
     number = {(board.bus, board.node): i for i, board in enumerate(boards)}
-    return Layout(tuple(boards), tuple(frames), tuple(number[c.bus, c.node] for c in wiring.channels))
+    return Layout(tuple(boards), tuple(number[c.bus, c.node] for c in wiring.channels))
 
 
-def _board(place: _Place, here: _Wired, outputs: tuple[int, ...], rpdo: Pdo, frame: int, offset: int) -> BoardLayout:
-    inputs = _subs(c.input for _, c in here if c.input is not None)
-    ends = tuple(Bit(1 << k, 1 << _bit(c.input, inputs)) for k, c in here if c.input is not None)
-    mapping = tuple(cia301.mapping(0x6000, sub) for sub in inputs)
-    return BoardLayout(
-        bus=place.bus,
-        node=place.node,
-        outputs=outputs,
-        inputs=inputs,
-        rpdo=rpdo,
-        tpdo=Pdo(0x1800, cia301.TPDO1 + place.node, mapping) if inputs else None,
-        frame=frame,
-        offset=offset,
-        actuators=sum(1 << k for k, _ in here),
-        sensed=sum(bit.actuator for bit in ends),
-        ends=ends,
+def _by_board(lines: Iterable[Line | None]) -> dict[_Place, list[Bit]]:
+    found: dict[_Place, list[Bit]] = {}
+    for k, line in enumerate(lines):
+        if line is not None:
+            found.setdefault(_Place(line.bus, line.node), []).append(Bit(1 << k, 1 << line.bit, line.inverted))
+    return found
+
+
+def _pdos(place: _Place, parameters: int, cob_id: int, index: int, bits: tuple[int, ...]) -> tuple[Pdo, ...]:
+    subs = subs_of(union(bits))
+    if len(subs) > _MOST_PDOS * _PDO_BYTES:
+        what = "outputs" if parameters == 0x1400 else "inputs"
+        raise ValueError(f"board {place.bus}/{place.node}: its {what} are in {len(subs)} bytes; 32 fit in four PDOs")
+    return tuple(
+        Pdo(
+            parameters + i,
+            cob_id + 0x100 * i + place.node,
+            tuple(cia301.mapping(index, sub) for sub in subs[_PDO_BYTES * i : _PDO_BYTES * (i + 1)]),
+        )
+        for i in range((len(subs) + _PDO_BYTES - 1) // _PDO_BYTES)
     )
 
 
-def _runs(bits: Iterable[Bit]) -> tuple[Run, ...]:
-    runs: list[Run] = []
-    for k, place in sorted((bit.actuator.bit_length() - 1, bit.place.bit_length() - 1) for bit in bits):
-        size = runs[-1].mask.bit_length() if runs else 0
-        if runs and (runs[-1].actuator + size, runs[-1].place + size) == (k, place):
-            runs[-1] = runs[-1]._replace(mask=runs[-1].mask << 1 | 1)
-        else:
-            runs.append(Run(k, 1, place))
-    return tuple(runs)
+def _shared(group: list[_Place], place: _Place, outputs: Mapping[_Place, list[Bit]], index: int) -> tuple[Pdo, ...]:
+    """The RPDO of a board whose frame other boards take as well."""
+    mapping: list[int] = []
+    for other in group:
+        subs = subs_of(union(bit.place for bit in outputs[other]))
+        mapping += [cia301.mapping(index, sub) if other == place else cia301.DUMMY_BYTE for sub in subs]
+    return (Pdo(0x1400, cia301.RPDO1 + group[0].node, tuple(mapping)),)
 
 
-def _groups(outputs: dict[_Place, tuple[int, ...]], shared: bool) -> list[list[_Place]]:
+def _groups(outputs: Mapping[_Place, list[Bit]], shared: bool) -> dict[_Place, list[_Place]]:
     """Boards whose bytes share a frame: of one bus only, and no board in two frames."""
     groups: list[list[_Place]] = []
-    for place, subs in outputs.items():
+    room = 0
+    for place, bits in outputs.items():
+        count = len(subs_of(union(bit.place for bit in bits)))
         last = groups[-1] if groups else []
-        room = _FRAME_BYTES - sum(len(outputs[other]) for other in last)
-        if shared and last and last[0].bus == place.bus and len(subs) <= room:
+        if shared and last and last[0].bus == place.bus and count <= room:
             last.append(place)
+            room -= count
         else:
             groups.append([place])
-    return groups
-
-
-def _subs(bits: Iterable[int]) -> tuple[int, ...]:
-    return tuple(sorted({1 + bit // 8 for bit in bits}))
-
-
-def _bit(channel: int, subs: tuple[int, ...]) -> int:
-    """The bit of an output or input in the number that the bytes of the used sub-indices make."""
-    return 8 * subs.index(1 + channel // 8) + channel % 8
+            room = _PDO_BYTES - count
+    return {place: group for group in groups for place in group}

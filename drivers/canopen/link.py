@@ -115,9 +115,12 @@ class Link:
         self._meter.sent(len(frame.data))
         self._hand_out(self.name, frame)
 
-    def queue(self, outgoing: Outgoing, now: float) -> None:
-        """Hands out a frame when its turn comes."""
-        self._queue.append(outgoing)
+    def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
+        """Hands out a frame when its turn comes; an urgent one before the others."""
+        if urgent:
+            self._queue.appendleft(outgoing)
+        else:
+            self._queue.append(outgoing)
         self._pump(now)
 
     def received(self, bits: int) -> None:

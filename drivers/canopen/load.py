@@ -66,10 +66,11 @@ def worst_case(layout: Layout, timing: Timing, bus: BusSettings) -> Traffic:
         bus: which.
     """
     boards = [board for board in layout.boards if board.bus == bus.name]
-    frames = [frame for frame in layout.frames if frame.bus == bus.name]
+    frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}
     commits = 1 / max(timing.travel_time, 0.001) if frames else 0.0
     heartbeats = (len(boards) + 1) * cia301.wire_bits(1) / timing.heartbeat
-    rpdos = commits * sum(cia301.wire_bits(frame.size) for frame in frames)
+    rpdos = commits * sum(cia301.wire_bits(size) for size in frames.values())
     sync = commits * cia301.wire_bits(0)
-    tpdos = commits * sum(len(board.ends) * cia301.wire_bits(len(board.inputs)) for board in boards)
+    greatest = {board.name: max((pdo.size for pdo in board.tpdos), default=0) for board in boards}
+    tpdos = commits * sum(len(board.inputs) * cia301.wire_bits(greatest[board.name]) for board in boards)
     return Traffic(heartbeats, sync, rpdos, tpdos, (heartbeats + sync + rpdos + tpdos) / bus.bitrate)

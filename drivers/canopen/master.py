@@ -15,13 +15,15 @@ from drivers.canopen.load import BITS
 from drivers.canopen.network import Network
 from drivers.canopen.reception import receptions
 from drivers.canopen.status import Status
+from drivers.canopen.verification import Verification
 from drivers.canopen.wiring import Timing, Wiring
 
 
 class Master:
     """All boards of an arm, on all its buses.
 
-    It has no I/O, no clock and no threads, and nothing waits. Actuator k is bit k of an integer of states or of a mask.
+    It has no I/O, no clock and no threads, and nothing waits. Actuator k is bit k of an integer of states or of a mask;
+    so is line k of outputs and inputs. Without `output_off`, output line k is actuator k.
     `now` is CLOCK_MONOTONIC [s], or any clock that never goes back. No event raises.
 
     Args:
@@ -44,8 +46,9 @@ class Master:
         self._links, self._clock, self._timing = network.links, LoopClock(), timing
         self._booting = Booting(network.stations, network.outputs, wiring, timing)
         self._receptions = receptions(network, self._booting.rebooted)
-        self._heartbeat = Heartbeat(network.links.values(), timing)
-        self._commit = Commit(network.links, network.outputs, network.refusal, timing.heartbeat_timeout / 2)
+        self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
+        self._verification = Verification(network)
+        self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
         self._halt_reported: float | None = None  # real time of the last tick before a halt
 
     def take(self, event: Event, now: float) -> None:
@@ -110,6 +113,8 @@ class Master:
         self._heartbeat.tick(now, time)
         self._commit.tick(now, time)
         self._network.tick(time, self._timing.heartbeat_timeout)
+        if not self._booting.under_way:
+            self._verification.tick(time)
 
     def halted(self, now: float) -> Fault | None:
         """Returns a fault if `tick` was not called for so long that the boards were without their master.
@@ -135,27 +140,41 @@ class Master:
         """
         self._network.log.clear()
         self._commit.forget()
+        self._verification.begin()
         self._booting.begin(self._network.rearm(), self._clock.at(now))
 
-    def commit(self, states: int, now: float, release: bool = False) -> None:
-        """Switches all actuators to `states`, on each bus at one instant: RPDOs, and when all have left, SYNC.
+    def commit(self, outputs: int, now: float, release: bool = False) -> None:
+        """Switches all output lines to `outputs`, on each bus at one instant: RPDOs, and when all have left, SYNC.
 
-        Nothing is sent if nothing changes. The end shows in `committing`, `commit_failed` and `take_switched`.
-        `release` tells that outputs only go off.
+        Nothing is sent if nothing changes. The end shows in `committing`, `commit_failed` and `take_switched`. The
+        first commit since a boot ends when boards without end-stops were read back.
+
+        Args:
+            outputs: levels of all lines.
+            now: see above.
+            release: only switches lines off, though other boards are not up; a commit whose RPDOs wait is given up.
 
         Raises:
             Busy: a commit is under way, or a bus or a board is not up.
-            ValueError: a bit of `states` is no actuator's.
+            ValueError: a bit of `outputs` is no line's.
         """
         self._look_halted(now)
+        if release:
+            self._commit.give_up("an output had to be switched off first")
         if self._commit.under_way:
             raise Busy("frames of the commit before are still on their way")
-        if not (due := self._network.outputs.due(states)):
+        if self._verification.blocking and not release:
+            raise Busy("the boards are asked whether they have switched")
+        lines = self._network.outputs.states ^ outputs if release else None
+        due = self._network.outputs.due(outputs, only_changed=release)
+        self._verification.failed = None
+        if not due:
             self._commit.failed = None
             return
-        if (refusal := self._network.refusal()) is not None:
+        if (refusal := self._network.refusal(lines)) is not None:
             raise Busy(refusal)
-        self._commit.begin(states, due, now, self._clock.at(now))
+        frames = {bus: self._network.frames_of(bus, keys) for bus, keys in due.items()}
+        self._commit.begin(outputs, frames, lambda: self._network.refusal(lines), now, self._clock.at(now))
 
     def question(self, board: int, now: float) -> None:
         """Asks a board for its inputs by SDO; see `questioning`."""
@@ -189,16 +208,16 @@ class Master:
     @property
     def committing(self) -> bool:
         """Whether a commit is under way."""
-        return self._commit.under_way
+        return self._commit.under_way or bool(self._verification.blocking)
 
     @property
     def commit_failed(self) -> str | None:
         """Why the last commit failed, as a sentence; None if it did not. Nothing of it is sent later."""
-        return self._commit.failed
+        return self._commit.failed or self._verification.failed
 
     @property
     def outputs(self) -> int:
-        """States as of the last SYNC that is known to have left, or as read back by `boot`."""
+        """Levels of the output lines as of the last SYNC that is known to have left, or as read back by `boot`."""
         return self._network.outputs.states
 
     @property
@@ -207,24 +226,24 @@ class Master:
         return self._network.all_known and not self._commit.unknown
 
     @property
-    def measured(self) -> int:
-        """States from the end-stops, else from the outputs; 0 where unknown."""
-        return self._network.measured
-
-    @property
     def ends(self) -> int:
         """Levels of the input lines; 0 where unknown."""
-        return self._network.image.ends
+        return self._network.image.ends & self._network.image.up
 
     @property
     def inputs_known(self) -> int:
         """Mask of the input lines whose board is up."""
-        return self._network.image.known
+        return self._network.image.up
 
     @property
     def boots(self) -> tuple[int, ...]:
-        """Boot-up messages heard of each board."""
+        """Boot-up messages heard of each board so far."""
         return tuple(station.board.boots for station in self._network.stations)
+
+    @property
+    def measured(self) -> int:
+        """States of plain actuators from the end-stops, else from the outputs; 0 where unknown."""
+        return self._network.measured
 
     @property
     def known(self) -> int:
@@ -240,13 +259,14 @@ class Master:
         return self._network.log.take()
 
     def take_switched(self) -> list[tuple[int, float]]:
-        """Returns the switches since the last call: a mask of actuators, and when their SYNC was known to have left."""
+        """Returns the switches since the last call: a mask of lines, and when their SYNC was known to have left."""
         switched, self._commit.switched = self._commit.switched, []
         return switched
 
     def warnings(self) -> tuple[Fault, ...]:
-        """Returns a warning for each bus that is error-passive."""
-        return tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
+        """Returns a warning for each bus that is error-passive, and what is to be known of boards."""
+        passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
+        return passive + self._network.warnings()
 
     def status(self) -> Status:
         """Returns state and counters for diagnostics."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from drivers.canopen import cia301
 from drivers.canopen.board import Board, StateImage
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.cia301 import Command, Frame
 from drivers.canopen.faults import Fault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
 from drivers.canopen.link import Link
 from drivers.canopen.load import worst_case
-from drivers.canopen.outputs import Outputs
+from drivers.canopen.outputs import Key, Outputs
 from drivers.canopen.station import Station
 from drivers.canopen.status import Status
 from drivers.canopen.wiring import Timing, Wiring
@@ -36,8 +37,11 @@ class Network:
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
         self.layout: Layout = lay_out(wiring)
-        self.sensed = sum(board.sensed for board in self.layout.boards)
-        self._everything = (1 << len(wiring.channels)) - 1
+        channels = wiring.channels
+        ended = [c.input is not None or c.input_contracted is not None for c in channels]
+        self.sensed = sum(1 << k for k, has in enumerate(ended) if has)
+        self._extended = sum(1 << k for k, c in enumerate(channels) if c.input is not None)
+        self._actuators = (1 << len(channels)) - 1
         self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards miss the master
         self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
@@ -50,7 +54,7 @@ class Network:
     @property
     def all_known(self) -> bool:
         """Whether all boards are up."""
-        return self.image.known == self._everything
+        return all(station.board.ready for station in self.stations)
 
     @property
     def ready(self) -> bool:
@@ -59,18 +63,35 @@ class Network:
 
     @property
     def measured(self) -> int:
-        """States from the end-stops, else from the outputs; 0 where unknown."""
-        return (self.image.ends | self.outputs.states & ~self.sensed) & self.image.known
+        """States of plain actuators: from the end-stop at the extended end, else the output; 0 where unknown."""
+        ends, outputs = self.image.ends & self._extended, self.outputs.states & ~self._extended
+        return (ends | outputs) & self._actuators & self.image.known
 
-    def refusal(self) -> str | None:
-        """Returns why nothing may be switched, or None."""
-        for link in self.links.values():
+    def refusal(self, lines: int | None = None) -> str | None:
+        """Returns why nothing may be switched, or None; of all boards, or of those of some output lines."""
+        stations = [s for s in self.stations if lines is None or s.board.layout.output_lines & lines]
+        buses = self.links if lines is None else {station.board.layout.bus for station in stations}
+        for link in (self.links[bus] for bus in buses):
             if not link.armed:
                 return f"{link.name} is {link.state} or was lost: nothing is sent until its boards are booted"
-        if not self.all_known:
-            name = next(station.board.name for station in self.stations if not station.board.ready)
-            return f"board {name} is not up: nothing is sent until it is booted"
+        for station in stations:
+            if not station.board.ready:
+                return f"board {station.board.name} is not up: nothing is sent until it is booted"
         return None
+
+    def frames_of(self, bus: str, keys: list[Key]) -> list[Key | Frame]:
+        """Returns the frames for boards that are up, after orders for the others to leave operational.
+
+        A SYNC would switch a board that was lost as well, if it is operational and has latched a frame.
+        """
+        lost = {s.index for s in self.stations if s.board.layout.bus == bus and not s.board.ready}
+        orders = [cia301.command(Command.PRE_OPERATIONAL, self.stations[i].board.layout.node) for i in sorted(lost)]
+        return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
+
+    def warnings(self) -> tuple[Fault, ...]:
+        """Returns what is to be known of boards that are up."""
+        boards = [station.board for station in self.stations if station.board.ready]
+        return tuple(Fault("board-limits", board.name, text) for board in boards for text in board.warnings)
 
     def rearm(self) -> dict[str, Fault]:
         """Arms all buses; returns a fault for each that is not usable, by its name."""

@@ -1,4 +1,4 @@
-"""Unsigned numbers in a board's object dictionary, read and written by SDO as parts of a procedure."""
+"""Unsigned numbers in a board's object dictionary, read, compared and written by SDO as parts of a procedure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from drivers.canopen.procedure import BoardError, Step
 from drivers.canopen.sdo import Outcome, Transfer
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
-NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
+NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002
+_ABSENT = (NO_OBJECT, NO_SUB_INDEX)
 
 _WORDS = {
     0x0503_0000: "toggle bit not alternated",
@@ -19,7 +20,7 @@ _WORDS = {
     0x0504_0005: "out of memory",
     0x0601_0000: "unsupported access to an object",
     0x0601_0001: "attempt to read a write only object",
-    0x0601_0002: "attempt to write a read only object",
+    READ_ONLY: "attempt to write a read only object",
     NO_OBJECT: "object does not exist",
     0x0604_0041: "object cannot be mapped to the PDO",
     0x0604_0042: "the mapped objects would exceed the PDO length",
@@ -50,31 +51,66 @@ def abort_words(code: int) -> str:
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A value of one object.
+class Need:
+    """A value that one object must hold.
 
     Attributes:
         index: of the object.
         sub: sub-index.
-        value: unsigned.
+        value: unsigned; bits outside `mask` are 0.
         size: [bytes].
-        optional: CiA 301 or 401 allows boards without this object.
+        what: the object in words, for messages.
+        mask: of the bits that matter; the others are left as they are.
+        required: why the object must be there, as a sentence; None: it need not be.
+        fixed: what a person must do if it holds another value, as a sentence; None: it may be written.
     """
 
     index: int
     sub: int
     value: int
     size: int = 1
-    optional: bool = False
+    what: str = ""
+    mask: int = 0xFFFF_FFFF
+    required: str | None = None
+    fixed: str | None = None
+
+    @property
+    def place(self) -> str:
+        """The object for messages, e.g. "1005h sub 0 (COB-ID of SYNC)"."""
+        return f"{self.index:04X}h sub {self.sub}" + (f" ({self.what})" if self.what else "")
+
+    def words(self, value: int) -> str:
+        """A value of the object for messages."""
+        return f"{value:0{2 * self.size}X}h"
+
+    def met(self, held: int) -> bool:
+        """Whether a value is right."""
+        return held & self.mask == self.value & self.mask
+
+    def corrected(self, held: int) -> int:
+        """The value to be written."""
+        return (held & ~self.mask | self.value & self.mask) & (1 << 8 * self.size) - 1
 
 
-def read(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Outcome, int]:
+def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, Outcome, int]:
     """Reads an unsigned value of `size` bytes; `board` is its name for messages.
 
     Raises:
         BoardError: the board refuses, does not answer, or answers in another size.
     """
+    outcome = yield Transfer(index, sub, fresh=fresh)
+    return number(board, index, sub, size, outcome)
+
+
+def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Outcome, int | None]:
+    """Reads an unsigned value as `read` does; returns None if the board has no such object.
+
+    Raises:
+        BoardError: the board refuses, does not answer, or answers in another size.
+    """
     outcome = yield Transfer(index, sub)
+    if outcome.abort in _ABSENT:
+        return None
     return number(board, index, sub, size, outcome)
 
 
@@ -85,50 +121,63 @@ def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int
         BoardError: the board refused, did not answer, or answered in another size.
     """
     if outcome.abort is not None:
-        raise _refused(board, f"to read {index:04X}h sub {sub}", outcome.abort)
+        text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
+        raise BoardError(Fault("sdo-refused", board, text))
     if outcome.data is None:
-        raise _silent(board, index, sub, outcome)
+        message = f"board {board} does not answer to {index:04X}h sub {sub}: {outcome.silence}"
+        raise BoardError(Fault("board-missing", board, message))
     if len(outcome.data) not in (size, 4):  # some boards send four bytes for any number
         text = f"board {board} answers {len(outcome.data)} bytes to {index:04X}h sub {sub}; {size} are needed"
         raise BoardError(Fault("wrong-device", board, text))
     return int.from_bytes(outcome.data[:size], "little")
 
 
-def write(board: str, entry: Entry) -> Generator[Step, Outcome, None]:
-    """Writes a value; an optional object that is absent is skipped.
+def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | None]:
+    """Writes a value; returns None, or the abort code with which the board refuses.
 
     Raises:
-        BoardError: the board refuses or does not answer.
+        BoardError: the board does not answer.
     """
-    outcome = yield Transfer(entry.index, entry.sub, entry.value.to_bytes(entry.size, "little"))
-    if outcome.abort is not None:
-        if not _absent(entry, outcome.abort):
-            value = f"{entry.value:0{2 * entry.size}X}h"
-            raise _refused(board, f"{value} in {entry.index:04X}h sub {entry.sub}", outcome.abort)
-    elif outcome.data is None:
-        raise _silent(board, entry.index, entry.sub, outcome)
+    outcome = yield Transfer(need.index, need.sub, value.to_bytes(need.size, "little"))
+    if outcome.abort is None and outcome.data is None:
+        message = f"board {board} does not answer to {need.index:04X}h sub {need.sub}: {outcome.silence}"
+        raise BoardError(Fault("board-missing", board, message))
+    return outcome.abort
 
 
-def holds(board: str, entry: Entry) -> Generator[Step, Outcome, bool]:
-    """Returns whether the board has this value; an optional object that is absent counts as right.
+def settle(board: str, need: Need, held: int) -> Generator[Step, Outcome, None]:
+    """Writes what is needed into an object that holds another value, and reads it back.
 
     Raises:
-        BoardError: the board does not answer, or answers in another size.
+        BoardError: the board refuses, does not answer, or holds another value afterwards.
     """
-    outcome = yield Transfer(entry.index, entry.sub)
-    if outcome.abort is not None:
-        return _absent(entry, outcome.abort)
-    return number(board, entry.index, entry.sub, entry.size, outcome) == entry.value
+    value = need.corrected(held)
+    abort = yield from write(board, need, value)
+    if abort is not None:
+        raise refused(board, need, held, abort)
+    kept = yield from read(board, need.index, need.sub, need.size, fresh=True)
+    if not need.met(kept):
+        text = f"board {board} holds {need.words(kept)} in {need.place} after {need.words(value)} was written"
+        raise BoardError(Fault("sdo-refused", board, f"{text}: does another program write to it?"))
 
 
-def _absent(entry: Entry, abort: int) -> bool:
-    return entry.optional and abort in (NO_OBJECT, NO_SUB_INDEX)
+def refused(board: str, need: Need, held: int, abort: int) -> BoardError:
+    """Returns the error of a board that refuses a value."""
+    text = f"board {board} holds {need.words(held)} in {need.place}; {need.words(need.corrected(held))} is needed"
+    return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
 
-def _refused(board: str, what: str, abort: int) -> BoardError:
-    return BoardError(Fault("sdo-refused", board, f"board {board} refuses {what}: {abort_words(abort)}"))
+def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
+    """Reads an object; returns what it holds, None if the board has no such object.
 
-
-def _silent(board: str, index: int, sub: int, outcome: Outcome) -> BoardError:
-    message = f"board {board} does not answer to {index:04X}h sub {sub}: {outcome.silence}"
-    return BoardError(Fault("board-missing", board, message))
+    Raises:
+        BoardError: the object is absent or wrong, and that cannot be mended.
+    """
+    held = yield from find(board, need.index, need.sub, need.size)
+    if held is None and need.required is not None:
+        text = f"board {board} has no {need.place}; {need.words(need.value)} is needed there: {need.required}"
+        raise BoardError(Fault("wrong-device", board, text))
+    if held is not None and need.fixed is not None and not need.met(held):
+        text = f"board {board} holds {need.words(held)} in {need.place}; {need.words(need.corrected(held))} is needed"
+        raise BoardError(Fault("wrong-device", board, f"{text}: {need.fixed}"))
+    return held

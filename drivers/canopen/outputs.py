@@ -1,98 +1,152 @@
-"""Output bytes of all boards: as switched by the last SYNC, and as latched in the boards for the next."""
+"""Output lines of all boards: as switched by the last SYNC, and as latched in the boards for the next."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from drivers.canopen.cia301 import Frame
-from drivers.canopen.layout import BoardLayout, Layout, RpdoFrame
+from drivers.canopen.frames import RpdoFrame, assemble
+from drivers.canopen.layout import Layout
+from drivers.canopen.pdo import Pdo, union
+
+Key = tuple[str, int]  # bus and COB-ID of a frame
 
 
 class Outputs:
-    """The outputs of all boards.
+    """The output lines of all boards.
 
-    The bytes of a frame are one little-endian number. Bits that are no actuator's keep the value that was read back.
+    The bytes of a frame are one little-endian number. Bits that are no line's keep the value that was read back.
 
     Attributes:
-        states: actuator states as of the last SYNC.
+        states: levels of the lines as of the last SYNC.
+        changes: how often the lines of each board have changed, or may have.
     """
 
     def __init__(self, layout: Layout) -> None:
         self.states = 0
-        self._frames = layout.frames
-        self._actuators = sum(frame.actuators for frame in layout.frames)
-        self._image = [0] * len(layout.frames)
+        self.changes = [0] * len(layout.boards)
+        self._boards = layout.boards
+        self._lines = sum(board.output_lines for board in layout.boards)
+        self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
+        self._frames: dict[Key, RpdoFrame] = {}
+        self._image: dict[Key, int] = {}
         # What the boards take over with the next SYNC. None: unknown, so the frame is sent before any SYNC.
-        self._latched: list[int | None] = [None] * len(layout.frames)
-        self._uncertain: set[int] = set()  # frames that may have left: they may switch with the next SYNC
+        self._latched: dict[Key, int | None] = {}
+        self._uncertain: set[Key] = set()  # frames that may have left: they may switch with the next SYNC
+        self._assemble()
 
-    def adopt(self, board: BoardLayout, values: bytes) -> None:
-        """Takes over the output bytes that were read back from a board."""
-        shift = 8 * board.offset
-        mask = (1 << 8 * len(values)) - 1 << shift
-        image = self._image[board.frame] & ~mask | int.from_bytes(values, "little") << shift
-        self._image[board.frame] = image
-        self._latched[board.frame] = None
-        self._uncertain.discard(board.frame)
-        self.states = self.states & ~board.actuators | _states(self._frames[board.frame], image) & board.actuators
+    def adopt(self, i: int, rpdos: tuple[Pdo, ...], values: Mapping[int, int]) -> None:
+        """Takes over the RPDOs of board `i`, and the values that were read back, by mapping entry."""
+        if self._rpdos[i] != rpdos:
+            self._rpdos[i] = rpdos
+            self._assemble()
+        board = self._boards[i]
+        for pdo in rpdos:
+            key, place = (board.bus, pdo.cob_id), 0
+            for entry in pdo.mapping:
+                count = entry & 0xFF
+                if entry in values:
+                    mask = (1 << count) - 1
+                    self._image[key] = self._image[key] & ~(mask << place) | (values[entry] & mask) << place
+                place += count
+            self._latched[key] = None
+            self._uncertain.discard(key)
+            frame = self._frames[key]
+            lines = frame.lines & board.output_lines
+            self.states = self.states & ~lines | _levels(frame, self._image[key]) & lines
+        self.changes[i] += 1
 
-    def due(self, states: int) -> dict[str, list[int]]:
-        """Returns indices of the frames to send before a SYNC, for each bus that needs a SYNC.
+    def due(self, states: int, only_changed: bool = False) -> dict[str, list[Key]]:
+        """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
 
         A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames whose
         latched bytes are unknown or others are sent, for the SYNC switches them as well.
 
+        Args:
+            states: levels of all lines.
+            only_changed: leave out buses on which no output changes.
+
         Raises:
-            ValueError: a bit of `states` is no actuator's.
+            ValueError: a bit of `states` is no line's.
         """
-        if states & ~self._actuators or states < 0:
-            raise ValueError(f"states {states:#x}: there are {self._actuators.bit_count()} actuators")
+        if states & ~self._lines or states < 0:
+            raise ValueError(f"outputs {states:#x}: there are {self._lines.bit_count()} lines")
         buses: set[str] = set()
-        stale: list[int] = []
+        stale: list[Key] = []
         changed = states ^ self.states
-        for i, frame in enumerate(self._frames):
-            image, latched = self._image[i], self._latched[i]
-            wanted = self._wanted(i, states) if changed & frame.actuators else image
-            if wanted != image or latched not in (None, wanted) or i in self._uncertain:
+        for key, frame in self._frames.items():
+            image, latched = self._image[key], self._latched[key]
+            wanted = self._wanted(key, states) if changed & frame.lines else image
+            waits = frame.on_sync and latched not in (None, wanted)
+            if wanted != image or (not only_changed and (waits or key in self._uncertain)):
                 buses.add(frame.bus)
             if wanted != latched:
-                stale.append(i)
-        due: dict[str, list[int]] = {frame.bus: [] for frame in self._frames if frame.bus in buses}
-        for i in stale:
-            if self._frames[i].bus in buses:
-                due[self._frames[i].bus].append(i)
+                stale.append(key)
+        due: dict[str, list[Key]] = {key[0]: [] for key in self._frames if key[0] in buses}
+        for key in stale:
+            if key[0] in buses:
+                due[key[0]].append(key)
         return due
 
-    def frame(self, i: int, states: int) -> Frame:
-        """Returns frame `i` for the states."""
-        frame = self._frames[i]
-        return Frame(frame.cob_id, self._wanted(i, states).to_bytes(frame.size, "little"))
+    def frame(self, key: Key, states: int) -> Frame:
+        """Returns a frame for the states."""
+        return Frame(key[1], self._wanted(key, states).to_bytes(self._frames[key].size, "little"))
 
-    def sending(self, i: int) -> None:
-        """Notes that frame `i` is on its way: what is latched is unknown until `sent`."""
-        self._latched[i] = None
-        self._uncertain.add(i)
+    def takers(self, key: Key) -> frozenset[int]:
+        """Returns the indices of the boards that take a frame."""
+        return self._frames[key].boards
 
-    def sent(self, i: int, frame: Frame) -> None:
-        """Notes that frame `i` has left."""
-        self._latched[i] = int.from_bytes(frame.data, "little")
-        self._uncertain.discard(i)
+    def sends(self, bus: str, cob_id: int) -> bool:
+        """Returns whether a frame is an RPDO of the master."""
+        return (bus, cob_id) in self._frames
+
+    def sending(self, key: Key) -> None:
+        """Notes that a frame is on its way: what is latched is unknown until `sent`."""
+        self._latched[key] = None
+        self._uncertain.add(key)
+        self._changed(self._frames[key].boards)
+
+    def sent(self, key: Key, frame: Frame, states: int) -> int:
+        """Notes that a frame for the states has left; returns the mask of the lines that it switched without SYNC."""
+        self._latched[key] = int.from_bytes(frame.data, "little")
+        self._uncertain.discard(key)
+        return 0 if self._frames[key].on_sync else self._switch(key, states)
 
     def switched(self, bus: str, states: int) -> int:
-        """Notes that the SYNC of a bus has left; returns the mask of the actuators that it switched."""
-        before = self.states
-        for i, frame in enumerate(self._frames):
-            if frame.bus == bus:
-                self._image[i] = self._wanted(i, states)
-                self.states = self.states & ~frame.actuators | states & frame.actuators
-        return before ^ self.states
+        """Notes that the SYNC of a bus has left; returns the mask of the lines that it switched."""
+        return union(self._switch(key, states) for key, frame in self._frames.items() if frame.bus == bus)
 
-    def _wanted(self, i: int, states: int) -> int:
-        """The bytes of frame `i` for the states."""
-        frame = self._frames[i]
-        image = self._image[i] & ~frame.used
-        for actuator, mask, place in frame.runs:
-            image |= (states >> actuator & mask) << place
-        return image
+    def bits(self, i: int) -> int:
+        """Returns what the used output bits of board `i` should be."""
+        return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
+
+    def _switch(self, key: Key, states: int) -> int:
+        frame, before = self._frames[key], self.states
+        self._image[key] = self._wanted(key, states)
+        self.states = before & ~frame.lines | states & frame.lines
+        if switched := before ^ self.states:
+            self._changed(frame.boards)
+        return switched
+
+    def _changed(self, boards: frozenset[int]) -> None:
+        for i in boards:
+            self.changes[i] += 1
+
+    def _assemble(self) -> None:
+        frames = assemble(self._boards, self._rpdos)
+        self._frames = {(frame.bus, frame.cob_id): frame for frame in frames}
+        self._image = {key: self._image.get(key, 0) for key in self._frames}
+        self._latched = {key: self._latched.get(key) for key in self._frames}
+        self._uncertain &= set(self._frames)
+
+    def _wanted(self, key: Key, states: int) -> int:
+        """The bytes of a frame for the states."""
+        frame = self._frames[key]
+        levels = 0
+        for line, mask, place in frame.runs:
+            levels |= (states >> line & mask) << place
+        return self._image[key] & ~frame.used | levels ^ frame.inverted
 
 
-def _states(frame: RpdoFrame, image: int) -> int:
-    return sum(bit.actuator for bit in frame.bits if image & bit.place)
+def _levels(frame: RpdoFrame, image: int) -> int:
+    return union(bit.line for bit in frame.bits if bool(image & bit.place) != bit.inverted)

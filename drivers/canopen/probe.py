@@ -1,4 +1,4 @@
-"""Asks each board of a wiring what it is, and changes nothing on it."""
+"""Asks each board of a wiring what it is and holds, as the boot does, and changes nothing on it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from drivers.canopen import cia301, objects
+from drivers.canopen import cia301, inspection, objects
+from drivers.canopen.boot import find
 from drivers.canopen.bus import CanBus
 from drivers.canopen.cia301 import Frame
-from drivers.canopen.device_type import check_type
 from drivers.canopen.events import Changed, Echoed, Event, Received
 from drivers.canopen.faults import Fault
+from drivers.canopen.inspection import Inspection, Reading
 from drivers.canopen.layout import BoardLayout, lay_out
 from drivers.canopen.link import Link
-from drivers.canopen.procedure import Procedure, Runner
-from drivers.canopen.wiring import Wiring
+from drivers.canopen.objects import Need
+from drivers.canopen.pdo import Pdo
+from drivers.canopen.pdo_setup import Held, pdo_words, usable
+from drivers.canopen.procedure import BoardError, Procedure, Runner
+from drivers.canopen.wiring import Timing, Wiring
 
 _POLL = 0.001  # [s] between two looks at the buses
 _STUCK_AFTER = 0.5  # [s]
+_PATIENCE = 1.0  # [s] for the first answer of a board
+_MOST_CHANGES = 4  # that are told in full
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,8 @@ class Answer:
 
     Attributes:
         board: its name, e.g. "can0/5".
-        ok: whether it is a CiA 401 board with the wired outputs and inputs, and reports no error.
-        text: its answer, or what is wrong, in words.
+        ok: whether it can be booted, and reports no error.
+        text: what it is, what the boot will write and what is to be known; or what is wrong.
     """
 
     board: str
@@ -41,10 +47,12 @@ class Probe:
 
     Args:
         wiring: buses and boards.
+        timing: of heartbeats.
         send: hands out a frame for a bus, by its name; must not call the probe.
     """
 
-    def __init__(self, wiring: Wiring, send: Callable[[str, Frame], None]) -> None:
+    def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
+        self._timing, self._error_state = timing, wiring.error_state
         self._links = {bus.name: Link(bus, send, _STUCK_AFTER) for bus in wiring.buses}
         self._boards = lay_out(wiring).boards
         self._runners = {(b.bus, b.node): Runner(b.node, self._links[b.bus]) for b in self._boards}
@@ -93,11 +101,29 @@ class Probe:
             runner.tick(now)
 
     def _ask(self, board: BoardLayout) -> Procedure:
-        kind = yield from objects.read(board.name, 0x1000, 0, size=4)
-        check_type(board, kind)
-        register = yield from objects.read(board.name, 0x1001, 0)
-        text = f"device type {kind:08X}h, error register {register:02X}h"
-        self._answers[board.name] = Answer(board.name, register == 0, text)
+        kind = yield from find(board, _PATIENCE, None)
+        it = Inspection(board)
+        yield from inspection.inspect(it, kind, self._timing, self._error_state)
+        yield from inspection.read_pdos(it, in_full=True)
+        unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
+        changes = [f"{n.place} {n.words(it.held[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
+        for need in unmet:
+            yield from _try(it, need)
+        for wanted, held in it.rpdos + it.tpdos:
+            if not held.fits(wanted):
+                yield from _try_mapping(it, wanted, held)
+                changes.append(
+                    f"{held.parameters:04X}h and {held.parameters + 0x200:04X}h ({pdo_words(held.parameters)})"
+                )
+        register, errors, lost = yield from inspection.read_errors(it, None)
+        text = f"device type {kind:08X}h, "
+        text += errors or "error register 00h"
+        if changes:
+            text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
+            text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
+        for warning in it.warnings:
+            text += f"; {warning}"
+        self._answers[board.name] = Answer(board.name, not register or lost, text)
 
     def _note(self, board: BoardLayout) -> Callable[[Fault | None, float], None]:
         def ended(fault: Fault | None, now: float) -> None:
@@ -114,7 +140,29 @@ class Probe:
                 self._answers[board.name] = Answer(board.name, False, text)
 
 
-def probe(wiring: Wiring, open_bus: Callable[..., CanBus] = CanBus) -> tuple[Answer, ...]:
+def _try(it: Inspection, need: Need) -> Reading:
+    """Refuses an object that cannot be written: a write of what it holds changes nothing, and shows it."""
+    held = it.held[need.index, need.sub]
+    if (abort := (yield from objects.write(it.name, need, held))) == objects.READ_ONLY:
+        raise objects.refused(it.name, need, held, abort)
+
+
+def _try_mapping(it: Inspection, wanted: Pdo, held: Held) -> Reading:
+    """Refuses a mapping that does not carry what is needed and cannot be written."""
+    base = 0x200 if wanted.parameters < 0x1800 else 0x180
+    enabled = held._replace(cob_id=base + it.layout.node, kind=255, timer=None)
+    why = usable(it.layout, wanted, enabled)
+    if it.layout.shared and wanted.parameters < 0x1800 and held.mapping != wanted.mapping:
+        why = f"{pdo_words(wanted.parameters)} cannot be shared with other boards as the arm's file says (shared_rpdo)"
+    if why is None:
+        return
+    need = Need(held.parameters + 0x200, 0, held.entries)
+    if (abort := (yield from objects.write(it.name, need, held.entries))) == objects.READ_ONLY:
+        text = f"board {it.name}: {why}; it refuses to be mapped anew: {objects.abort_words(abort)}"
+        raise BoardError(Fault("sdo-refused", it.name, text))
+
+
+def probe(wiring: Wiring, timing: Timing, open_bus: Callable[..., CanBus] = CanBus) -> tuple[Answer, ...]:
     """Asks all boards, and blocks until they have answered or are given up.
 
     Raises:
@@ -124,15 +172,15 @@ def probe(wiring: Wiring, open_bus: Callable[..., CanBus] = CanBus) -> tuple[Ans
     try:
         for bus in buses.values():
             bus.open()
-        return _run(wiring, list(buses.values()))
+        return _run(wiring, timing, list(buses.values()))
     finally:
         for bus in buses.values():
             bus.close()
 
 
-def _run(wiring: Wiring, buses: Sequence[CanBus]) -> tuple[Answer, ...]:
+def _run(wiring: Wiring, timing: Timing, buses: Sequence[CanBus]) -> tuple[Answer, ...]:
     outbox: list[tuple[str, Frame]] = []
-    asking = Probe(wiring, lambda bus, frame: outbox.append((bus, frame)))
+    asking = Probe(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
     by_name = {bus.name: bus for bus in buses}
 
     def flush(now: float) -> None:

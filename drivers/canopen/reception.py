@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Fault
-from drivers.canopen.layout import RpdoFrame
 from drivers.canopen.network import Network
+from drivers.canopen.outputs import Outputs
 from drivers.canopen.station import Station
 from drivers.canopen.wiring import MASTER
 
 
 def receptions(network: Network, rebooted: Callable[[Station, float], None]) -> dict[str, Reception]:
     """Returns a reception for each bus, by its name; `rebooted` is called with a board that has started anew."""
-    frames, stations, report = network.layout.frames, network.stations, network.log.report
-    return {bus: Reception(bus, frames, stations, rebooted, report) for bus in network.links}
+    outputs, stations, report = network.outputs, network.stations, network.log.report
+    return {bus: Reception(bus, outputs, stations, rebooted, report) for bus in network.links}
 
 
 class Reception:
@@ -24,7 +24,7 @@ class Reception:
 
     Args:
         bus: its name.
-        frames: RPDO frames of the master, on all buses.
+        outputs: know the RPDO frames of the master.
         stations: boards of all buses.
         rebooted: called with a board that has started anew.
         report: takes faults.
@@ -33,7 +33,7 @@ class Reception:
     def __init__(
         self,
         bus: str,
-        frames: Sequence[RpdoFrame],
+        outputs: Outputs,
         stations: Iterable[Station],
         rebooted: Callable[[Station, float], None],
         report: Callable[[Fault], None],
@@ -41,19 +41,20 @@ class Reception:
         self._bus, self._rebooted, self._report = bus, rebooted, report
         self.stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
         self._masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
-        self._masters |= {frame.cob_id: "an RPDO" for frame in frames if frame.bus == bus}
+        self._outputs = outputs
 
     def receive(self, frame: Frame, now: float) -> bool:
         """Takes a frame of another node; returns whether it had a meaning."""
         cob_id, data = frame
-        if (what := self._masters.get(cob_id)) is not None:
+        what = self._masters.get(cob_id) or ("an RPDO" if self._outputs.sends(self._bus, cob_id) else None)
+        if what is not None:
             text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
             self._report(Fault("foreign-master", self._bus, f"{text} the boards"))
             return True
         if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
             return False
         function, board, boots = cob_id & 0x780, station.board, station.board.boots
-        understood = board.receive(function, data, now)
+        understood = board.receive(cob_id, data, now)
         if function == cia301.SDO_ANSWER and understood:
             station.runner.receive_sdo(data, now)
         if board.boots != boots:

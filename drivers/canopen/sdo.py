@@ -11,6 +11,8 @@ from drivers.canopen.cia301 import Frame
 from drivers.canopen.link import Link, Outgoing
 
 TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
+_PATIENCE, _LONGEST = 2.5, 3.0  # the time-out of a slow board: so many times its longest answer, at most so long [s]
+_LATE = 4.0  # [s] for which an answer to an earlier request may still come
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
 _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 
@@ -23,8 +25,9 @@ class Transfer:
         index: of the object.
         sub: sub-index.
         data: to write, 1..4 bytes; None to read.
-        timeout: of one attempt [s].
+        timeout: of one attempt [s]; longer with a board that was slower before.
         tries: attempts.
+        fresh: a late answer to an earlier reading does not count.
     """
 
     index: int
@@ -32,6 +35,7 @@ class Transfer:
     data: bytes | None = None
     timeout: float = TIMEOUT
     tries: int = TRIES
+    fresh: bool = False
 
 
 class Outcome(NamedTuple):
@@ -51,7 +55,9 @@ class Outcome(NamedTuple):
 class SdoClient:
     """Reads and writes objects of one board.
 
-    Answers are matched with the request by index and sub-index; late answers to another object are dropped.
+    Answers are matched with the request by index and sub-index; late answers to another object are dropped. A request
+    that was repeated may be answered twice: such a late answer must not pass for the answer to a later write of the
+    same object, or to a later reading of what was written.
 
     Attributes:
         outcome: of the last transfer; None while it is under way.
@@ -67,12 +73,20 @@ class SdoClient:
         self._outgoing: Outgoing | None = None
         self._segments: bytes | None = None  # received so far; None outside a segmented answer
         self._expected = 0  # segments received
+        self._asked = 0  # requests of this transfer
+        self._asked_at = 0.0  # the first of them
+        self._slowest = 0.0  # longest time that an answer took [s]
+        self._owed: dict[bytes, tuple[int, float]] = {}  # answers that may come late, by object, and until when
+        self._skip = 0  # late answers to be passed over
 
     def begin(self, transfer: Transfer, now: float) -> None:
         """Begins a transfer; one under way is given up."""
         self.cancel()
         self._transfer, self._tries = transfer, transfer.tries
         self._multiplexer = struct.pack("<HB", transfer.index, transfer.sub)
+        self._asked = 0
+        owed, until = self._owed.get(self._multiplexer, (0, 0.0))
+        self._skip = owed if now < until and (transfer.data is not None or transfer.fresh) else 0
         self._request(now)
 
     def cancel(self) -> None:
@@ -85,6 +99,7 @@ class SdoClient:
         """Takes a frame of 8 bytes from the board's SDO server."""
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
+            self._take_late(data[1:4])
             return
         kind = data[0] & 0xE0
         if self._segments is not None and kind == 0x00:
@@ -92,8 +107,16 @@ class SdoClient:
             self._take_segment(data, now)
             return
         if data[1:4] != self._multiplexer:
+            self._take_late(data[1:4])
+            return
+        if self._skip > 0:
+            self._skip -= 1
+            self._take_late(data[1:4])
             return
         self._link.answered(outgoing, now)
+        self._slowest = max(self._slowest, now - (self._asked_at if self._asked > 1 else outgoing.first_at))
+        if self._asked > 1:
+            self._owe(self._asked - 1, now)
         if kind == 0x80:
             self._end(Outcome(abort=int.from_bytes(data[4:], "little")))
         elif self._segments is not None:
@@ -112,7 +135,7 @@ class SdoClient:
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
             return
-        if now - outgoing.first_at < transfer.timeout:
+        if now - outgoing.first_at < max(transfer.timeout, min(_PATIENCE * self._slowest, _LONGEST)):
             return
         outgoing.cancelled = True
         if self._segments is not None:
@@ -121,16 +144,33 @@ class SdoClient:
         if self._tries > 0:
             self._request(now)
         else:
+            self._owe(self._asked, now)
             self._end(Outcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
 
     def _request(self, now: float) -> None:
         assert self._transfer is not None
         data, self._segments = self._transfer.data, None
+        if not self._asked:
+            self._asked_at = now
+        self._asked += 1
         if data is None:
             self._send(b"\x40" + self._multiplexer + bytes(4), now)
         else:
             kind = 0x23 | (4 - len(data)) << 2
             self._send(bytes((kind,)) + self._multiplexer + data.ljust(4, b"\0"), now)
+
+    def _owe(self, answers: int, now: float) -> None:
+        """Notes answers that may still come."""
+        owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
+        self._owed[self._multiplexer] = owed + answers, now + _LATE
+
+    def _take_late(self, multiplexer: bytes) -> None:
+        """Takes a late answer to another object, or to an earlier request."""
+        if (owed := self._owed.get(multiplexer)) is not None:
+            if owed[0] > 1:
+                self._owed[multiplexer] = owed[0] - 1, owed[1]
+            else:
+                del self._owed[multiplexer]
 
     def _take_segment(self, data: bytes, now: float) -> None:
         assert self._segments is not None

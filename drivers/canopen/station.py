@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from drivers.canopen.board import Board
 from drivers.canopen.link import Link
+from drivers.canopen.pdo import subs_of
 from drivers.canopen.procedure import Procedure, Runner
 from drivers.canopen.sdo import Transfer
 
@@ -52,8 +53,8 @@ class Station:
 
 def _ask_inputs(board: Board) -> Procedure:
     before = board.input_frames
-    for sub in board.layout.inputs:
-        outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE, tries=2)
+    for sub in subs_of(board.layout.input_bits):
+        outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE, tries=2, fresh=True)
         if outcome.data and board.input_frames == before:  # otherwise a TPDO brought newer ones
             board.set_input(sub, outcome.data[0])
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Command, State
+from drivers.canopen.frames import assemble
 from drivers.canopen.layout import lay_out
 from drivers.canopen.wiring import Wiring
 from drivers.simulation.simulation import Simulation
@@ -33,6 +34,8 @@ class Motions:
 
     def __init__(self, wiring: Wiring, listener: can.BusABC, outputs: Sequence[int] = ()) -> None:
         self._listener, self._layout = listener, lay_out(wiring)
+        boards = self._layout.boards
+        self._frames = assemble(boards, {k: board.rpdos for k, board in enumerate(boards)})
         count = len(wiring.channels)
         self.outputs = np.array(outputs or [0] * count, dtype=np.uint8)
         self.switched, self.fell = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
@@ -124,13 +127,11 @@ class Motions:
 
     def _latch(self, cob_id: int, data: bytes) -> None:
         number = int.from_bytes(data, "little")
-        for frame in self._layout.frames:
-            if frame.cob_id != cob_id:
-                continue
-            for k, board in enumerate(self._layout.boards):
-                if board.rpdo.cob_id == cob_id and self._operational[k]:
-                    bits = [bit for bit in frame.bits if bit.actuator & board.actuators]
-                    self._latched[k] = {bit.actuator.bit_length() - 1: int(number & bit.place > 0) for bit in bits}
+        for frame in self._frames:
+            for k in frame.boards if frame.cob_id == cob_id else ():
+                if self._operational[k]:
+                    bits = [bit for bit in frame.bits if bit.line & self._layout.boards[k].output_lines]
+                    self._latched[k] = {bit.line.bit_length() - 1: int(number & bit.place > 0) for bit in bits}
 
     def _sync(self, stamp: float) -> None:
         self.syncs.append(stamp)

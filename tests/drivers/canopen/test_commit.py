@@ -116,7 +116,7 @@ def test_a_commit_before_boot_is_refused():
 
 @pytest.mark.parametrize("states", [-1, 4])
 def test_wrong_states_are_refused(states):
-    with pytest.raises(ValueError, match="2 actuators"):
+    with pytest.raises(ValueError, match="2 lines"):
         World().up().master.commit(states, 0.06)
 
 

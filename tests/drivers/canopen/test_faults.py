@@ -39,8 +39,7 @@ def test_a_lost_board_is_asked_whether_it_is_back():
     world.run(1)
     assert not world.master.back
     board.silent = False
-    board.objects.put(0x1017, 0, 0)
-    board._next_heartbeat = None  # it came back with no heartbeat of its own
+    board.objects.set_data(0x1017, 0, bytes(2))  # it came back with no heartbeat of its own
     world.master.probe_silent(world.now)
     world.flush()
     world.run(0.1)
@@ -124,7 +123,7 @@ def test_a_board_that_another_master_stops_is_reported():
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x205, 0x77F])
 def test_another_master_is_reported(cob_id):
     world = World().up()
-    world.say(cob_id, b"\x00")
+    world.say(cob_id, b"\x00" * (cob_id != 0x080))
     world.run(0.01)
     assert world.codes() == ["foreign-master"]
     assert world.faults[0].source == "can0"
@@ -276,7 +275,7 @@ def test_a_question_reads_inputs_whose_tpdo_was_lost():
     world.flush()
     world.until(lambda: not world.master.questioning(0))
     assert world.measured() == [1, 0]
-    assert world.frames() == [(0x605, "40 00 60 01 00 00 00 00"), (0x585, "4f 00 60 01 01 00 00 00")]
+    assert world.frames(sdo=True) == [(0x605, "40 00 60 01 00 00 00 00"), (0x585, "4f 00 60 01 01 00 00 00")]
 
 
 def test_a_question_that_is_not_answered_times_out():
@@ -295,7 +294,8 @@ def test_a_second_question_is_asked_after_the_first():
     world.flush()
     world.until(lambda: not world.master.questioning(0))
     world.run(0.01)
-    assert [cob_id for cob_id, _ in world.frames()] == [0x605, 0x585] * 2
+    asked = [cob_id for cob_id, data in world.frames(sdo=True) if data[3:11] == "00 60 01"]
+    assert asked == [0x605, 0x585] * 2
 
 
 def test_status_counts_frames_and_load():

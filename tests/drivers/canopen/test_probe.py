@@ -8,7 +8,7 @@ from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Changed, Echoed, Received
 from drivers.canopen.faults import BusError
 from drivers.canopen.probe import Answer, Probe, probe
-from drivers.canopen.wiring import BusSettings, Channel, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
@@ -17,7 +17,7 @@ class Asking:
 
     def __init__(self, world: World) -> None:
         self.outbox: list[tuple[str, Frame]] = world._outbox
-        self.probe = Probe(world.wiring, lambda bus, frame: self.outbox.append((bus, frame)))
+        self.probe = Probe(world.wiring, world.timing, lambda bus, frame: self.outbox.append((bus, frame)))
 
     def receive(self, bus, frame, now):
         self.probe.take(Received(bus, frame), now)
@@ -52,19 +52,23 @@ def asked(world: World, lose: str | None = None) -> tuple[Answer, ...]:
 def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     world = World(two_boards())
     world.boards["can0", 9].objects.put(0x1000, 0, 0x00020191)
-    good, wrong = asked(world)
-    assert good == Answer("can0/5", True, "device type 00030191h, error register 00h")
-    assert (wrong.board, wrong.ok) == ("can0/9", False)
-    assert "00020191h" in wrong.text
-    requests = [data for cob_id, data in world.frames() if cob_id < 0x580 or 0x600 < cob_id < 0x680]
-    assert requests
-    assert all(data.startswith("40") for data in requests)  # SDO uploads only
+    fresh = World(two_boards()).boards["can0", 5].objects
+    good, other = asked(world)
+    assert (good.board, good.ok) == ("can0/5", True)
+    assert good.text.startswith("device type 00030191h, error register 00h; to be written: 1016h sub 1 (heartbeat of")
+    assert (other.board, other.ok) == ("can0/9", True)
+    assert "1000h sub 0 holds 00020191h, without the bit of digital inputs" in other.text
+    held = world.boards["can0", 5].objects
+    assert all(held.number(*place) == fresh.number(*place) for place in held._values)
+    assert not any(cob_id < 0x580 for cob_id, _ in world.frames())
 
 
 def test_an_error_register_is_told():
     world = World()
     world.boards["can0", 5].objects.put(0x1001, 0, 0x81)
-    assert asked(world) == (Answer("can0/5", False, "device type 00030191h, error register 81h"),)
+    [answer] = asked(world)
+    assert not answer.ok
+    assert "error register 1001h sub 0 holds 81h; 00h is needed" in answer.text
 
 
 def test_silent_boards_are_asked_in_parallel():
@@ -73,7 +77,7 @@ def test_silent_boards_are_asked_in_parallel():
         board.silent = True
     answers = asked(world)
     assert not any(answer.ok for answer in answers)
-    assert "can0/1 does not answer" in answers[0].text
+    assert "can0/1 neither booted nor answered" in answers[0].text
     assert world.now < 2
 
 
@@ -86,10 +90,10 @@ def test_boards_of_a_lost_bus_do_not_answer():
 def test_a_bus_that_cannot_be_opened_is_told():
     bus = BusSettings("can0", "socketcan", "no-such-interface")
     with pytest.raises(BusError, match="no-such-interface"):
-        probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)))
+        probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
 
 
 def test_a_bus_with_nobody_on_it():
     bus = BusSettings("can0", "virtual", "test_probe")
-    [answer] = probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)))
-    assert "can0/5 does not answer" in answer.text
+    [answer] = probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
+    assert "can0/5 neither booted nor answered" in answer.text

@@ -8,7 +8,7 @@ from drivers.canopen import objects
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Fault
 from drivers.canopen.link import Link
-from drivers.canopen.objects import Entry
+from drivers.canopen.objects import Need
 from drivers.canopen.procedure import Runner
 from drivers.canopen.wiring import BusSettings
 
@@ -75,17 +75,21 @@ def test_late_answers_to_another_object_are_dropped():
 
 
 def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another_no_confirmation():
-    entry = Entry(0x1017, 0, 600, size=2)
-    fault = Line(*[[ABORT_OF_OTHER]] * 3).run(objects.write("can0/5", entry))
+    need = Need(0x1017, 0, 600, 2, "period of its heartbeat")
+    fault = Line(*[[ABORT_OF_OTHER]] * 3).run(objects.settle("can0/5", need, 0))
     assert fault.code == "board-missing"
-    fault = Line([b"\x60\x16\x10\x01\0\0\0\0", b"\x80\x17\x10\x00\x30\x00\x09\x06"]).run(objects.write("can0/5", entry))
+    fault = Line([b"\x60\x16\x10\x01\0\0\0\0", b"\x80\x17\x10\x00\x30\x00\x09\x06"]).run(
+        objects.settle("can0/5", need, 0)
+    )
     assert fault.code == "sdo-refused"
-    assert fault.message == "board can0/5 refuses 0258h in 1017h sub 0: value out of range (abort 06090030h)"
+    assert fault.message == (
+        "board can0/5 holds 0000h in 1017h sub 0 (period of its heartbeat); 0258h is needed, which it refuses:"
+        " value out of range (abort 06090030h)"
+    )
 
 
 def test_an_answer_to_a_read_is_none_to_a_write():
-    entry = Entry(0x6200, 1, 7)
-    fault = Line(*[[OTHER]] * 3).run(objects.write("can0/5", entry))
+    fault = Line(*[[OTHER]] * 3).run(objects.write("can0/5", Need(0x6200, 1, 7), 7))
     assert fault.code == "board-missing"
 
 
@@ -106,11 +110,47 @@ def test_gives_up_if_the_bus_takes_no_frame():
 
 
 @pytest.mark.parametrize("absent", [0x06020000, 0x06090011])
-def test_an_absent_optional_object_counts_as_written_and_as_right(absent):
-    abort = b"\x80\x06\x10\x00" + absent.to_bytes(4, "little")
-    entry = Entry(0x1006, 0, 0, size=4, optional=True)
-    assert Line([abort]).run(objects.write("can0/5", entry)) is None
-    assert Line([abort]).run(objects.holds("can0/5", entry)) is True
+def test_an_absent_object_is_none_and_told_if_it_is_required(absent):
+    abort = b"\x80\x29\x10\x01" + absent.to_bytes(4, "little")
+    assert Line([abort]).run(objects.check("can0/5", Need(0x1029, 1, 2))) is None
+    fault = Line([abort]).run(
+        objects.check("can0/5", Need(0x1029, 1, 2, 1, "error behaviour", required="it must stop"))
+    )
+    assert fault.code == "wrong-device"
+    assert fault.message == "board can0/5 has no 1029h sub 1 (error behaviour); 02h is needed there: it must stop"
+
+
+def test_what_was_written_is_read_back():
+    need = Need(0x6206, 1, 0x01, 1, "error mode", mask=0x03)
+    line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfd\0\0\0"])
+    assert line.run(objects.settle("can0/5", need, 0xFE)) is None
+    assert line.requests == ["2f 06 62 01 fd 00 00 00", "40 06 62 01 00 00 00 00"]
+    line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfe\0\0\0"])
+    fault = line.run(objects.settle("can0/5", need, 0xFE))
+    assert "holds FEh in 6206h sub 1 (error mode) after FDh was written" in fault.message
+
+
+def test_a_late_confirmation_of_a_repeated_write_does_not_hide_a_refusal():
+    """The first write was answered late: the second answer to it comes while the next value is written."""
+    need = Need(0x1600, 0, 1)
+    confirmed, refused = b"\x60\x00\x16\x00\0\0\0\0", b"\x80\x00\x16\x00\x30\x00\x09\x06"
+    line = Line([], [confirmed], [confirmed, refused])
+
+    def steps():
+        first = yield from objects.write("can0/5", need, 0)
+        second = yield from objects.write("can0/5", need, 1)
+        return first, second
+
+    assert line.run(steps()) == (None, 0x06090030)
+
+
+def test_a_slow_board_is_given_more_time():
+    slow = [[TYPE]]
+    line = Line([], *slow, [], [b"\x4f\x00\x62\x01\x07\0\0\0"])
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191  # after more than 0.5 s
+    begun = line.now
+    assert line.run(objects.read("can0/5", 0x6200, 1)) == 7
+    assert line.now - begun > 1.2
 
 
 def test_a_value_without_its_size_is_cut():

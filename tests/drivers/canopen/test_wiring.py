@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.canopen.frames import assemble
 from drivers.canopen.layout import lay_out
+from drivers.canopen.pdo import Bit, Pdo, carries
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 
 CAN0 = BusSettings("can0", "virtual", "x")
@@ -49,17 +51,44 @@ def test_the_layout_follows_the_wiring_not_its_order():
     layout = lay_out(Wiring((CAN0,), channels))
     left, right = layout.boards
     assert [b.name for b in layout.boards] == ["can0/2", "can0/9"]
-    assert (left.outputs, left.inputs, left.tpdo, left.actuators, left.sensed) == ((1,), (), None, 0b010, 0)
-    assert (right.outputs, right.inputs, right.actuators, right.sensed) == ((1, 2), (1, 6), 0b101, 0b101)
-    assert right.ends == ((0b001, 1 << 3), (0b100, 1 << 8))
-    assert right.rpdo == (0x1400, 0x209, (0x62000108, 0x62000208))
-    assert right.tpdo == (0x1800, 0x189, (0x60000108, 0x60000608))
-    assert layout.frames[1].bits == ((0b001, 1 << 12), (0b100, 1 << 1))
+    assert (left.outputs, left.inputs, left.tpdos) == ((Bit(0b010, 1, False),), (), ())
+    assert (left.actuators, left.sensed) == (0b010, 0)
+    assert right.outputs == (Bit(0b001, 1 << 12, False), Bit(0b100, 1 << 1, False))
+    assert right.inputs == (Bit(0b001, 1 << 3, False), Bit(0b100, 1 << 40, False))
+    assert (right.actuators, right.sensed) == (0b101, 0b101)
+    assert right.rpdos == (Pdo(0x1400, 0x209, (0x62000108, 0x62000208)),)
+    assert right.tpdos == (Pdo(0x1800, 0x189, (0x60000108, 0x60000608)),)
+    assert assemble(layout.boards, {1: right.rpdos})[0].bits == right.outputs
     assert layout.board_of == (1, 0, 1)
 
 
-def test_neighbouring_actuators_are_copied_at_once():
+def test_neighbouring_lines_are_copied_at_once():
     outputs = (0, 1, 2, 12, 13, 3)
     channels = tuple(Channel(f"{k}", "can0", 2, output, None) for k, output in enumerate(outputs))
-    [frame] = lay_out(Wiring((CAN0,), channels)).frames
+    [board] = lay_out(Wiring((CAN0,), channels)).boards
+    [frame] = assemble([board], {0: board.rpdos})
     assert frame.runs == ((0, 0b111, 0), (3, 0b11, 12), (5, 0b1, 3))
+
+
+def test_outputs_beyond_the_first_64_are_in_further_pdos():
+    channels = tuple(Channel(f"{k}", "can0", 2, k, k) for k in range(0, 140, 4))
+    [board] = lay_out(Wiring((CAN0,), channels)).boards
+    assert [(pdo.parameters, pdo.cob_id, len(pdo.mapping)) for pdo in board.rpdos] == [
+        (0x1400, 0x202, 8),
+        (0x1401, 0x302, 8),
+        (0x1402, 0x402, 2),
+    ]
+    assert [pdo.cob_id for pdo in board.tpdos] == [0x182, 0x282, 0x382]
+    frames = assemble([board], {0: board.rpdos})
+    assert sum(frame.lines for frame in frames) == (1 << 35) - 1
+
+
+def test_more_outputs_than_four_pdos_carry_are_refused():
+    channels = tuple(Channel(f"{k}", "can0", 2, 8 * k, None) for k in range(33))
+    with pytest.raises(ValueError, match="can0/2: its outputs are in 33 bytes; 32 fit in four PDOs"):
+        lay_out(Wiring((CAN0,), channels))
+
+
+def test_mappings_of_bits_words_and_double_words_carry_the_same_outputs():
+    assert carries((0x62200101, 0x62200301, 0x00050008, 0x63000210), 0x6200) == [(0, 0, 1), (2, 1, 1), (16, 10, 16)]
+    assert carries((0x22010108, 0x62000108), 0x2201) == [(0, 0, 8)]

@@ -67,9 +67,11 @@ class SimulatedBus:
         self.busy = False
         self.log.append(frame)
         world = self.world
-        for board in world.boards_of(self.name):
-            if board is not sender:
-                world.hear(self.name, board, frame)
+        function = frame.id & 0x780
+        if function != cia301.SDO_ANSWER and (function != cia301.HEARTBEAT or sender is MASTER):  # for boards
+            for board in world.boards_of(self.name):
+                if board is not sender:
+                    world.hear(self.name, board, frame)
         if sender is not MASTER:
             world.master.receive(self.name, frame, world.now)
         elif self.echo:
@@ -218,10 +220,11 @@ class World:
         while not taken():
             self.run(TICK)
 
-    def frames(self, bus: str = "can0") -> list[tuple[int, str]]:
-        """COB-ID and data of the frames since the last call, without heartbeats."""
+    def frames(self, bus: str = "can0", sdo: bool = False) -> list[tuple[int, str]]:
+        """COB-ID and data of the frames since the last call, without heartbeats, and without SDO unless asked."""
         log, self.buses[bus].log = self.buses[bus].log, []
-        return [(frame.id, frame.data.hex(" ")) for frame in log if frame.id & 0x780 != cia301.HEARTBEAT]
+        left_out = (cia301.HEARTBEAT,) if sdo else (cia301.HEARTBEAT, cia301.SDO_REQUEST, cia301.SDO_ANSWER)
+        return [(frame.id, frame.data.hex(" ")) for frame in log if frame.id & 0x780 not in left_out]
 
     def codes(self) -> list[str]:
         return [fault.code for fault in self.faults]
@@ -261,7 +264,7 @@ class World:
 
         def step() -> None:
             if board.timer <= self.now + 1e-9:
-                board.step(self.now)
+                board.step(max(self.now, board.timer))  # sums of times may fall short of the timer by rounding
                 self._schedule(board)
 
         self.after(max(timer - self.now, 0.0), step)

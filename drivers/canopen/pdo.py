@@ -1,0 +1,86 @@
+"""PDOs: which bits of a board their mapping carries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+OUTPUTS, INPUTS = 0x6200, 0x6000  # arrays of bytes (CiA 401)
+
+
+class Pdo(NamedTuple):
+    """One PDO of a board.
+
+    Attributes:
+        parameters: index of its communication parameters, from 1400h or 1800h; its mapping is 200h above.
+        cob_id: of its frame.
+        mapping: entries, dummies included.
+        on_sync: whether a SYNC applies it; otherwise its frame does.
+    """
+
+    parameters: int
+    cob_id: int
+    mapping: tuple[int, ...]
+    on_sync: bool = True
+
+    @property
+    def size(self) -> int:
+        """Of its frame [bytes]."""
+        return (sum(entry & 0xFF for entry in self.mapping) + 7) // 8
+
+
+class Carried(NamedTuple):
+    """Neighbouring bits of a board in the number that the bytes of a PDO make.
+
+    Attributes:
+        bit: the first one, as in the wiring.
+        place: of that bit in the number.
+        width: number of bits.
+    """
+
+    bit: int
+    place: int
+    width: int
+
+
+class Bit(NamedTuple):
+    """A line in a number that is made of little-endian bytes."""
+
+    line: int  # mask of one bit
+    place: int  # mask of one bit
+    inverted: bool
+
+
+def carries(mapping: Iterable[int], base: int) -> list[Carried]:
+    """Returns which bits of a board a PDO's mapping carries; `base` is 6200h, 6000h or a maker's object.
+
+    CiA 401 has the same bits as bytes, single bits, words and double words.
+    """
+    widths = {base: 8}
+    if base in (OUTPUTS, INPUTS):
+        widths |= {base + 0x20: 1, base + 0x100: 16, base + 0x120: 32}
+    carried, place = [], 0
+    for entry in mapping:
+        index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        if widths.get(index) == count and sub > 0:
+            carried.append(Carried((sub - 1) * count, place, count))
+        place += count
+    return carried
+
+
+def carried_bits(pdos: Iterable[Pdo], base: int) -> int:
+    """Returns the mask of the bits that PDOs carry."""
+    return union(((1 << c.width) - 1) << c.bit for pdo in pdos for c in carries(pdo.mapping, base))
+
+
+def subs_of(bits: int) -> tuple[int, ...]:
+    """Returns the sub-indices of the bytes that have a bit in a mask."""
+    return tuple(1 + byte for byte in range((bits.bit_length() + 7) // 8) if bits >> 8 * byte & 0xFF)
+
+
+def union(masks: Iterable[int]) -> int:
+    """Returns the union of masks."""
+    whole = 0
+    for mask in masks:
+        whole |= mask
+    return whole
