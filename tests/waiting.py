@@ -12,10 +12,19 @@ SLOWNESS = float(os.environ.get("HYPERBIT_SLOWNESS", "1"))
 PATIENCE = 60.0 * SLOWNESS  # [s]; a busy machine is slow
 
 
-def eventually(what: Callable[[], T], patience: float = PATIENCE, told: Callable[[], str] = lambda: "") -> T:
-    """Returns the first true value of `what`; if none comes, the failure says what `told` returns then."""
+def eventually(
+    what: Callable[[], T], patience: float = PATIENCE, told: Callable[[], str] = lambda: "", every: float = 0.005
+) -> T:
+    """Returns the first true value of `what`, asked again and again; fails if none comes.
+
+    Args:
+        what: the condition.
+        patience: time until it fails [s].
+        told: returns what the failure says.
+        every: pause between two questions [s], on a machine that is not slow.
+    """
     until = time.monotonic() + patience
     while not (value := what()):
         assert time.monotonic() < until, f"the awaited condition did not come {told()}"
-        time.sleep(0.005 * SLOWNESS)
+        time.sleep(every * SLOWNESS)
     return value

@@ -4,13 +4,16 @@ import itertools
 import os
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import can
 
 from controller.planning.ledger_file import read
+from tests.waiting import eventually
+
+T = TypeVar("T")
 
 ARM = Path("/etc/hyperbit/arm.yaml")
 PLANNER, EXECUTOR = "hyperbit", "hyperbit-executor"  # services
@@ -61,6 +64,11 @@ def shown(service: str, name: str) -> str:
 def pid(service: str) -> int:
     """Returns the main process of a service, 0 if it does not run."""
     return int(shown(service, "MainPID"))
+
+
+def eventually_shown(what: Callable[[], T]) -> T:
+    """Returns the first true value of a function that runs a command: each costs the time of a service's work."""
+    return eventually(what, every=0.5)
 
 
 def status(service: str) -> dict[str, str]:
