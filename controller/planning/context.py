@@ -1,5 +1,7 @@
 """What travels with a program and comes back with its result, so that a restarted planner can publish the result."""
 
+import time
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ class GoalContext(msgspec.Struct, frozen=True, omit_defaults=True):
         angle_tolerance: [rad].
         configuration: that the arm must end in, as text; None: any.
         bias: that the goal was corrected by; None: no tracker.
+        sent: when its program was made [UNIX s].
     """
 
     id: str
@@ -33,6 +36,7 @@ class GoalContext(msgspec.Struct, frozen=True, omit_defaults=True):
     angle_tolerance: float = 0.0
     configuration: str | None = None
     bias: list[float] | None = None
+    sent: float = 0.0
 
     @property
     def target(self) -> Target | None:
@@ -53,7 +57,7 @@ def encode_context(
     goal: str, waypoints: int, last_mark: int, target: Target | None, bias: NDArray[np.float64] | None
 ) -> bytes:
     """Returns the context of a program; without the configuration where that is too long."""
-    context = GoalContext(goal, waypoints, last_mark, bias=None if bias is None else bias.tolist())
+    context = GoalContext(goal, waypoints, last_mark, bias=None if bias is None else bias.tolist(), sent=time.time())
     if target is not None:
         context = msgspec.structs.replace(
             context,

@@ -67,9 +67,28 @@ class Ledger:
         """
         self._enter(Entry(number, accepted=(plain(goal), time.time(), waypoints)), self._write_every)
 
-    def ended(self, number: int, status: str, code: int, message: str, switches: int) -> None:
-        """Enters the result of the latest goal of a program number, also if another run of the planner accepted it."""
-        self._enter(Entry(number, ended=(time.time(), status, code, plain(message), switches)), 0.0)
+    def ended(
+        self,
+        number: int,
+        status: str,
+        code: int,
+        message: str,
+        switches: int,
+        accepted: tuple[str, float, int] | None = None,
+    ) -> None:
+        """Enters the result of the latest goal of a program number.
+
+        Args:
+            number: of the program.
+            status: of the result.
+            code: of the result.
+            message: of the result.
+            switches: of all actuators.
+            accepted: id, time [UNIX s] and waypoints of a goal that another run of the planner has accepted. That run
+                may have been killed before it wrote the goal; then the goal is entered now.
+        """
+        before = None if accepted is None else (plain(accepted[0]), *accepted[1:])
+        self._enter(Entry(number, before, (time.time(), status, code, plain(message), switches)), 0.0)
 
     def counts(self, counts: Sequence[int]) -> None:
         """Takes the executor's counts, one for each actuator; a count never falls."""

@@ -24,6 +24,11 @@ ENDED = """
 UPDATE goals SET ended = ?, status = ?, code = ?, message = ?, switches = ?
 WHERE number = (SELECT max(number) FROM goals WHERE program = ? AND ended IS NULL)
 """
+ADOPTED = """
+INSERT INTO goals (id, accepted, waypoints, program, ended, status, code, message, switches)
+SELECT ?, ?, ?, ?, ?, ?, ?, ?, ?
+WHERE NOT EXISTS (SELECT 1 FROM goals WHERE program = ? AND id = ? AND ended >= ?)
+"""
 COUNTED = "INSERT INTO switches VALUES (?, ?) ON CONFLICT DO UPDATE SET count = max(count, excluded.count)"
 FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) - ?"
 
@@ -34,7 +39,7 @@ class Entry(NamedTuple):
     Attributes:
         number: of its program.
         accepted: id, UNIX seconds, waypoints.
-        ended: UNIX seconds, status, code, message, switches.
+        ended: UNIX seconds, status, code, message, switches; with `accepted`: of a goal that may not be entered yet.
     """
 
     number: int
@@ -72,10 +77,14 @@ class LedgerFile:
             return
         with connection:
             for entry in goals:
-                if entry.accepted is not None:
+                if entry.accepted is not None and entry.ended is None:
                     connection.execute(ACCEPTED, (*entry.accepted, entry.number))
                 if entry.ended is not None:
-                    connection.execute(ENDED, (*entry.ended, entry.number))
+                    found = connection.execute(ENDED, (*entry.ended, entry.number)).rowcount
+                    if not found and entry.accepted is not None:
+                        goal, accepted, _ = entry.accepted
+                        row = (*entry.accepted, entry.number, *entry.ended)
+                        connection.execute(ADOPTED, (*row, entry.number, goal, accepted))
             connection.execute(FORGOTTEN, (KEPT,))
             connection.executemany(COUNTED, new)
         self._written |= dict(new)

@@ -60,4 +60,5 @@ class Results:
         payload = foreign_result(self._manipulator, message, measured, context)
         self._publish("result", payload)
         status, code, words = payload["status"], payload["code"], payload["message"]
-        self._ledger.ended(message.program, status, code, words, message.switches)
+        accepted = context.id, context.sent, context.waypoints
+        self._ledger.ended(message.program, status, code, words, message.switches, accepted)

@@ -17,8 +17,16 @@ class GoalLedger(Protocol):
     def accepted(self, number: int, goal: str, waypoints: int) -> None:
         """Enters a goal that is run."""
 
-    def ended(self, number: int, status: str, code: int, message: str, switches: int) -> None:
-        """Enters its result."""
+    def ended(
+        self,
+        number: int,
+        status: str,
+        code: int,
+        message: str,
+        switches: int,
+        accepted: tuple[str, float, int] | None = None,
+    ) -> None:
+        """Enters its result; `accepted` as in `Ledger.ended`."""
 
 
 class RunningGoal:

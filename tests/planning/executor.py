@@ -189,8 +189,10 @@ class FakeLedger:
     def accepted(self, number: int, goal: str, waypoints: int) -> None:
         self.entries.append(("accepted", goal, waypoints))
 
-    def ended(self, number: int, status: str, code: int, message: str, switches: int) -> None:
-        self.entries.append(("ended", status, code, switches))
+    def ended(
+        self, number: int, status: str, code: int, message: str, switches: int, accepted: Any | None = None
+    ) -> None:
+        self.entries.append(("ended", status, code, switches) if accepted is None else ("adopted", *accepted[::2]))
 
     def counts(self, counts: Any) -> None:
         self._known = tuple(counts)

@@ -180,6 +180,7 @@ def test_the_result_of_another_run_of_the_planner_is_published(desk: Desk) -> No
     result = desk.inbox.next("result")
     assert (result["id"], result["status"], result["error"] <= 0.002) == ("a", "succeeded", True)
     assert desk.executor.expect(Acknowledge).result == ended.result
+    assert desk.ledger.entries[-1] == ("adopted", "a", 1)
 
 
 def test_a_tip_off_its_path_ends_the_goal(desk: Desk) -> None:

@@ -278,3 +278,22 @@ def test_a_missing_ledger_is_an_error_and_not_made(path: Path) -> None:
         read(path)
     assert counted(path) == {}
     assert not path.parent.exists()
+
+
+def test_the_goal_of_a_planner_that_was_killed_before_it_wrote_comes_with_its_result(path: Path) -> None:
+    killed, begun = ("lost", time.time() - 3.0, 2), time.time()
+    again = Ledger(path, NAMES, SOON)
+    again.accepted(6, "known", 1)
+    again.ended(6, "succeeded", 0, "reached", 1, ("known", begun, 1))
+    again.ended(7, "aborted", -4, "the planner is gone", 3, killed)
+    again.ended(7, "aborted", -4, "the planner is gone", 3, killed)  # the executor sends it until it is acknowledged
+    again.close()
+    lost, known = read(path)[1]
+    assert (lost["id"], lost["accepted"], lost["waypoints"]) == killed
+    assert (lost["status"], lost["code"], lost["message"], lost["switches"]) == (
+        "aborted",
+        -4,
+        "the planner is gone",
+        3,
+    )
+    assert (known["id"], known["status"]) == ("known", "succeeded")
