@@ -24,6 +24,8 @@ FINEST, COARSEST = 4, 2  # parts of a line as long as the path tolerance: where 
 
 Array = NDArray[np.float64]
 
+IDENTITY = np.eye(3)
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -118,7 +120,9 @@ def through(
 
 def unoriented(count: int) -> tuple[Array, Array]:
     """Returns rotations and turns of so many points where any orientation will do."""
-    return np.broadcast_to(np.eye(3), (count, 3, 3)), np.full(count, np.inf)
+    rotations = np.empty((count, 3, 3))
+    rotations[:] = IDENTITY
+    return rotations, np.full(count, np.inf)
 
 
 def along(

@@ -6,13 +6,13 @@ import re
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.goal import LONGEST_SENTENCE, parse, schedule
+from controller.motion.goal import LONGEST_SENTENCE, parse, parse_quickly, parse_strictly, schedule
 from controller.motion.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory
 from tests.motion.requests import json_values
@@ -232,3 +232,18 @@ def test_any_bytes_are_taken_or_refused(payload: bytes) -> None:
 @given(json_values | goals)
 def test_any_json_is_taken_or_refused(value: Any) -> None:
     taken_or_refused(json.dumps(value).encode())
+
+
+@given(goals.map(lambda value: json.dumps(value, ensure_ascii=False).encode("utf-8", "surrogatepass")) | st.binary())
+@example(b'{"waypoints": [{"configuration": "a\tb"}]}')
+@example(b'{"waypoints": [{"position": [1, 2]}], "id": "t"}')
+@example(b'\xef\xbb\xbf{"waypoints": [{"position": [1, 2]}]}')
+def test_what_is_read_quickly_is_what_is_read_strictly(payload: bytes) -> None:
+    if (message := parse_quickly(payload)) is not None:
+        assert message == parse_strictly(payload)
+
+
+def test_names_that_stand_twice_are_not_read_quickly() -> None:
+    assert parse_quickly(b'{"waypoints": [{"position": [1, 2]}]}') is not None
+    for twice in (b'{"waypoints": [], "waypoints": []}', b'{"waypoints": [], "\\u0077aypoints": []}'):
+        assert parse_quickly(twice) is None
