@@ -30,7 +30,9 @@ from controller.executor.requests import Requests
 from controller.executor.results import Results
 from controller.executor.switch_journal import SwitchJournal
 from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
+from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
+from drivers.canopen.events import Echoed, Received
 from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
@@ -103,7 +105,7 @@ class Executor:
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
-        self._guarded(self._conclude, now)
+        self._guarded(self._conclude, on_bus(event, now), now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out:
             self._guarded(self._show, now)
         actions, self._actions = self._actions, []
@@ -146,10 +148,10 @@ class Executor:
             case _:
                 self._master.take(event, now)
 
-    def _conclude(self, now: float) -> None:
-        """Notes what the event has changed on the boards."""
+    def _conclude(self, at: float | None, now: float) -> None:
+        """Notes what the event has changed on the boards; `at` is when its frame was on the bus [s]."""
         self.modes.look(now)
-        self.motion.conclude(now)
+        self.motion.conclude(at, now)
         fault = self.motion.actuation.fault
         if fault is not None:
             self.motion.actuation.fault = None
@@ -166,7 +168,7 @@ class Executor:
             self.modes.boot(self.modes.reason, now)
         self._awake, self._last_tick = self._clock(now), now
         self._master.tick(now)
-        self._conclude(now)
+        self._conclude(None, now)
         self.motion.actuation.tick(now)
         for finding in self.motion.supervise(now):
             if finding.fault.code == "stuck":
@@ -256,3 +258,13 @@ class Executor:
 
     def _to_client(self, client: Client, message: Up) -> None:
         self._actions.append(ToClient(client, message))
+
+
+def on_bus(event: Event, now: float) -> float | None:
+    """Returns when the frame of an event was on the bus [s]; None if it is no frame that tells when it was caused.
+
+    An SDO answer does not: a board is asked after the end-stop has changed.
+    """
+    if not isinstance(event, Echoed | Received) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
+        return None
+    return now if event.at is None else min(event.at, now)

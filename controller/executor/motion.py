@@ -13,7 +13,8 @@ from controller.executor.program_execution import ProgramExecution
 from controller.executor.results import Results
 from controller.executor.setpoint_stream import SetpointStream
 from controller.executor.switch_journal import SwitchJournal
-from controller.program import Begun, Settled, Up, pack
+from controller.executor.travel_times import TravelTimes
+from controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
 from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
@@ -57,6 +58,7 @@ class Motion:
         self.actuation = Actuation(master, arm, self.kinds, journal)
         places = [channel.place for channel in arm.wiring.channels]
         self.supervision = MotionSupervision(master, places, self.kinds)
+        self._travel_times = TravelTimes()
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
         self.clock = 0.0
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
@@ -122,6 +124,7 @@ class Motion:
 
     def adopt(self, now: float) -> None:
         """Takes outputs and end-stops as they are now: nothing is switched for it."""
+        self._travel_times.forget(-1)
         self.actuation.adopt(self.read, self.definite, now)
 
     def interlocks(self) -> list[Fault]:
@@ -174,14 +177,24 @@ class Motion:
 
     # --- what is due
 
-    def conclude(self, now: float) -> None:
-        """Notes what has switched since the last call; to be called after each event."""
-        for lines, at in self._master.take_switched():
-            mask = self.actuation.switched(lines, at)
+    def conclude(self, at: float | None, now: float) -> None:
+        """Notes what has switched, and what has arrived, since the last call; to be called after each event.
+
+        Args:
+            at: when the event's frame was on the bus [s]; None: unknown.
+            now: [s].
+        """
+        running = self.execution if self._closing is None else self._closing[0]
+        for lines, switched_at in self._master.take_switched():
+            mask = self.actuation.switched(lines, switched_at)
             self.supervision.switched(mask, self.actuation.states, self.ends, self.clock, now)
-            running = self.execution if self._closing is None else self._closing[0]
+            self._travel_times.begin(mask, self.actuation.states, self.ends, at)
             if running is not None:
                 running.switches += mask.bit_count()
+        if self._travel_times.under_way:
+            travels = self._travel_times.arrived(self.ends, at)
+            if running is not None and len(running.travels) < MOST_TRAVELS:
+                running.travels += travels
         commit = self.actuation.conclude(now)
         if not self.committing:
             self.close()

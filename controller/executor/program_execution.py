@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 
 from controller.executor.locked import LockedActuators
-from controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, unpack
+from controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
 
 EPSILON = 1e-9  # [s]
 MOST_AHEAD = 1_000  # stages that may be left out at once
@@ -30,6 +30,7 @@ class ProgramExecution:
         switches: actuators switched so far.
         stages: stages switched since the mark before.
         planned: whether all stages since the mark before were taken as planned.
+        travels: the ways of actuators that were measured so far.
         strict: no stage is left out or begins before the one before has settled.
 
     Args:
@@ -44,6 +45,7 @@ class ProgramExecution:
         self.taken = self.mark = -1
         self.switches = self.stages = 0
         self.planned = True
+        self.travels: list[Travel] = []
         self._generation = -1
         self._begun = -1  # the last stage whose commit was begun
         self._stages = list(program.stages)

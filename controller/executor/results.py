@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from controller.executor.program_execution import ProgramExecution
 from controller.executor.switch_journal import SwitchJournal
-from controller.program import Counted, Ended, Up
+from controller.program import MOST_TRAVELS, Counted, Ended, Up
 
 MOST_KEPT = 1_000
 
@@ -36,6 +36,7 @@ class Results:
             switches=execution.switches,
             measured=measured,
             known=known,
+            travels=tuple(execution.travels[:MOST_TRAVELS]),
         )
         self._kept[self._number] = result
         if len(self._kept) > MOST_KEPT:  # a planner that acknowledges nothing

@@ -10,6 +10,7 @@ MOST_BYTES = 65_536  # of one message; what is larger is refused unread
 MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
 MOST_PROGRAM_STAGES = 100_000
 MOST_ACTUATORS = 10_000
+MOST_TRAVELS = 100  # of one program that are reported
 ALIVE_EVERY, SILENT_AFTER = 0.2, 1.0  # [s] between two messages of the planner, and when it counts as hung
 
 States = Annotated[bytes, Meta(max_length=(MOST_ACTUATORS + 7) // 8)]
@@ -38,6 +39,20 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
     at: Seconds
     mark: Index = -1
     settled: Seconds = 0.0
+
+
+class Travel(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A measured way of an actuator to one of its ends.
+
+    Attributes:
+        actuator: index.
+        state: of the end, 0 contracted or 1 extended.
+        seconds: from the SYNC that switched the actuator to the frame that reported its end-stop [s].
+    """
+
+    actuator: Annotated[int, Meta(ge=0, lt=MOST_ACTUATORS)]
+    state: Annotated[int, Meta(ge=0, le=1)]
+    seconds: Seconds
 
 
 Stages = Annotated[tuple[Stage, ...], Meta(max_length=MOST_STAGES)]

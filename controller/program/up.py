@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from controller.program.parts import Index, Message, Mode, Number, Seconds, States, Text
+from controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number, Seconds, States, Text, Travel
 
 
 class Welcome(Message, frozen=True, tag="welcome"):
@@ -123,6 +123,7 @@ class Ended(Message, frozen=True, tag="ended"):
         switches: actuators switched.
         measured: packed states.
         known: packed, 1 where the state is known.
+        travels: the ways that were measured, the first of them.
     """
 
     result: Number
@@ -134,6 +135,7 @@ class Ended(Message, frozen=True, tag="ended"):
     switches: Number
     measured: States
     known: States
+    travels: Annotated[tuple[Travel, ...], Meta(max_length=MOST_TRAVELS)] = ()
 
 
 class Counted(Message, frozen=True, tag="counted"):

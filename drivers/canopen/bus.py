@@ -17,7 +17,7 @@ from drivers.canopen.wiring import BusSettings
 
 _MOST_EVENTS = 256  # of one poll, so that a flood does not stop the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
-_OLDEST = 1.0  # [s]; a frame whose time stamp is older, or in the future, counts as one without
+_OLDEST = 10.0  # [s]; a frame whose time stamp is older, or in the future, counts as one without
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # there is no frame after all
 

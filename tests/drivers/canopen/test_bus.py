@@ -30,7 +30,7 @@ class Clock:
 def wait(bus: CanBus, condition: Callable[[list[Event]], object]) -> list[Event]:
     events: list[Event] = []
     for _ in range(20_000):
-        events += bus.poll()
+        events += [e._replace(at=None) if isinstance(e, Echoed | Received) else e for e in bus.poll()]
         if condition(events):
             return events
         time.sleep(0.001)
@@ -67,6 +67,23 @@ def test_frames_come_in_go_out_and_come_back(buses):
         Ignored("can0", 90),
         Ignored("can0", 55),
     ]
+
+
+def test_frames_tell_when_they_were_on_the_bus(buses):
+    bus, other = buses
+    bus.poll()
+    times = [time.monotonic()]
+    for send in (lambda: bus.send(FRAME), lambda: other.send(can.Message(arbitration_id=0x185, is_extended_id=False))):
+        send()
+        while not (events := bus.poll()):
+            time.sleep(0.001)
+        times += [events[0].at, time.monotonic()]
+    assert [round(t, 2) for t in times] == sorted(round(t, 2) for t in times)
+
+
+def test_a_clock_of_its_own_tells_no_time(buses):
+    bus, _ = buses
+    assert bus._event(can.Message(timestamp=12.5, arbitration_id=0x185, is_extended_id=False)).at is None
 
 
 def test_error_frames_change_the_state(buses):

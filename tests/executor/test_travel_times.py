@@ -1,0 +1,87 @@
+"""Travel times as the executor measures them on simulated boards, on a simulated clock."""
+
+from __future__ import annotations
+
+import pytest
+
+from controller.executor.kinds import Ends
+from controller.executor.travel_times import TravelTimes
+from controller.program import Ended, Travel
+from drivers.canopen.events import Received
+from drivers.simulation.buses import _LEAST_PULSE
+from drivers.simulation.fault_commands import perform
+from tests.executor.test_on_boards import World
+
+BOTH = {"input_contracted": True}
+
+
+def world(contract: float, extend: float, **channel: object) -> World:
+    """Boards whose actuators take these times, half of the greatest [s]."""
+    made = World(channel={**BOTH, **channel, "travel": (2 * contract, 2 * extend)})
+    made.go(2.0)
+    assert made.mode == "ready", made.logged
+    return made
+
+
+def travels(made: World) -> list[tuple[int, int, float]]:
+    assert made.last(Ended).status == "done"
+    return [(t.actuator, t.state, t.seconds) for t in made.last(Ended).travels]
+
+
+@pytest.mark.parametrize(("contract", "extend"), [(0.04, 0.12), (0.12, 0.04), (0.075, 0.09)])
+@pytest.mark.parametrize("channel", [{}, {"output_off": True}, {"output_off": True, "pulse": 0.05}])
+def test_each_way_of_each_actuator_is_measured(contract: float, extend: float, channel: dict[str, object]) -> None:
+    made = world(contract, extend, **channel)
+    for k in range(6):
+        for state, seconds in ((1, extend), (0, contract)):
+            made.run(2 * k + 2 - state, state << k)
+            made.go(0.5)
+            [(actuator, end, measured)] = travels(made)
+            assert (actuator, end) == (k, state)
+            valve = _LEAST_PULSE if "output_off" in channel else 0.0
+            assert measured == pytest.approx(seconds + valve, rel=0.1)
+
+
+def test_a_slow_actuator_is_measured_as_it_is() -> None:
+    made = world(0.05, 0.05)
+    perform(made.boards, "slow", "1.left", 1.6)
+    made.run(1, 0b1)
+    made.go(0.5)
+    assert travels(made) == [(0, 1, pytest.approx(0.08, rel=0.1))]
+
+
+def test_frames_that_are_read_late_give_the_same_times() -> None:
+    made = world(0.04, 0.04)
+    made.boards._take = lambda bus, frame: made.events.append(Received(bus, frame, made.now))
+    made.run(1, 0b1)
+    made.stall(0.07)
+    made.go(0.5)
+    assert travels(made) == [(0, 1, pytest.approx(0.04, rel=0.1))]
+
+
+def test_a_way_to_an_end_without_an_end_stop_is_not_measured() -> None:
+    made = World(channel={"travel": (0.08, 0.08)})
+    made.go(2.0)
+    made.run(1, 0b1)
+    made.go(0.5)
+    assert len(travels(made)) == 1
+    made.run(2, 0)
+    made.go(0.5)
+    assert travels(made) == []
+
+
+@pytest.mark.parametrize(("begun", "ended"), [(None, 2.0), (1.0, None)])
+def test_a_way_whose_frames_tell_no_time_is_not_measured(begun: float | None, ended: float | None) -> None:
+    times = TravelTimes()
+    times.begin(0b1, 0b1, Ends(0, 0b1), begun)
+    assert times.arrived(Ends(0b1, 0), ended) == []
+    assert not times.under_way
+
+
+def test_a_way_that_was_called_back_is_measured_anew() -> None:
+    times = TravelTimes()
+    times.begin(0b1, 0b1, Ends(0, 0b1), 1.0)
+    times.begin(0b1, 0b0, Ends(0, 0), 1.1)
+    assert times.arrived(Ends(0, 0), 1.15) == []
+    assert times.arrived(Ends(0, 0b1), 1.2) == [Travel(0, 0, pytest.approx(0.1))]
+    assert not times.under_way
