@@ -41,7 +41,6 @@ class Board:
         emergency: code of its last emergency; None if there is none or it is over.
         guarded: whether it is supervised by node guarding.
         ignored_errors: bits of its error register that stand for no fault.
-        refuses_sync: whether it is known to refuse RPDOs that wait for SYNC.
         warnings: what a person should know of it, as of its last boot.
         expected: what its objects hold since then.
 
@@ -61,7 +60,7 @@ class Board:
         self._frames_before = 0  # when it was not ready for the first time
         self._beat_at: float | None = None
         self.emergency: int | None = None
-        self.guarded = self.refuses_sync = False
+        self.guarded = False
         self.ignored_errors = 0
         self.warnings: tuple[str, ...] = ()
         self.expected: tuple[Need, ...] = ()

@@ -15,7 +15,7 @@ from drivers.canopen.layout import BoardLayout
 from drivers.canopen.objects import Need
 from drivers.canopen.outputs import Outputs
 from drivers.canopen.pdo import INPUTS, Pdo, subs_of, union
-from drivers.canopen.pdo_setup import set_up
+from drivers.canopen.pdo_setup import ON_SYNC, set_up, usable
 from drivers.canopen.procedure import Ask, BoardError, Order, Procedure, Step, Wait
 from drivers.canopen.sdo import TIMEOUT, Outcome, Transfer
 from drivers.canopen.wiring import ErrorState, Timing
@@ -50,7 +50,7 @@ class Boot:
 
 def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
     """Boots a board; a board that is operational and rightly configured is left alone."""
-    it = Inspection(board.layout, refuses_sync=board.refuses_sync)
+    it = Inspection(board.layout)
     boot = Boot(index, board, outputs, timing, error_state, it)
     for step in _STEPS:
         yield from step(boot)
@@ -122,13 +122,13 @@ def _configure(boot: Boot) -> Procedure:
     """Configures and starts the board, unless it is operational and configured."""
     board, it = boot.board, boot.it
     if board.state is State.OPERATIONAL:
+        yield from _ask_for_sync(it)
         wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
         if not wrong and inspection.as_is(it):
             board.state = None  # it may have left operational since its last heartbeat
             return
     if board.state in (State.OPERATIONAL, None):
-        # Some boards apply 6207h already on entering pre-operational: the outputs hold until all is configured.
-        yield from _settle(it, configuration.held(board.layout))
+        yield from _hold(it)
     if board.state is not State.PRE_OPERATIONAL:
         yield from _order(board.layout, Command.PRE_OPERATIONAL)
     yield from _settle(it, it.needs)
@@ -136,14 +136,34 @@ def _configure(boot: Boot) -> Procedure:
         for i, (wanted, held) in enumerate(pdos):
             if not held.fits(wanted) or (wanted.parameters < 0x1800 and not it.synchronous):
                 pdos[i] = wanted, (yield from set_up(it.layout, wanted, held, it.synchronous))
-    if it.synchronous:
-        board.refuses_sync = any(not held.pdo.on_sync for _, held in it.rpdos)
     yield from _release(boot)
     board.guarded = False
     if it.guarded:
         board.guard()
     board.state = None  # an older heartbeat must not count as the answer
     yield from _order(board.layout, Command.START)
+
+
+def _hold(it: Inspection) -> Procedure:
+    """Has the outputs hold until all is configured: some boards apply 6207h already on entering pre-operational.
+
+    A board that does not take this may be right all the same: whether the final error mode is taken decides.
+    """
+    for need in it.unmet(configuration.held(it.layout)):
+        place = need.index, need.sub
+        yield from objects.write(it.name, need, need.corrected(it.held[place]))
+        it.held[place] = yield from objects.read(it.name, *place, fresh=True)
+
+
+def _ask_for_sync(it: Inspection) -> Procedure:
+    """Asks for RPDOs that wait for SYNC where nothing else is wrong with them: a board that refuses is left alone."""
+    for i, (wanted, held) in enumerate(it.rpdos):
+        if it.synchronous and held.in_full and not held.pdo.on_sync and usable(it.layout, wanted, held) is None:
+            kind = ON_SYNC[0]
+            abort = yield from objects.write(it.name, Need(held.parameters, 2, kind), kind)
+            it.refuses_sync |= abort is not None
+            if abort is None:
+                it.rpdos[i] = wanted, held._replace(kind=(yield from objects.read(it.name, held.parameters, 2)))
 
 
 def _release(boot: Boot) -> Procedure:

@@ -70,7 +70,7 @@ def on_master_lost(board: BoardLayout) -> Need:
 
 def polarity(board: BoardLayout) -> list[Need]:
     """6202h: the outputs are not inverted by the board. Writing it would switch them."""
-    advice = "an output that is inverted in the board is on when it is off here; write 00h while nothing can move"
+    advice = "the board inverts outputs; write this while nothing can move, for it switches them"
     return [
         Need(0x6202, sub, 0, 1, "polarity of the outputs", mask=_byte(board.output_bits, sub), fixed=advice)
         for sub in subs_of(board.output_bits)

@@ -37,7 +37,7 @@ class Inspection:
         error_mode: needs that must be met once the board is operational.
         has_error_mode: whether it has 6206h.
         synchronous: whether it takes SYNC.
-        refuses_sync: whether it is known to refuse RPDOs that wait for SYNC.
+        refuses_sync: whether it has refused RPDOs that wait for SYNC.
         kept_errors: bits of its error register that it keeps without a present cause.
         guarded: whether it is supervised by node guarding, instead of heartbeats.
         rpdos: the wanted RPDOs, and as they are.

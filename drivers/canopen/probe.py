@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drivers.canopen import cia301, inspection, objects
 from drivers.canopen.boot import find
@@ -25,6 +25,7 @@ _POLL = 0.001  # [s] between two looks at the buses
 _STUCK_AFTER = 0.5  # [s]
 _PATIENCE = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # that are told in full
+_HARMLESS = (0x1029, 0x6206, 0x6207)
 
 
 @dataclass(frozen=True)
@@ -141,8 +142,15 @@ class Probe:
 
 
 def _try(it: Inspection, need: Need) -> Reading:
-    """Refuses an object that cannot be written: a write of what it holds changes nothing, and shows it."""
+    """Refuses an object that cannot be written: a write of what it holds changes nothing, and shows it.
+
+    What matters in the error state only is written for a moment, for some boards confirm it and do not take it.
+    """
     held = it.held[need.index, need.sub]
+    if need.index in _HARMLESS:
+        yield from objects.settle(it.name, need, held)
+        yield from objects.settle(it.name, replace(need, value=held, mask=0xFF), need.corrected(held))
+        return
     if (abort := (yield from objects.write(it.name, need, held))) == objects.READ_ONLY:
         raise objects.refused(it.name, need, held, abort)
 
