@@ -214,7 +214,7 @@ class RunningGoals:
             goal.answered.set()
             done = message.status == "done"
             verdict = goal.verdict or (goal.report.judged(measured) if done else verdict_of(message))
-            self._results.tell(goal, verdict, message.switches, measured)
+            self._results.tell(goal, verdict, message.switches, measured, message.travels)
         else:
             self._results.foreign(message, measured)
         with contextlib.suppress(NotConnected):

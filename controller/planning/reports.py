@@ -1,17 +1,19 @@
 """What is told of one program: feedback at its marks, and its one result."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from controller.manipulator.manipulator import Manipulator
 from controller.motion import codes
+from controller.motion.jog import STATES
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import Measured, States
 from controller.planning.context import GoalContext, encode_context
 from controller.planning.goal_check import UNKNOWN, Verdict, at_the_end, on_the_way, target_of, whereabouts
 from controller.planning.messages import Payload
-from controller.program import Ended
+from controller.program import Ended, Travel
 
 STATUS_CODES = {
     "canceled": codes.INVALID_GOAL,
@@ -44,8 +46,8 @@ class Report(Protocol):
     def judged(self, measured: Measured) -> Verdict:
         """Returns the verdict on a program whose last mark has settled."""
 
-    def where(self, measured: Measured) -> Payload:
-        """Returns where the arm is measured, and what else the result tells."""
+    def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
+        """Returns where the arm is measured, and what else the result tells; `travels` are measured ways."""
 
 
 class GoalReport:
@@ -112,7 +114,7 @@ class GoalReport:
         target = target_of(self._manipulator, self._trajectory, len(self._trajectory.times) - 1)
         return at_the_end(self.id, target, whereabouts(self._manipulator, measured, target))
 
-    def where(self, measured: Measured) -> Payload:
+    def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
         """Returns where the arm is measured, the errors from the point it moved to last, and the bias."""
         target = target_of(self._manipulator, self._trajectory, max(self._point, 0))
         return {**whereabouts(self._manipulator, measured, target), **self._bias}
@@ -159,9 +161,11 @@ class JogReport:
         message = f"not measured where they were sent: {names}"
         return Verdict("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
 
-    def where(self, measured: Measured) -> Payload:
-        """Returns where the arm is measured."""
-        return whereabouts(self._manipulator, measured, None)
+    def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
+        """Returns where the arm is measured, and the travel times of the actuators with an end-stop there."""
+        labels = self._manipulator.actuators
+        told = [{"actuator": labels[t.actuator], "state": STATES[t.state], "seconds": t.seconds} for t in travels]
+        return {**whereabouts(self._manipulator, measured, None), "travels": told}
 
 
 def result(goal: str, verdict: Verdict, switches: int, where: Payload) -> Payload:

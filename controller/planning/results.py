@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from controller.manipulator.manipulator import Manipulator
 from controller.planning.arm_state import Measured
@@ -11,7 +11,7 @@ from controller.planning.goal_check import Verdict
 from controller.planning.messages import Payload
 from controller.planning.reports import foreign_result, result
 from controller.planning.running_goal import GoalLedger, RunningGoal
-from controller.program import Ended
+from controller.program import Ended, Travel
 
 log = logging.getLogger(__name__)
 
@@ -40,11 +40,18 @@ class Results:
         """Has no result published of a program that was given up."""
         self._told.append(program)
 
-    def tell(self, goal: RunningGoal, verdict: Verdict, switches: int, measured: Measured) -> None:
-        """Publishes the result of a program."""
+    def tell(
+        self,
+        goal: RunningGoal,
+        verdict: Verdict,
+        switches: int,
+        measured: Measured,
+        travels: Sequence[Travel] = (),
+    ) -> None:
+        """Publishes the result of a program; `travels` are measured ways of actuators."""
         number = goal.program.program
         self._told.append(number)
-        self._publish("result", result(goal.report.id, verdict, switches, goal.report.where(measured)))
+        self._publish("result", result(goal.report.id, verdict, switches, goal.report.where(measured, travels)))
         self._ledger.ended(number, verdict.status, verdict.code, verdict.message, switches)
         self._ended(verdict.sentence)
 

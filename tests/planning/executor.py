@@ -127,6 +127,7 @@ class ScriptedExecutor:
         ended = Ended(
             self._results, program.program, program.context, status, message, fields.get("mark", last.mark),
             fields.get("switches", 1), fields.get("measured", self.state.measured), self.state.known,
+            fields.get("travels", ()),
         )  # fmt: skip
         self.send(ended)
         self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)

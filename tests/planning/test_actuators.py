@@ -13,6 +13,7 @@ from controller.program import (
     Lock,
     Program,
     Replacement,
+    Travel,
     pack,
     unpack,
 )
@@ -108,9 +109,10 @@ def test_single_actuators_are_switched(desk: Desk) -> None:
     reply = desk.inbox.next("reply")
     assert (reply["accepted"], reply["message"]) == (True, "accepted, 2 switches: 1.left extended, 2.right extended")
     desk.executor.run(program, 0)
-    desk.executor.end(program)
+    desk.executor.end(program, travels=(Travel(5, 1, 0.0625),))
     result = desk.inbox.next("result")
     assert (result["id"], result["status"], result["message"]) == (reply["id"], "succeeded", "switched")
+    assert result["travels"] == [{"actuator": "2.right", "state": "extended", "seconds": 0.0625}]
     jog(desk, m1_left="contracted")
     program = desk.executor.expect(Program, Acknowledge)
     desk.executor.accept(program)
