@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from numpy.typing import NDArray
 
 from controller.gateway.client import decoded
 from tests.benchmarks.chain.parts import Parts, report
@@ -26,6 +27,7 @@ RATE, TURN = 200.0, 2.0  # [Hz] of set-points, [s] with and without
 GOAL_EVERY = 0.33, 0.4  # [s], drawn anew for each
 ANSWERED = 15.0  # [s] after the last goal, for answers and results
 LONGEST_PERIOD = 0.012  # bar [s]
+PERIOD, SHOWN = 0.01, 8  # [s] of the executor; longest periods that are told of
 
 
 class Goals:
@@ -80,10 +82,10 @@ def main() -> None:
         ended = time.monotonic()
         mode, real_time = client.state["mode"], client.diagnosed()["real_time"]
     accepted, results = goals.accepted, sum(goals.results[goal] for goal in goals.accepted)
-    periods, bare = (
-        np.diff(times[(times > began) & (times < ended)])
-        for times in (parts.record("ticks")["began"], parts.record("bare")["began"])
-    )
+    ticks, empty = parts.record("ticks"), parts.record("bare")["began"]
+    within = (ticks["began"] > began) & (ticks["began"] < ended)
+    periods = np.diff(ticks["began"][within])
+    bare = np.diff(empty[(empty > began) & (empty < ended)])
     long = int((periods > LONGEST_PERIOD).sum())
     bars = {
         f"no period over {1e3 * LONGEST_PERIOD:g} ms": long == 0,
@@ -93,6 +95,7 @@ def main() -> None:
         "periods": len(periods),
         "long periods": long,
         "period": figures(periods),
+        "longest": longest({name: column[within] for name, column in ticks.items()}, empty),
         "long periods of an empty loop": int((bare > LONGEST_PERIOD).sum()),
         "period of an empty loop": figures(bare),
         "goals": {"sent": goals.sent, "answers": len(goals.answers), "accepted": len(accepted)}
@@ -100,6 +103,17 @@ def main() -> None:
         "real_time": real_time,
     }
     report(whole, bars, options.json)
+
+
+def longest(ticks: dict[str, NDArray[np.float64]], empty: NDArray[np.float64]) -> list[dict[str, float]]:
+    """Returns the longest periods [ms], with the work of the tick before and the empty loop's period at that time."""
+    periods, told = np.diff(ticks["began"]), []
+    for k in np.argsort(-periods)[:SHOWN]:
+        beside = empty[(empty > ticks["began"][k] - PERIOD) & (empty < ticks["began"][k + 1] + 2 * PERIOD)]
+        row = {"period": periods[k], "work before": ticks["work"][k], "late": ticks["late"][k + 1]}
+        row["empty loop"] = float(np.diff(beside).max(initial=0.0))
+        told.append({name: round(1e3 * float(value), 2) for name, value in row.items()})
+    return told
 
 
 def load(parts: Parts, seconds: float) -> Goals:
