@@ -16,7 +16,7 @@ from controller.gateway.one_daemon import require_no_other
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.gateway.server import Server
-from controller.gateway.session import connects, reachable
+from controller.gateway.session import connects, lease, reachable
 from controller.gateway.status_reporter import StatusReporter
 from controller.gateway.warnings import Warnings
 from controller.notify import Notifier
@@ -67,7 +67,7 @@ def running(
         require_no_other(session, name, connects=connects(config))
         book = Ledger(ledger, arm.manipulator.actuators)
         closing.callback(book.close)
-        outbox = Outbox(session, f"hyperbit/{name}")
+        outbox = Outbox(session, f"hyperbit/{name}", lease(config))
         closing.callback(outbox.close)
         goals, changed, notifier = RepeatedGoals(), threading.Event(), Notifier()
 

@@ -2,17 +2,22 @@
 
 import logging
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
 
 import zenoh
 
 from controller.gateway.encoding import JSON, encode
+from controller.gateway.session import LEASE
 from controller.motion import codes
 from controller.planning.messages import Payload, Reply, refused
 
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 1_000  # messages in each lane
+TURN = 0.2  # [s] between two looks at the clock
+RECONNECTED = 5.0  # [s] after a standstill; clients try to connect anew every 4 s at least
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
 
 Item = tuple[zenoh.Query | str, str, Payload]
@@ -26,13 +31,26 @@ class Outbox:
     accepted goals are never dropped here. Other messages are dropped while MOST_WAITING are in their lane: requests
     could else fill the memory, and a peer without an answer sees its request end.
 
+    A process that stood still for about the lease of its session loses its peers the moment that it goes on. What it
+    published then would reach nobody, so results, and what follows them in their lane, wait until peers have had time
+    to connect anew.
+
     Args:
         session: open session.
         prefix: of all keys, "hyperbit/<arm>".
+        lease: of the session [s].
+        clock: time that goes on while the process stands still [s].
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str) -> None:
-        self._prefix = prefix
+    def __init__(
+        self,
+        session: zenoh.Session,
+        prefix: str,
+        lease: float = LEASE,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._prefix, self._lease, self._clock = prefix, lease, clock
+        self._turned, self._held_until = clock(), -float("inf")  # last look at the clock, and end of a wait [s]
         self._first, self._second = deque[Item](), deque[Item]()
         self._news = threading.Condition()
         self._full = self._closing = False
@@ -86,9 +104,21 @@ class Outbox:
     def _next(self) -> Item | None:
         """Returns the next message, the first lane's before the second's; None at the end."""
         with self._news:
-            self._news.wait_for(lambda: self._first or self._second or self._closing)
-            lane = self._first or self._second
-            return lane.popleft() if lane else None
+            while True:
+                held = self._held() and not self._closing
+                lane = self._second if held else self._first or self._second
+                if lane or self._closing:
+                    return lane.popleft() if lane else None
+                self._news.wait(TURN)
+
+    def _held(self) -> bool:
+        """Returns whether a result is next, and the process stood still so shortly ago that nobody would hear it."""
+        now = self._clock()
+        if now - self._turned > self._lease / 2:  # keep-alives go out four times in a lease
+            self._held_until = now + RECONNECTED
+            log.warning("the process stood still for %.1f s: results wait for %g s", now - self._turned, RECONNECTED)
+        self._turned = now
+        return now < self._held_until and bool(self._first) and self._first[0][1] == "result"
 
     def _run(self) -> None:
         while (item := self._next()) is not None:
@@ -106,3 +136,4 @@ class Outbox:
                         target.reply(f"{self._prefix}/{key}", data, encoding=JSON)
             except Exception as error:  # a peer that is gone must not end the service of the others
                 log.warning("not sent on %s: %s", key, error)
+            self._turned = self._clock()  # to wait for a slow peer is no standstill

@@ -62,6 +62,11 @@ def from_file(path: Path) -> zenoh.Config:
     return config
 
 
+def lease(config: zenoh.Config) -> float:
+    """Returns the lease of a configuration's session [s]."""
+    return float(json.loads(config.get_json("transport/link/tx/lease"))) / 1e3
+
+
 def connects(config: zenoh.Config) -> bool:
     """Returns whether a session of this configuration is to connect to somebody."""
     return bool(json.loads(config.get_json("connect/endpoints")))
