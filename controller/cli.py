@@ -61,6 +61,11 @@ COMMANDS = {
         "tell", "lock", "Lock actuators in a state, or unlock them with `free`, as `degrade`; nothing moves by that."
     ),
     "jog": Entry("jog", "jog", "Switch single actuators, also where the arm is in no configuration; the arm moves."),
+    "exercise": Entry(
+        "exercise",
+        "exercise",
+        "Move each actuator once there and back, one at a time, and propose travel times for the arm's file.",
+    ),
     "obstacles": Entry(
         "tell",
         "obstacles",

@@ -97,6 +97,7 @@ class Client:
         goal: Mapping[str, Any],
         on_feedback: Callable[[Message], None] = lambda message: None,
         silence: float = 10.0,
+        key: str = "goal",
     ) -> Message:
         """Sends a goal and returns its result, or the daemon's answer if it was refused.
 
@@ -104,11 +105,13 @@ class Client:
             goal: its payload; an id is added if it has none.
             on_feedback: called with the daemon's answer first, then with each feedback of the goal.
             silence: longest time without a message on the goal [s].
+            key: "goal", or "jog", whose payload has no id: the answer tells it.
 
         Raises:
             Unanswered: the daemon did not answer, or fell silent.
         """
-        goal = {"id": uuid.uuid4().hex[:12], **goal}
+        name = goal.get("id", uuid.uuid4().hex[:12])
+        payload = {**goal, "id": name} if key == "goal" else goal
         news: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
 
         def hand_over(sample: zenoh.Sample) -> None:
@@ -125,22 +128,23 @@ class Client:
 
         self._on_renewal.append(move)
         try:
-            answer = self.request("goal", goal)
+            answer = self.request(key, payload)
             on_feedback(answer)
             if not answer["accepted"]:
                 return answer
+            name = answer.get("id", name)
             until = time.monotonic() + silence
             while True:
-                key, message = news.get(timeout=max(until - time.monotonic(), 0.0))
-                if goal["id"] not in (message.get("id"), message.get("goal")):
+                kind, message = news.get(timeout=max(until - time.monotonic(), 0.0))
+                if name not in (message.get("id"), message.get("goal")):
                     continue  # of another goal; a daemon that was started anew knows nothing of this one
                 until = time.monotonic() + silence
-                if key == "result":
+                if kind == "result":
                     return message
-                if key == "feedback":
+                if kind == "feedback":
                     on_feedback(message)
         except queue.Empty:
-            raise Unanswered(f"no word of goal {goal['id']} from arm {self._arm!r} for {silence:g} s") from None
+            raise Unanswered(f"no word of {key} {name} from arm {self._arm!r} for {silence:g} s") from None
         finally:
             self._on_renewal.remove(move)
             subscribers[0].undeclare()  # type: ignore[no-untyped-call]
