@@ -37,7 +37,7 @@ class Asking:
     take_switched = take_faults
 
 
-def asked(world: World, lose: str | None = None) -> tuple[Answer, ...]:
+def asked(world: World, lose: str | None = None, patience: float = 20.0) -> tuple[Answer, ...]:
     world.run(0.05)
     world.master = asking = Asking(world)
     world.frames()
@@ -45,7 +45,7 @@ def asked(world: World, lose: str | None = None) -> tuple[Answer, ...]:
     world.flush()
     if lose:
         asking.probe.take(Changed(lose, "down", "it is down", None), world.now)
-    world.until(lambda: asking.probe.answers is not None)
+    world.until(lambda: asking.probe.answers is not None, patience)
     return asking.probe.answers
 
 

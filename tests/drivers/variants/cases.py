@@ -1,0 +1,117 @@
+"""What the driver makes of each variant of the simulated boards: it boots and switches, or is refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from drivers.canopen.wiring import Channel, NodeSettings, Timing
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import World
+
+_NONE: Mapping[str, Any] = MappingProxyType({})
+
+
+class Case(NamedTuple):
+    """A board of one variant, and what the arm's file says of it.
+
+    Attributes:
+        variant: its name.
+        refused: what the sentence of the refusal holds; empty: the board boots and switches.
+        warned: what the warnings hold, one each.
+        options: of the wiring.
+        label: of these options.
+    """
+
+    variant: str
+    refused: tuple[str, ...] = ()
+    warned: tuple[str, ...] = ()
+    options: Mapping[str, Any] = _NONE
+    label: str = ""
+
+    @property
+    def name(self) -> str:
+        """For files and messages."""
+        return f"{self.variant}-{self.label}" if self.label else self.variant
+
+    def world(self) -> World:
+        """A master, and the board as can0/5 with two actuators: one with both end-stops, one without any."""
+        far = 64 if self.variant == "many-outputs" else 1
+        channels = [Channel("5.left", "can0", 5, 0, 0, input_contracted=1), Channel("5.right", "can0", 5, far, None)]
+        return World(channels, Timing(boot_timeout=8.0), variants={"can0/5": VARIANTS[self.variant]}, **self.options)
+
+
+_CONTRACT, _HOLD, _OFF = {"on_loss": "contract"}, {"error_state": "hold"}, {"error_state": "off"}
+_MAKER = {"nodes": (NodeSettings("can0", 5, object=0x2201, error_state="off"),)}
+_MAKER_UNKNOWN = {"nodes": (NodeSettings("can0", 5, object=0x2201),)}
+_NO_MODE = ("has no 6206h (error mode)", "set boards.error_state to off, hold or device")
+_NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); it is taken to go pre-operational when the master is lost"
+_NO_BEHAVIOUR_REFUSED = ("has no 1029h sub 1 (error behaviour); 02h is needed", "on_loss: contract")
+_NO_VALUE_REFUSED = ("has no 6207h sub 1 (error value); 00h is needed", "on_loss: contract")
+
+IN_VAIN = "did not become operational within 8 s; it is pre-operational"  # which only a start can tell
+
+CASES = (
+    Case("standard"),
+    Case("standard", options=_CONTRACT, label="contract"),
+    Case("guarding-only", warned=(_NO_BEHAVIOUR,)),
+    Case("guarding-only", _NO_BEHAVIOUR_REFUSED, options=_CONTRACT, label="contract"),
+    Case("one-supervision"),
+    Case("unsupervised", ("neither 1016h sub 1 and 1017h (heartbeats) nor 100Ch and 100Dh (node guarding)",)),
+    Case("outputs-in-rpdo5"),
+    Case("many-outputs"),
+    Case("fixed-mapping"),
+    Case("no-sync", warned=("RPDO1 refuses to wait for SYNC (1400h sub 2)",)),
+    Case("saves-writes"),
+    Case(
+        "no-output-bit",
+        warned=(
+            "1000h sub 0 holds 00000191h, without the bit of digital outputs",
+            "1000h sub 0 holds 00000191h, without the bit of digital inputs",
+        ),
+    ),
+    Case("all-bits"),
+    Case("maker-object", ("holds 00000000h in 1000h sub 0 (device type), not the profile 0191h", "needs `object`")),
+    Case(
+        "maker-object",
+        ("no error mode for its maker's object", "set boards.error_state"),
+        (),
+        _MAKER_UNKNOWN,
+        "unknown",
+    ),
+    Case("maker-object", (), ("no error mode for its maker's object; by the arm's file",), _MAKER, "named"),
+    Case("no-error-mode", _NO_MODE),
+    Case(
+        "no-error-mode", (), ("no 6206h (error mode); by the arm's file (error_state) its outputs hold",), _HOLD, "hold"
+    ),
+    Case("no-error-mode", _NO_VALUE_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
+    Case("no-error-mode-off", _NO_MODE),
+    Case("no-error-mode-off", (), ("by the arm's file (error_state) its outputs go off",), _OFF, "off"),
+    Case("no-error-behaviour", warned=(_NO_BEHAVIOUR,)),
+    Case("no-error-behaviour", _NO_BEHAVIOUR_REFUSED, options=_CONTRACT, label="contract"),
+    Case("canopennode", _NO_MODE),
+    Case("canopennode", (), (_NO_BEHAVIOUR, "(error_state) its outputs hold"), _HOLD, "hold"),
+    Case("canopennode", _NO_BEHAVIOUR_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
+    Case("deaf-error-mode", ("holds FFh in 6206h sub 1 (error mode) after FCh was written",)),
+    Case("hidden-error-state"),
+    Case("hidden-error-state", options=_CONTRACT, label="contract"),
+    Case("resets-outputs"),
+    Case("slow-answers"),
+    Case("late-boot"),
+    Case("foreign-sync"),
+    Case("sync-counter"),
+    Case("sync-period"),
+    Case("inverted-outputs", ("holds FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
+    Case("masked-inputs"),
+    Case(
+        "standing-error",
+        ("error register 1001h sub 0 holds 80h; 00h is needed", "1003h sub 1 holds 0000FF00h", "FF00h"),
+    ),
+    Case("generic-error", ("error register 1001h sub 0 holds 01h; 00h is needed", "1003h sub 1 holds 00001000h")),
+    Case(
+        "blocking-error",
+        (IN_VAIN, "error register 1001h sub 0 holds 01h; 00h is needed", "1003h sub 1 holds 00005000h"),
+    ),
+)
+UNSEEN_WITHOUT_WRITING = frozenset({"no-sync"})  # `check --bus` tries no other value than those held and needed

@@ -1,0 +1,151 @@
+"""Each variant boots and switches, or is refused with a sentence that names object, value and need."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.cia301 import Command, State
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.test_probe import asked
+from tests.drivers.canopen.world import World
+from tests.drivers.variants.cases import CASES, IN_VAIN, UNSEEN_WITHOUT_WRITING, Case
+
+LONGEST = 60.0  # [s] of the boot of a board whose SDO answers take 0.6 s
+
+all_cases = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+
+
+def booted(case: Case) -> World:
+    """A world after the boot, successful or not."""
+    return boot(case.world())
+
+
+def boot(world: World) -> World:
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: not world.master.booting, LONGEST)
+    return world
+
+
+def case_of(name: str) -> Case:
+    [case] = [case for case in CASES if case.name == name]
+    return case
+
+
+def test_each_variant_has_a_case():
+    assert {case.variant for case in CASES} == set(VARIANTS)
+
+
+@all_cases
+def test_it_boots_and_switches_or_is_refused_in_words(case):
+    world = booted(case)
+    faults = [fault.message for fault in world.master.boot_faults]
+    assert world.master.ready == (not case.refused), faults
+    at_rest = [actuator.switches for actuator in world.actuators.values()]
+    if case.refused:
+        [sentence] = faults
+        assert sentence.startswith("board can0/5 ")
+        assert all(words in sentence for words in case.refused), sentence
+        assert world.switches() == at_rest
+        return
+    warnings = [warning.message for warning in world.master.warnings()]
+    assert len(warnings) == len(case.warned), warnings
+    assert all(words in text for words, text in zip(case.warned, warnings, strict=True)), warnings
+    assert world.switches() == at_rest, "a boot switches nothing"
+    for states in ((1, 1), (0, 1), (1, 0), (0, 0)):
+        world.commit(*states)
+        assert world.master.commit_failed is None
+        world.run(1.0)
+        assert (world.positions(), world.measured()) == (list(states), list(states))
+    assert world.switches() == [4, 2]
+    assert world.faults == []
+
+
+@all_cases
+def test_check_says_the_same(case):
+    world = case.world()
+    world.run(5.0)  # of late ones, the check knows no boot time
+    [answer] = asked(world, patience=LONGEST)
+    assert answer.ok == (not case.refused or case.variant in UNSEEN_WITHOUT_WRITING), answer.text
+    if not answer.ok:
+        told = [words for words in case.refused if words != IN_VAIN]
+        assert all(words in answer.text for words in told), answer.text
+    if case.variant not in UNSEEN_WITHOUT_WRITING:
+        assert all(words in answer.text for words in case.warned), answer.text
+
+
+def test_a_board_that_saves_writes_is_written_only_once():
+    world = booted(case_of("saves-writes"))
+    objects = world.boards["can0", 5].objects
+    first = objects.flash_writes
+    assert first > 0
+    world.master = world.new_master()
+    boot(world)
+    world.commit(1, 1)
+    assert objects.flash_writes == first
+    world.boards["can0", 5].power_cut(world.now)
+    world.boards["can0", 5].power_on(world.now)
+    world.master = world.new_master()
+    boot(world)
+    assert world.master.ready
+    assert objects.flash_writes == first
+
+
+def lose_master(world: World) -> None:
+    """Both actuators are extended; then nobody sends heartbeats for a second."""
+    world.commit(1, 1)
+    world.run(1.0)
+    assert world.positions() == [1.0, 1.0]
+    world.stalled = True
+    world.run(2.0)
+    world.stalled = False
+    world.master = world.new_master()
+
+
+@pytest.mark.parametrize(
+    ("name", "left"),
+    [
+        ("standard", [1, 1]),
+        ("standard-contract", [0, 0]),
+        ("guarding-only", [1, 1]),
+        ("one-supervision", [1, 1]),
+        ("no-error-mode-hold", [1, 1]),
+        ("no-error-mode-off-off", [0, 0]),
+        ("canopennode-hold", [1, 1]),
+        ("maker-object-named", [0, 0]),
+        ("hidden-error-state", [1, 1]),
+        ("hidden-error-state-contract", [0, 0]),
+    ],
+)
+def test_after_the_loss_of_the_master_the_outputs_are_known_and_nothing_moves_by_a_start(name, left):
+    world = booted(case_of(name))
+    lose_master(world)
+    assert world.positions() == left
+    assert world.boards["can0", 5].state is not State.OPERATIONAL
+    before = world.switches()
+    boot(world)
+    assert world.master.ready, world.master.boot_faults
+    world.run(1.0)
+    assert (world.positions(), world.switches()) == (left, before)
+    assert world.master.outputs == sum(state << k for k, state in enumerate(left))
+    world.commit(0, 1)
+    world.run(1.0)
+    assert world.positions() == [0, 1]
+
+
+@pytest.mark.parametrize("name", ["standard", "resets-outputs"])
+def test_outputs_after_a_reset_of_communication_are_read(name):
+    world = booted(case_of(name))
+    world.commit(1, 1)
+    world.run(1.0)
+    world.say(0, bytes([Command.RESET_COMMUNICATION, 5]))
+    world.run(1.0)
+    left = [0, 0] if name == "resets-outputs" else [1, 1]
+    assert world.positions() == left
+    assert not world.master.ready
+    before = world.switches()
+    boot(world)
+    world.run(1.0)
+    assert (world.master.ready, world.positions(), world.switches()) == (True, left, before)
+    assert world.master.outputs == sum(state << k for k, state in enumerate(left))

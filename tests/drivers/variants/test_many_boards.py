@@ -1,0 +1,70 @@
+"""A hundred boards of mixed variants."""
+
+from __future__ import annotations
+
+from random import Random
+
+from drivers.canopen.wiring import Channel, NodeSettings, Timing
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import World
+from tests.drivers.variants.cases import CASES
+
+BOOTING = sorted({case.variant for case in CASES if not case.refused and not case.options})
+SLOW = ("slow-answers", "late-boot")
+
+
+def hundred(*left_out: str) -> World:
+    """Fifty boards on each of two buses, of all variants that boot but those left out; the arm's file helps some."""
+    names = [name for name in BOOTING if name not in left_out]
+    named = [*names, "no-error-mode", "canopennode", "maker-object"]
+    random = Random(1)
+    places = [(bus, node) for bus in ("can0", "can1") for node in range(1, 51)]
+    chosen = {place: named[i] if i < len(named) else random.choice(named) for i, place in enumerate(places)}
+    channels = []
+    for (bus, node), name in chosen.items():
+        far = 64 if name == "many-outputs" else 1
+        channels += [Channel(f"{bus}/{node}.{bit}", bus, node, bit, bit) for bit in (0, far)]
+    makers = [NodeSettings(*place, object=0x2201) for place, name in chosen.items() if name == "maker-object"]
+    return World(
+        channels,
+        Timing(boot_timeout=8.0),
+        variants={f"{bus}/{node}": VARIANTS[name] for (bus, node), name in chosen.items()},
+        error_state="device",
+        nodes=tuple(makers),
+    )
+
+
+def boot_time(world: World) -> float:
+    """Simulated seconds until all boards are up [s]."""
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.flush()
+    took = world.until(lambda: not world.master.booting, 60.0)
+    assert world.master.ready, [fault.message for fault in world.master.boot_faults]
+    return took
+
+
+def test_a_hundred_boards_boot_in_parallel_and_switch_together(monkeypatch):
+    monkeypatch.setattr("tests.drivers.canopen.world.QUEUE", 128)  # frames, as README asks of interfaces
+    world = hundred(*SLOW)
+    took = boot_time(world)
+    print(f"100 boards booted in {took:.2f} s of simulated time")
+    assert took < 3.0
+    assert not any(world.switches())
+    ones = [1] * len(world.wiring.channels)
+    world.commit(*ones)
+    world.run(1.0)
+    assert world.positions() == ones
+    assert world.measured() == ones
+    assert world.faults == []
+
+
+def test_slow_and_late_boards_do_not_hold_up_each_other():
+    world = hundred()
+    took = boot_time(world)
+    print(f"100 boards, slow and late ones among them, booted in {took:.2f} s of simulated time")
+    assert took < 45.0
+
+
+if __name__ == "__main__":
+    print(f"without slow ones: {boot_time(hundred(*SLOW)):.2f} s; with them: {boot_time(hundred()):.2f} s")
