@@ -2,18 +2,16 @@
 
 import argparse
 import contextlib
-import logging
-import queue
 import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 
 from controller.executor.arm import read_arm
 from controller.executor.buses import Buses, CanBuses, EmbeddedBoards
 from controller.executor.core import Executor
+from controller.executor.log_lines import start_logging
 from controller.executor.real_time import enter_real_time
 from controller.executor.run import EventLoop
 from controller.executor.server import Server, Taken
@@ -25,7 +23,6 @@ from drivers.simulation.buses import board_names
 from drivers.simulation.variants import choose
 
 PATIENCE = 10.0  # [s] more for simulated boards: they stall with this process, as boards do not
-MOST_WAITING = 1_000  # log lines; more are dropped
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -75,7 +72,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     except ValueError as error:
         raise InputFaults(Path("--board"), [str(error)]) from None
     with contextlib.ExitStack() as closing:  # the log last
-        closing.callback(start_logging().stop)
+        closing.callback(start_logging().close)
         counts = FileJournal(journal or default_path(arm.name), arm.actuators)
         closing.callback(counts.close)
         server = Server(socket_path(socket, arm.name))
@@ -84,36 +81,6 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         core.reports.real_time = enter_real_time(arm.real_time)
         buses: Buses = EmbeddedBoards(arm.wiring, arm.timing, variants) if simulate else CanBuses(arm.wiring.buses)
         EventLoop(core, buses, server, notifier).run_until_signal()
-
-
-class DroppingHandler(QueueHandler):
-    """Hands log records over, as far as there is room."""
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        """Hands one record over, or drops it."""
-        try:
-            self.queue.put_nowait(record)
-        except queue.Full:
-            return
-
-
-def start_logging() -> QueueListener:
-    """Writes log lines to the standard error in a thread of its own: a reader that hangs must not stop the event loop.
-
-    Returns:
-        The thread; its `stop` writes the lines that wait.
-    """
-    lines: queue.Queue[logging.LogRecord] = queue.Queue(MOST_WAITING)
-    writing = logging.StreamHandler(sys.stderr)
-    writing.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-    listener = QueueListener(lines, writing)
-    listener.start()
-    handing = DroppingHandler(lines)
-    handing.setFormatter(logging.Formatter())
-    logging.basicConfig(level=logging.INFO, handlers=[handing], force=True)
-    for name in ("can", "canopen"):  # each SDO of simulated boards, for one
-        logging.getLogger(name).setLevel(logging.WARNING)
-    return listener
 
 
 if __name__ == "__main__":

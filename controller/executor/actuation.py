@@ -11,6 +11,7 @@ from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that takes no command for longer is a fault
+LATE = 0.1  # [s] after which nobody waits any more for the end of a pulse: its bus takes no frames
 EARLY = 0.0025  # [s] by which a pulse may end too soon, so that it is not longer by a whole period
 
 
@@ -66,11 +67,13 @@ class Actuation:
         """The states that the outputs stand for, or stood for before a pulse ended."""
         return self._kinds.states(self._master.outputs, self._states)
 
-    @property
-    def pulsing(self) -> bool:
-        """Whether an output is on for a pulse, on a board that is up."""
+    def pulsing(self, now: float) -> bool:
+        """Returns whether an output is on for a pulse, unless nothing could end it in time."""
+        if not self._kinds.pulsed:
+            return False
         extending, contracting = self._kinds.on(self._master.outputs)
-        return bool((extending | contracting) & self._kinds.pulsed & self._master.known)
+        on = (extending | contracting) & self._kinds.pulsed
+        return any(now < self._pulse_ends[k] + LATE for k in indices(on))
 
     def differ(self, states: int, homing: int) -> int:
         """Returns the mask of the actuators that a switch to states energises or lets go.
@@ -115,10 +118,10 @@ class Actuation:
         outputs = self._master.outputs
         extending, contracting = self._kinds.on(outputs)
         over = (extending & contracting) | ((extending | contracting) & ~self._on(now))
-        if not over & self._master.known:
+        if not over:
             return
         try:
-            self._master.commit(self._kinds.without(outputs, over & self._master.known), now, release=True)
+            self._master.commit(self._kinds.without(outputs, over), now, release=True)
         except Busy:
             return  # the next tick tries again; a board that hears nobody does it by itself
 

@@ -144,7 +144,7 @@ class Executor:
             case Defect():
                 self._fail(event.text, now)
             case Quit():
-                self._quit()
+                self._quit(now)
             case _:
                 self._master.take(event, now)
 
@@ -237,7 +237,7 @@ class Executor:
         if self.modes.mode == "executing":
             self.modes.enter("ready", f"holding; {why}")
 
-    def _quit(self) -> None:
+    def _quit(self, now: float) -> None:
         """Ends what runs with a result; asked again, does not wait for the stage under way."""
         if self.ending.begun:
             self.motion.close()
@@ -245,7 +245,7 @@ class Executor:
             return
         self._requests.quitting = True
         self._hold("the executor is shutting down")
-        self.ending.begin()
+        self.ending.begin(now)
 
     # --- actions
 

@@ -40,7 +40,7 @@ class Ending:
     ) -> None:
         self.begun, self.patience = False, 0.0
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
-        self._contracting = False
+        self._contracting = self._pulsing = False
         levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
         self._let_go = sum(1 << k for k in range(len(arm.actuators)) if levels[k] == 0 and k not in pairs.values())
         self._let_go |= sum(1 << k for line, k in pairs.items() if levels[line] == 1)
@@ -49,7 +49,7 @@ class Ending:
     def over(self) -> bool:
         """Whether the executor may end: no stage and no pulse is under way, and nothing is to be contracted."""
         motion = self._motion
-        return self.begun and not (self._contracting or motion.committing or motion.actuation.pulsing)
+        return self.begun and not (self._contracting or motion.committing or self._pulsing)
 
     def warning(self) -> str | None:
         """Returns what the boards do when the executor has ended, in words; None if they hold."""
@@ -59,9 +59,9 @@ class Ending:
         which = f"all {count} actuators" if count == len(self._arm.actuators) else f"{count} actuators"
         return f"when the executor has ended, the boards contract {which} (on_loss: contract)"
 
-    def begin(self) -> None:
+    def begin(self, now: float) -> None:
         """Ends what runs, and begins to contract the arm if that is asked for and allowed."""
-        self.begun = True
+        self.begun, self._pulsing = True, self._motion.actuation.pulsing(now)
         self._act(Notify("STOPPING=1"))
         warning, modes = self.warning(), self._modes
         if not self._arm.contract_on_stop:
@@ -75,9 +75,10 @@ class Ending:
 
     def advance(self, now: float) -> None:
         """Notes when the arm is contracted, or cannot be; to be called every period."""
+        motion = self._motion
+        self._pulsing = motion.actuation.pulsing(now)
         if not self._contracting:
             return
-        motion = self._motion
         stream, moving = motion.stream, motion.busy or motion.moving or now < motion.actuation.free_at
         if stream is None or not (stream.stages or moving):
             self._contracting = False

@@ -144,7 +144,7 @@ class Modes:
 
     def _begin_boot(self, now: float) -> None:
         """Has the master boot, as soon as no output is on for a pulse: nothing could end it meanwhile."""
-        if self._waits and not self._motion.actuation.pulsing:
+        if self._waits and not self._motion.actuation.pulsing(now):
             self._waits = False
             self._master.boot(now)
 

@@ -152,7 +152,7 @@ class Master:
         Args:
             outputs: levels of all lines.
             now: see above.
-            release: only switches lines off, though other boards are not up; a commit whose RPDOs wait is given up.
+            release: only switches lines off, also of boards that are not up; a commit whose RPDOs wait is given up.
 
         Raises:
             Busy: a commit is under way, or a bus or a board is not up.
@@ -173,7 +173,7 @@ class Master:
             return
         if (refusal := self._network.refusal(lines)) is not None:
             raise Busy(refusal)
-        frames = {bus: self._network.frames_of(bus, keys) for bus, keys in due.items()}
+        frames = {bus: self._network.frames_of(bus, keys, lines) for bus, keys in due.items()}
         self._commit.begin(outputs, frames, lambda: self._network.refusal(lines), now, self._clock.at(now))
 
     def question(self, board: int, now: float) -> None:

@@ -68,23 +68,29 @@ class Network:
         return (ends | outputs) & self._actuators & self.image.known
 
     def refusal(self, lines: int | None = None) -> str | None:
-        """Returns why nothing may be switched, or None; of all boards, or of those of some output lines."""
+        """Returns why nothing may be switched, or None.
+
+        Args:
+            lines: that only go off; a board that is not heard may still hear, so only its bus counts. None: any.
+        """
         stations = [s for s in self.stations if lines is None or s.board.layout.output_lines & lines]
         buses = self.links if lines is None else {station.board.layout.bus for station in stations}
         for link in (self.links[bus] for bus in buses):
             if not link.armed:
                 return f"{link.name} is {link.state} or was lost: nothing is sent until its boards are booted"
-        for station in stations:
+        for station in stations if lines is None else ():
             if not station.board.ready:
                 return f"board {station.board.name} is not up: nothing is sent until it is booted"
         return None
 
-    def frames_of(self, bus: str, keys: list[Key]) -> list[Key | Frame]:
+    def frames_of(self, bus: str, keys: list[Key], lines: int | None) -> list[Key | Frame]:
         """Returns the frames for boards that are up, after orders for the others to leave operational.
 
-        A SYNC would switch a board that was lost as well, if it is operational and has latched a frame.
+        A SYNC would switch a board that was lost as well, if it is operational and has latched a frame. A lost board of
+        `lines`, which only go off, takes its frame like those that are up.
         """
-        lost = {s.index for s in self.stations if s.board.layout.bus == bus and not s.board.ready}
+        here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
+        lost = {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
         orders = [cia301.command(Command.PRE_OPERATIONAL, self.stations[i].board.layout.node) for i in sorted(lost)]
         return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
 

@@ -116,11 +116,12 @@ def test_a_pulse_ends_after_its_time_whatever_is_asked_meanwhile(event: Any) -> 
     assert rig.core.ended == isinstance(event, Quit)
 
 
-def test_a_pulse_ends_after_its_time_though_another_board_is_lost() -> None:
+@pytest.mark.parametrize("lost", [0b000111, 0b111000, ALL])
+def test_a_pulse_ends_after_its_time_though_a_board_is_lost_which_may_still_hear(lost: int) -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
     rig.go(PERIOD)
-    rig.master.fail(LOST, lost=0b111000)
+    rig.master.fail(LOST, lost=lost)
     rig.go(0.2)
     assert rig.mode == "fault"
     assert pulses(rig) == [PULSE]
