@@ -31,15 +31,15 @@ class Lives:
         motions: of the boards, from the first start on.
     """
 
-    def __init__(self, system: System, stack: ExitStack) -> None:
+    def __init__(self, system: System, stack: ExitStack, lease: float = PATIENCE) -> None:
         self.system, self._stack = system, stack
         config = session.configuration("peer", listen=system.endpoint)
-        config.insert_json5(LEASE, str(round(1e3 * PATIENCE)))  # as the planner's: who is stopped keeps the session
+        config.insert_json5(LEASE, str(round(1e3 * lease)))  # a long one: who is stopped keeps the session
         self.session: zenoh.Session = stack.enter_context(zenoh.open(config))
         self.client = Observer(Client(self.session, system.name))
         self.motions = Motions(system.wiring, stack.enter_context(system.listener()))
         system.start_executor()
-        system.start_planner_process()
+        system.start_planner_process(lease)
 
     def ready(self) -> None:
         """Waits until the arm is ready for goals, with a reset if the fault needs one."""

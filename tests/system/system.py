@@ -141,14 +141,14 @@ class System:
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
         return daemon.running(arm, densities, config, ledger, self.socket, digest)
 
-    def start_planner_process(self) -> Process:
+    def start_planner_process(self, lease: float = PATIENCE) -> Process:
         """Starts a planner in a process of its own; it connects to the endpoint, where somebody must listen.
 
-        Its lease is long: a planner that is stopped keeps its session, so that what it publishes later is heard.
+        With a long lease [s], a planner that is stopped keeps its session.
         """
         file = self.folder / "zenoh.json5"
         config = session.configuration("client", connect=self.endpoint)
-        config.insert_json5(LEASE, str(round(1e3 * PATIENCE)))
+        config.insert_json5(LEASE, str(round(1e3 * lease)))
         file.write_text(str(config))
         arguments = [str(self.file), "--socket", str(self.socket), "--zenoh", str(file), "--ledger", str(self.ledger)]
         self.planner = self._nurseries["planner"].start(arguments, self.folder / "planner.log", self._environment)

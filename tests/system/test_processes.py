@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
+from controller.gateway import session
 from controller.planning.ledger_file import read
 from drivers.canopen import cia301
 from tests import emulated
@@ -157,6 +158,20 @@ def test_a_stopped_planner_has_its_goal_ended_and_carries_out_a_stop_when_it_goe
     client.wait_now("stopped")
     assert system.boards.switches().tolist() == before
     client.reset()
+    lives.move("after", LEFT)
+    lives.check()
+
+
+def test_the_result_of_a_planner_that_stood_still_for_longer_than_its_lease_is_heard(
+    system: System, stack: ExitStack
+) -> None:
+    lives = Lives(system, stack, session.LEASE)
+    goal = lives.send("passed", MIDDLE, RIGHT, times=[0.0, HOUR])
+    lives.begun()
+    system.planner.freeze()
+    eventually(lambda: not lives.client.client.alive())
+    system.planner.thaw()
+    assert lives.client.result(goal)["status"] == "aborted"
     lives.move("after", LEFT)
     lives.check()
 
