@@ -1,0 +1,63 @@
+"""Log lines on the standard error, written by the event loop's own thread: a reader that hangs must not stop it.
+
+A second thread would hold the interpreter now and then. Without a real-time priority of its own it would not get on
+while other processes are busy, and the event loop would wait for it.
+"""
+
+import logging
+import os
+import select
+import sys
+from collections import deque
+
+MOST_WAITING = 1_000  # log lines; more are dropped
+MOST_WRITTEN = 4_096  # bytes at once; a pipe that can be written takes so many without waiting
+PATIENCE = 0.5  # [s] for lines that wait at the end
+
+
+class LogLines(logging.Handler):
+    """Writes each line at once if that does not wait, else with a later line.
+
+    Args:
+        output: file descriptor.
+    """
+
+    def __init__(self, output: int) -> None:
+        super().__init__()
+        self._output, self._waiting = output, deque[bytes]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Writes a record, or keeps it, or drops it if too many wait."""
+        try:
+            line = (self.format(record) + "\n").encode(errors="backslashreplace")
+        except Exception:  # a message that does not fit its arguments must not stop the arm
+            line = f"{record.levelname} {record.name}: a line cannot be written: {record.msg!r}\n".encode()
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append(line)
+        self._write(0.0)
+
+    def close(self) -> None:
+        """Writes what waits, as far as it is read."""
+        self._write(PATIENCE)
+        super().close()
+
+    def _write(self, patience: float) -> None:
+        """Writes while the output takes it; waits for so long each time [s]."""
+        try:
+            while self._waiting and select.select([], [self._output], [], patience)[1]:
+                line = self._waiting.popleft()
+                written = os.write(self._output, line[:MOST_WRITTEN])
+                if written < len(line):
+                    self._waiting.appendleft(line[written:])
+        except (OSError, ValueError):  # nobody reads any more
+            self._waiting.clear()
+
+
+def start_logging() -> LogLines:
+    """Has all log lines written to the standard error."""
+    lines = LogLines(sys.stderr.fileno())
+    lines.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[lines], force=True)
+    for name in ("can", "canopen"):  # each SDO of simulated boards, for one
+        logging.getLogger(name).setLevel(logging.WARNING)
+    return lines
