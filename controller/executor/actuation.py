@@ -12,7 +12,7 @@ from drivers.canopen.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that takes no command for longer is a fault
 LATE = 0.1  # [s] after which nobody waits any more for the end of a pulse: its bus takes no frames
-EARLY = 0.0025  # [s] by which a pulse may end too soon, so that it is not longer by a whole period
+EARLY = 0.004  # [s] by which a pulse may end too soon, so that on a slow bus, too, none is longer by a whole period
 
 
 class Commit(NamedTuple):
