@@ -1,0 +1,67 @@
+"""Pairs of outputs, inverted outputs and inputs, both end-stops: the driver's lines on simulated actuators."""
+
+from __future__ import annotations
+
+from drivers.canopen.wiring import Channel
+from tests.drivers.canopen.world import World
+
+
+def ends(world: World) -> int:
+    """Levels of the input lines: extended ends by actuator, then contracted ends."""
+    return world.master.ends
+
+
+def test_a_pair_of_outputs_changes_in_one_frame_and_never_both_on():
+    world = World([Channel("a", "can0", 5, 0, 0, output_off=1, input_contracted=1)]).up()
+    valve = world.actuators["a"]
+    assert ends(world) == 0b10, "it is at its contracted end"
+    world.commit(1, 0)
+    world.run(0.01)
+    assert ends(world) == 0b00, "it is in mid-stroke"
+    world.run(0.1)
+    assert (world.positions(), ends(world)) == ([1.0], 0b01)
+    world.frames()
+    world.commit(0, 1)
+    assert world.frames()[:2] == [(0x205, "02"), (0x080, "")], "one frame, one SYNC"
+    world.run(0.1)
+    assert (world.positions(), ends(world)) == ([0.0], 0b10)
+    world.commit(0, 0)
+    world.run(0.1)
+    assert (world.positions(), valve.coils, valve.both_on) == ([0.0], (0, 0), 0)
+    assert world.faults == []
+
+
+def test_inverted_lines_are_levels_above_the_driver():
+    inverted = frozenset({"output", "input", "input_contracted"})
+    world = World([Channel("a", "can0", 5, 0, 0, input_contracted=1, inverted=inverted)]).up()
+    assert world.positions() == [1.0], "it rests extended while its output is 0"
+    assert (world.master.outputs, ends(world)) == (0b1, 0b01)
+    world.commit(0)
+    world.run(0.1)
+    assert (world.positions(), world.master.outputs, ends(world)) == ([0.0], 0b0, 0b10)
+    assert world.boards["can0", 5].objects.number(0x6200, 1) == 1
+    world.commit(1)
+    world.run(0.1)
+    assert (world.positions(), ends(world)) == ([1.0], 0b01)
+    assert world.faults == []
+
+
+def test_a_broken_wire_reads_both_ends_or_none():
+    world = World([Channel("a", "can0", 5, 0, 0, input_contracted=1)]).up()
+    board = world.boards["can0", 5]
+    for broken, levels in ((world.actuators["a"].short_wires, 0b11), (world.actuators["a"].cut_wires, 0b00)):
+        broken()
+        board.step(world.now)
+        world.run(0.01)
+        assert ends(world) == levels
+
+
+def test_an_actuator_that_fails_half_way_is_at_neither_end():
+    world = World([Channel("a", "can0", 5, 0, 0, input_contracted=1)]).up()
+    world.actuators["a"].jam(0.5)
+    world.commit(1)
+    world.run(1.0)
+    assert (world.positions(), ends(world)) == ([0.5], 0b00)
+    world.commit(0)
+    world.run(1.0)
+    assert (world.positions(), ends(world)) == ([0.5], 0b00)
