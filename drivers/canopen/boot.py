@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from drivers.canopen import configuration, inspection, objects
+from drivers.canopen import configuration, inspection, objects, pdo_search
 from drivers.canopen.board import Board
 from drivers.canopen.cia301 import INVALID, Command, State
 from drivers.canopen.faults import Fault
@@ -15,7 +15,7 @@ from drivers.canopen.layout import BoardLayout
 from drivers.canopen.objects import Need
 from drivers.canopen.outputs import Outputs
 from drivers.canopen.pdo import INPUTS, Pdo, subs_of, union
-from drivers.canopen.pdo_setup import ON_SYNC, set_up, usable
+from drivers.canopen.pdo_setup import ON_SYNC, Held, set_up, usable
 from drivers.canopen.procedure import Ask, BoardError, Order, Procedure, Step, Wait
 from drivers.canopen.sdo import TIMEOUT, Outcome, Transfer
 from drivers.canopen.wiring import ErrorState, Timing
@@ -100,7 +100,7 @@ def _inspect(boot: Boot) -> Procedure:
     board, stopped = boot.board, boot.found is State.STOPPED
     yield from _learn_state(boot)
     boot.found = State.STOPPED if stopped else board.state
-    yield from inspection.read_pdos(it, in_full=board.state is State.OPERATIONAL)
+    yield from pdo_search.read_pdos(it, in_full=board.state is State.OPERATIONAL)
 
 
 def _learn_state(boot: Boot) -> Procedure:
@@ -124,7 +124,7 @@ def _configure(boot: Boot) -> Procedure:
     if board.state is State.OPERATIONAL:
         yield from _ask_for_sync(it)
         wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
-        if not wrong and inspection.as_is(it):
+        if not wrong and pdo_search.as_is(it):
             board.state = None  # it may have left operational since its last heartbeat
             return
     if board.state in (State.OPERATIONAL, None):
@@ -133,15 +133,34 @@ def _configure(boot: Boot) -> Procedure:
         yield from _order(board.layout, Command.PRE_OPERATIONAL)
     yield from _settle(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):
-        for i, (wanted, held) in enumerate(pdos):
-            if not held.fits(wanted) or (wanted.parameters < 0x1800 and not it.synchronous):
-                pdos[i] = wanted, (yield from set_up(it.layout, wanted, held, it.synchronous))
+        yield from _set_up(it, pdos)
+    if not board.layout.loss[0]:
+        yield from _settle(it, it.error_mode)
     yield from _release(boot)
     board.guarded = False
     if it.guarded:
         board.guard()
     board.state = None  # an older heartbeat must not count as the answer
     yield from _order(board.layout, Command.START)
+
+
+def _set_up(it: Inspection, pdos: list[tuple[Pdo, Held]]) -> Procedure:
+    """Sets up the PDOs of one direction; if they refuse, others that carry the process data as they are mapped."""
+    for again in (False, True):
+        try:
+            for i, (wanted, held) in enumerate(pdos):
+                if not held.fits(wanted) or (wanted.parameters < 0x1800 and not it.synchronous):
+                    pdos[i] = wanted, (yield from set_up(it.layout, wanted, held, it.synchronous))
+            return
+        except BoardError:
+            other = None
+            if not again and not it.layout.shared:
+                other = yield from pdo_search.cover(it, pdos)
+            if other is None:
+                raise
+            pdos[:], needs = other
+            it.needs += needs
+            yield from _settle(it, needs)
 
 
 def _hold(it: Inspection) -> Procedure:
@@ -233,7 +252,7 @@ def _check_errors(boot: Boot) -> Procedure:
 def _read_back(boot: Boot) -> Procedure:
     """Adopts the outputs and inputs as they are."""
     board, it, inputs = boot.board, boot.it, dict[int, int]()
-    rpdos, tpdos = inspection.adopt(it)
+    rpdos, tpdos = pdo_search.adopt(it)
     values = dict[int, int]()
     for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > 7}:
         values[entry] = yield from _value(board, entry)

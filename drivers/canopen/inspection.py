@@ -7,20 +7,17 @@ from dataclasses import dataclass, field
 
 from drivers.canopen import cia301, configuration, objects
 from drivers.canopen.board import Board
-from drivers.canopen.cia301 import INVALID
 from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.objects import Need
-from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, carried_bits, subs_of
-from drivers.canopen.pdo_setup import Held, pdo_words, read_pdo, usable
+from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
+from drivers.canopen.pdo_setup import Held
 from drivers.canopen.procedure import BoardError, Step
 from drivers.canopen.quirks import NONE, VENDORS, Quirk, quirk_of
 from drivers.canopen.sdo import Outcome
 from drivers.canopen.wiring import ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
-_MOST_PDOS = 32  # that are looked through for outputs beyond the first 64
-_LAST_TRIED = 8  # a board without this PDO has none beyond
 _MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # emergency, and the bits of 1001h that it sets
 
 
@@ -98,49 +95,6 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     if it.layout.outputs:
         yield from _outputs(it, error_state)
     yield from _read(it, configuration.interrupts(it.layout))
-
-
-def read_pdos(it: Inspection, in_full: bool) -> Reading:
-    """Reads the PDOs that are to carry the process data.
-
-    Args:
-        it: takes what is read.
-        in_full: read mappings also if their number of entries tells that they differ.
-    """
-    for wanted, found in ((it.layout.rpdos, it.rpdos), (it.layout.tpdos, it.tpdos)):
-        found.clear()
-        taken: set[int] = set()
-        for pdo in wanted:
-            held = yield from _find_pdo(it, pdo, taken, in_full)
-            if held is None:
-                what = f"{pdo_words(pdo.parameters)} ({pdo.parameters:04X}h): it is needed for its process data"
-                raise BoardError(Fault("wrong-device", it.name, f"board {it.name} has no {what}"))
-            taken.add(held.parameters)
-            found.append((pdo._replace(parameters=held.parameters), held))
-
-
-def as_is(it: Inspection) -> bool:
-    """Whether the PDOs carry the process data as they are, though they may carry more."""
-    if it.layout.shared:
-        return all(held.fits(wanted) for wanted, held in it.rpdos + it.tpdos)
-    for wanted, held in it.rpdos + it.tpdos:
-        if not held.in_full or usable(it.layout, wanted, held) is not None:
-            return False
-        if held.parameters < 0x1800 and not held.pdo.on_sync and it.synchronous and not it.refuses_sync:
-            return False
-    return True
-
-
-def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
-    """Returns RPDOs and TPDOs as they are, and warns of what is lost with them."""
-    rpdos = tuple(held.pdo for _, held in it.rpdos)
-    for pdo in rpdos:
-        if not pdo.on_sync and it.synchronous:
-            it.warn(
-                f"{pdo_words(pdo.parameters)} refuses to wait for SYNC ({pdo.parameters:04X}h sub 2): its outputs"
-                " switch at once with their frame, not at the same instant as other boards"
-            )
-    return rpdos, tuple(held.pdo for _, held in it.tpdos)
 
 
 def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome, tuple[int, str, bool]]:
@@ -257,40 +211,3 @@ def _read(it: Inspection, needs: list[Need], into: list[Need] | None = None) -> 
                 it.held[place] = held
     target = it.needs if into is None else into
     target += [need for need in needs if need.fixed is None]
-
-
-def _find_pdo(it: Inspection, wanted: Pdo, taken: set[int], in_full: bool) -> Generator[Step, Outcome, Held | None]:
-    """Looks for the PDO that is to carry bits.
-
-    Returns:
-        The first one that carries them, else RPDO1 or TPDO1 if that is wanted, or one that is free; or None.
-    """
-    first = wanted.parameters & 0xFF00
-    base = INPUTS if first == 0x1800 else it.layout.settings.object
-    needed = carried_bits([wanted], base) & (it.layout.input_bits if base == INPUTS else it.layout.output_bits)
-    further = it.quirk.further_rpdos if first == 0x1400 else 2
-    chosen, others = None, list[Held]()
-    for number in range(1, 1 + _MOST_PDOS):
-        parameters = first + number - 1
-        if parameters in taken:
-            continue
-        main = parameters == wanted.parameters == first
-        held = yield from read_pdo(it.name, parameters, *([len(wanted.mapping)] if main and not in_full else []))
-        if held is not None and main and not held.in_full and needed & ~carried_bits([held.pdo], base):
-            held = yield from read_pdo(it.name, parameters)
-        if held is None:
-            if number >= _LAST_TRIED:
-                break
-            continue
-        if not needed & ~carried_bits([held.pdo], base) or (main and it.layout.shared):
-            chosen = held
-            break
-        others.append(held)
-        if chosen is None and (main or (number >= further and not (held.entries and held.valid))):
-            chosen = held
-    for other in others:
-        if other is not chosen and other.valid and other.cob_id & 0x7FF == wanted.cob_id:
-            what = f"COB-ID of {pdo_words(other.parameters)}, wanted for other outputs"
-            it.held[other.parameters, 1] = other.cob_id
-            it.needs.append(Need(other.parameters, 1, INVALID, 4, what, mask=INVALID))
-    return chosen

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from drivers.canopen import cia301, inspection, objects
+from drivers.canopen import cia301, inspection, objects, pdo_search
 from drivers.canopen.boot import find
 from drivers.canopen.bus import CanBus
 from drivers.canopen.cia301 import Frame
@@ -105,14 +105,15 @@ class Probe:
         kind = yield from find(board, _PATIENCE, None)
         it = Inspection(board)
         yield from inspection.inspect(it, kind, self._timing, self._error_state)
-        yield from inspection.read_pdos(it, in_full=True)
+        yield from pdo_search.read_pdos(it, in_full=True)
         unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
         changes = [f"{n.place} {n.words(it.held[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
         for need in unmet:
             yield from _try(it, need)
+        for pdos in (it.rpdos, it.tpdos):
+            yield from _try_mappings(it, pdos)
         for wanted, held in it.rpdos + it.tpdos:
             if not held.fits(wanted):
-                yield from _try_mapping(it, wanted, held)
                 changes.append(
                     f"{held.parameters:04X}h and {held.parameters + 0x200:04X}h ({pdo_words(held.parameters)})"
                 )
@@ -153,6 +154,19 @@ def _try(it: Inspection, need: Need) -> Reading:
         return
     if (abort := (yield from objects.write(it.name, need, held))) == objects.READ_ONLY:
         raise objects.refused(it.name, need, held, abort)
+
+
+def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, Held]]) -> Reading:
+    """Refuses PDOs that cannot be mapped as is wanted, unless others carry the process data as they are."""
+    try:
+        for wanted, held in pdos:
+            if not held.fits(wanted):
+                yield from _try_mapping(it, wanted, held)
+    except BoardError:
+        other = None if it.layout.shared else (yield from pdo_search.cover(it, pdos))
+        if other is None:
+            raise
+        pdos[:] = other[0]
 
 
 def _try_mapping(it: Inspection, wanted: Pdo, held: Held) -> Reading:

@@ -9,7 +9,7 @@ from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Changed, Echoed, Ignored, Received, SendFailed
 from drivers.canopen.faults import Busy
 from drivers.canopen.master import Master
-from drivers.canopen.wiring import BusSettings, Timing, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 NODES = (5, 9)
@@ -91,6 +91,68 @@ def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, share
     assert sum(frame.id == 0x080 for frame in sent) <= commits
     if not commits:
         assert not [frame for frame in sent if frame.id in (0x205, 0x209)]
+
+
+VALUES = st.sampled_from([0, 1, 2, 8, 64, 255, 0x80, 0x85, 0x205, 0x185, 0x80000205, 0x62000108, 0x60000108, 0x191])
+ANSWER = st.one_of(
+    st.tuples(st.just("value"), VALUES | st.integers(0, 2**32 - 1), st.integers(1, 4)),
+    st.tuples(st.just("value"), VALUES, st.just(4)),
+    st.tuples(st.just("abort"), st.sampled_from([0x06020000, 0x06090011, 0x06010002, 0x06090030, 0]), st.just(0)),
+    st.tuples(st.just("segments"), st.integers(0, 2**32 - 1), st.integers(0, 7)),
+    st.tuples(st.just("silence"), st.just(0), st.just(0)),
+)
+RIGHT = {0x1000: 0x00030191, 0x6200: 8, 0x6000: 8, 0x1005: 0x80}
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    answers=st.lists(st.none() | ANSWER, max_size=60),
+    on_loss=st.sampled_from(["hold", "contract"]),
+    shared=st.booleans(),
+    beats=st.booleans(),
+    many=st.booleans(),
+)
+def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared, beats, many):
+    """None stands for an answer that lets the boot go on. The boot ends, in order or with a fault for the board."""
+    channels = [Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 130 if many else 1, 1)]
+    wiring = Wiring((BusSettings("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
+    sent: list[Frame] = []
+    master = Master(wiring, Timing(boot_timeout=0.2), lambda bus, frame: sent.append(frame))
+    master.take(Changed("can0", "active", "", None), 0.0)
+    master.tick(0.0)
+    master.boot(0.0)
+    now, written, script = 0.0, dict[bytes, bytes](), iter(answers)
+    while master.booting:
+        now += 0.01
+        assert now < 600
+        master.tick(now)
+        if beats:
+            master.receive("can0", Frame(0x705, b"\x05"), now)
+        while sent:
+            frame = sent.pop(0)
+            master.echoed("can0", frame, now)
+            if frame.id != 0x605 or frame.data[0] == 0x80:
+                continue
+            place, reading = frame.data[1:4], frame.data[0] == 0x40
+            answer = next(script, None)
+            if answer is None and not reading:
+                written[place] = frame.data[4:]
+                data = b"\x60" + place + bytes(4)
+            elif answer is None:
+                value = RIGHT.get(int.from_bytes(place[:2], "little"), 0).to_bytes(4, "little")
+                data = b"\x43" + place + written.get(place, value)
+            elif answer[0] == "silence":
+                continue
+            elif answer[0] == "abort":
+                data = b"\x80" + place + answer[1].to_bytes(4, "little")
+            elif answer[0] == "segments":
+                data = bytes((answer[2] << 1,)) + bytes(7)
+            else:
+                kind = 0x43 | (4 - answer[2]) << 2 if reading else 0x60
+                data = bytes((kind,)) + place + answer[1].to_bytes(4, "little")
+            master.receive("can0", Frame(0x585, data), now)
+    assert master.ready or master.boot_faults
+    assert all(fault.message for fault in master.boot_faults)
 
 
 FAULTS = st.sampled_from(

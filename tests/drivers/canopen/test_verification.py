@@ -1,0 +1,104 @@
+"""Verification: what does not switch, and what another program changes, is noticed within two seconds."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.wiring import Channel
+from tests.drivers.canopen.world import World
+
+BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, None)]
+
+
+def sdo(world: World, index: int, sub: int, value: int, size: int) -> None:
+    """Another program writes to board 5."""
+    board = world.boards["can0", 5].objects
+    board.set_data(index, sub, value.to_bytes(size, "little"))
+
+
+def test_the_first_commit_ends_when_boards_without_end_stops_are_read_back():
+    world = World(BLIND).up()
+    world.commit(1, 1)
+    frames = world.frames(sdo=True)
+    assert frames[:3] == [(0x205, "01"), (0x209, "08"), (0x080, "")]
+    assert {(0x605, "40 00 62 01 00 00 00 00"), (0x609, "40 00 62 01 00 00 00 00")} <= set(frames)
+    assert world.master.commit_failed is None
+    world.commit(0, 1)  # the second one is read back in the background
+    assert world.frames(sdo=True)[-1] == (0x080, "")
+
+
+def test_a_first_commit_that_a_board_does_not_follow_fails():
+    world = World(BLIND).up()
+    sdo(world, 0x1005, 0, 0x85, 4)  # just after the boot
+    world.commit(1, 1)
+    assert world.codes() == ["not-switched"]
+    failed = world.master.commit_failed
+    assert failed == world.faults[0].message
+    assert "can0/5 holds 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC" in failed
+    assert world.measured() == [-1, 1]
+    world.up()  # a reset configures the board again
+    assert world.measured() == [0, 1]
+    world.commit(1, 1)
+    assert world.master.commit_failed is None
+
+
+@pytest.mark.parametrize("end_stop", [None, 0])
+def test_a_board_that_stops_switching_later_is_noticed_within_two_seconds(end_stop):
+    world = World([Channel("5.left", "can0", 5, 0, end_stop)]).up()
+    world.commit(1)
+    world.run(0.5)
+    sdo(world, 0x1005, 0, 0x85, 4)
+    world.commit(0)
+    assert world.until(lambda: world.codes()) < 2
+    assert world.codes() == ["not-switched"]
+
+
+def test_another_program_that_switches_an_output_is_noticed():
+    world = World(BLIND).up()
+    world.commit(1, 1)
+    world.run(0.5)
+    sdo(world, 0x6200, 1, 0x00, 1)
+    assert world.until(lambda: world.codes()) < 2
+    assert world.codes() == ["not-switched"]
+
+
+@pytest.mark.parametrize(
+    ("index", "sub", "value", "size"),
+    [(0x1005, 0, 0x85, 4), (0x1400, 2, 255, 1), (0x1016, 1, 0, 4), (0x6206, 1, 0xFF, 1), (0x1029, 1, 1, 1)],
+)
+def test_another_program_that_changes_a_board_is_noticed(index, sub, value, size):
+    world = World(BLIND).up()
+    sdo(world, index, sub, value, size)
+    assert world.until(lambda: world.codes()) < 10
+    assert world.codes() == ["board-changed"]
+    assert f"can0/5 holds {value:0{2 * size}X}h in {index:04X}h sub {sub}" in world.faults[0].message
+    world.up()
+    world.run(5)
+    assert world.codes() == ["board-changed"]
+
+
+def test_an_error_of_which_no_emergency_was_heard_is_noticed():
+    world = World(BLIND).up()
+    world.boards["can0", 5].objects.put(0x1001, 0, 0x09)
+    world.until(lambda: world.codes())
+    assert world.codes() == ["board-error"]
+    assert "1001h sub 0 holds 09h" in world.faults[0].message
+
+
+def test_reading_back_takes_little_of_the_bus():
+    world = World([Channel(f"{n}", "can0", n, 0, None) for n in range(1, 21)], bitrate=125_000).up()
+    world.run(1.0)
+    world.frames(sdo=True)
+    world.run(10.0)
+    requests = [frame for frame in world.frames(sdo=True) if frame[0] & 0x780 == 0x600]
+    assert 20 < len(requests) < 60  # two frames of at most 135 bits each: less than 1.3 % of 125 kbit/s
+    assert world.faults == []
+
+
+def test_nothing_is_read_of_boards_that_switch_all_the_time_but_they_are_no_fault():
+    world = World(BLIND).up()
+    for k in range(200):
+        world.commit(k & 1, k & 1)
+        world.run(0.02)
+    world.run(2.0)
+    assert world.faults == []
