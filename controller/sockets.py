@@ -1,9 +1,10 @@
-"""Where the executors' sockets are: `<arm>.sock` in one of three folders."""
+"""Where the executors' sockets are: `<arm>.sock` in the folder of a service or of a user."""
 
 import os
 from pathlib import Path
 
 SYSTEM = Path("/run/hyperbit")  # of the service
+INSTANCES = Path("/run/hyperbit-arms")  # of the services by instance, each in a folder of its own
 
 
 def user_folder() -> Path:
@@ -17,17 +18,18 @@ def default_socket(arm: str) -> Path:
     service = os.environ.get("RUNTIME_DIRECTORY")
     if service:
         return Path(service.split(":")[0]) / f"{arm}.sock"
-    system = SYSTEM / f"{arm}.sock"
-    if os.access(SYSTEM, os.W_OK) or system.exists():
-        return system
-    return user_folder() / f"{arm}.sock"
+    own = user_folder() / f"{arm}.sock"
+    system = [SYSTEM / own.name, *(folder / own.name for folder in INSTANCES.glob("*"))]
+    running = next((path for path in system if os.path.exists(path)), None)  # False where this user may not look
+    return running or (system[0] if os.access(SYSTEM, os.W_OK) else own)
 
 
 def found_sockets() -> list[Path]:
     """Returns the sockets of all executors, running or not, in the folders of `default_socket`."""
     service = os.environ.get("RUNTIME_DIRECTORY")
     folders = [Path(service.split(":")[0])] if service else []
-    paths = [path for folder in [*folders, SYSTEM, user_folder()] for path in folder.glob("*.sock")]
+    folders += [SYSTEM, *INSTANCES.glob("*"), user_folder()]
+    paths = [path for folder in folders for path in folder.glob("*.sock")]
     return sorted({path for path in paths if path.is_socket()})
 
 

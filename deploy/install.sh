@@ -33,7 +33,10 @@ for service in hyperbit hyperbit-executor; do
   active | activating | reloading | deactivating) running="$running $service" ;;
   esac
 done
-[ -z "$running" ] || fail "stop what runs: systemctl stop$running; the boards then do what on_loss says"
+instances=$(systemctl list-units --plain --no-legend --state=active,activating,reloading,deactivating \
+  'hyperbit@*' 'hyperbit-executor@*' 2>/dev/null | cut -d ' ' -f 1 | tr '\n' ' ')
+running="$running ${instances% }"
+[ "$running" = " " ] || fail "stop what runs: systemctl stop$running; the boards then do what on_loss says"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
@@ -74,7 +77,7 @@ keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # Static: the planner's user and operators reach the executor's socket by this group.
 systemd-sysusers --inline 'g hyperbit -'
-for service in hyperbit hyperbit-executor; do
+for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 # StateDirectory of the service, and what it links to under DynamicUser, which root alone can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
+INSTANCES = Path("/var/lib/hyperbit-arms")  # of the services by instance
 
 
 def check(
@@ -84,7 +85,8 @@ def wear(
     if faults:
         raise InputFaults(file, faults)
     name = settings.name
-    path = ledger or last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in SERVICE_FOLDERS)])
+    services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
+    path = ledger or last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in services)])
     try:
         switches, goals = read(path)
     except sqlite3.Error as error:

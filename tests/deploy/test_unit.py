@@ -1,15 +1,23 @@
-"""The two units as systemd sees them, without a running systemd."""
+"""The units as systemd sees them, without a running systemd."""
 
+import difflib
 import re
 import shutil
 import subprocess
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 
 from tests.keys import DEPLOY
 
-EXPOSURE = {"hyperbit-executor": 1.2, "hyperbit": 1.6}  # greatest allowed, of `systemd-analyze security`
+EXECUTOR, PLANNER = 1.2, 1.6  # greatest exposure allowed, of `systemd-analyze security`
+EXPOSURE = {
+    "hyperbit-executor": EXECUTOR,
+    "hyperbit": PLANNER,
+    "hyperbit-executor@": EXECUTOR,  # of one of several arms
+    "hyperbit@": PLANNER,
+}
 UNITS = {name: DEPLOY / f"{name}.service" for name in EXPOSURE}
 
 analyzed = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is missing")
@@ -33,7 +41,7 @@ def analyze(*words: str | Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("name", UNITS)
 def test_exposure_is_bounded(name: str) -> None:
     ended = analyze("security", "--no-pager", "--offline=true", UNITS[name])
-    exposure = re.search(rf"exposure level for {name}\.service: ([0-9.]+)", ended.stdout)
+    exposure = re.search(rf"exposure level for {name}[^ ]*\.service: ([0-9.]+)", ended.stdout)
     assert exposure, ended.stdout + ended.stderr
     assert float(exposure[1]) <= EXPOSURE[name], ended.stdout
 
@@ -100,3 +108,47 @@ def test_service_is_watched_and_restarted(name: str) -> None:
     unit = settings(UNITS[name])
     assert (unit["Type"], unit["Restart"], unit["StartLimitIntervalSec"]) == (["notify"], ["always"], ["0"])
     assert 0 < int(unit["WatchdogSec"][0]) <= 10
+
+
+def test_units_of_instances_differ_in_names_and_folders_only() -> None:
+    for name in ("hyperbit-executor", "hyperbit"):
+        texts = [settings(UNITS[unit]) for unit in (name, f"{name}@")]
+        lines = [[f"{key}={value}" for key, values in text.items() for value in values] for text in texts]
+        changed = {line[2:].partition("=")[0] for line in difflib.ndiff(*lines) if line[0] in "+-"}
+        named = {"Description", "Wants", "After", "ExecStart", "User", "StateDirectory"}
+        assert changed == named | ({"RuntimeDirectory"} if "executor" in name else {"CacheDirectory", "Environment"})
+        own = [line for line in lines[1] if "hyperbit-arms" in line or "/etc/hyperbit" in line]
+        assert all("%i" in line for line in own)
+
+
+def test_instances_share_no_folder_and_no_user() -> None:
+    planner, executor = settings(UNITS["hyperbit@"]), settings(UNITS["hyperbit-executor@"])
+    for unit in (planner, executor):
+        assert "/etc/hyperbit/%i.yaml --socket /run/hyperbit-arms/%i" in unit["ExecStart"][0]
+        assert unit["User"][0].endswith("-%i")
+        assert len(unit["User"][0]) - len("%i") + 19 <= 31, "systemd takes names of users of 31 characters"
+    assert executor["RuntimeDirectory"] == ["hyperbit-arms/%i"]
+    assert planner["StateDirectory"] != executor["StateDirectory"]
+    assert "hyperbit-executor@%i.service" in planner["Wants"][0].split()
+
+
+@analyzed
+def test_an_instance_has_no_setting_that_is_unknown_to_systemd(tmp_path: Path) -> None:
+    for name in ("hyperbit-executor@", "hyperbit@"):
+        (tmp_path / f"{name}left.service").write_text(UNITS[name].read_text())
+    ended = analyze("verify", tmp_path / "hyperbit@left.service")
+    lines = [line for line in ended.stderr.splitlines() if "hyperbit" in line]
+    assert [line for line in lines if "is not executable" not in line] == []
+
+
+def test_the_rules_for_adapters_are_whole() -> None:
+    rules = [line for line in (DEPLOY / "70-hyperbit-can.rules").read_text().splitlines() if not line.startswith("#")]
+    network = settings(DEPLOY / "can0.network")["Name"][0].split()
+    for rule in rules:
+        matches = dict(
+            re.fullmatch(r'([A-Z]+(?:\{\w+\})?)(==|=)"([^"]+)"', part).group(1, 3) for part in rule.split(", ")
+        )
+        assert {"SUBSYSTEM", "ACTION", "ATTRS{serial}", "NAME"} <= matches.keys()
+        assert len(matches["NAME"]) <= 15
+        assert any(fnmatch(matches["NAME"], pattern) for pattern in network)
+    assert len(rules) == 3

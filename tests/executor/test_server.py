@@ -156,6 +156,7 @@ def test_a_socket_left_behind_is_no_obstacle(path: Path) -> None:
 
 def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("controller.sockets.SYSTEM", tmp_path / "run")
+    monkeypatch.setattr("controller.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
@@ -169,3 +170,25 @@ def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     (tmp_path / "run" / "c.sock").touch()
     assert found_sockets() == [tmp_path / "run" / "b.sock"]
     server.close()
+
+
+def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("controller.sockets.SYSTEM", tmp_path / "run")
+    monkeypatch.setattr("controller.sockets.INSTANCES", tmp_path / "arms")
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
+    paths = [tmp_path / "arms" / instance / f"{instance}-arm.sock" for instance in ("left", "right")]
+    for path in paths:
+        path.parent.mkdir(parents=True)
+    servers = [Server(path) for path in paths]
+    assert found_sockets() == paths
+    assert [default_socket("left-arm"), default_socket("right-arm")] == paths
+    assert default_socket("third") == tmp_path / "user/hyperbit/third.sock"
+    for server in servers:
+        server.close()
+
+
+def test_folders_that_a_user_may_not_read_hide_their_sockets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("controller.sockets.SYSTEM", tmp_path / ("x" * 300))  # a name that cannot be looked at
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
+    assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
