@@ -1,14 +1,19 @@
 """Log lines on the standard error, written by the event loop's own thread: a reader that hangs must not stop it.
 
 A second thread would hold the interpreter now and then. Without a real-time priority of its own it would not get on
-while other processes are busy, and the event loop would wait for it.
+while other processes are busy, and the event loop would wait for it. Only where the standard error is a file does a
+thread write, as a write to a disk can wait for a tenth of a second.
 """
 
 import logging
 import os
+import queue
 import select
+import stat
 import sys
 from collections import deque
+from collections.abc import Callable
+from logging.handlers import QueueHandler, QueueListener
 
 MOST_WAITING = 1_000  # log lines; more are dropped
 MOST_WRITTEN = 4_096  # bytes at once; a pipe that can be written takes so many without waiting
@@ -53,11 +58,31 @@ class LogLines(logging.Handler):
             self._waiting.clear()
 
 
-def start_logging() -> LogLines:
-    """Has all log lines written to the standard error."""
-    lines = LogLines(sys.stderr.fileno())
-    lines.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[lines], force=True)
+class QueuedLines(QueueHandler):
+    """Hands records to the thread that writes them, as far as there is room."""
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Hands one record over, or drops it."""
+        try:
+            self.queue.put_nowait(record)
+        except queue.Full:
+            return
+
+
+def start_logging() -> Callable[[], None]:
+    """Has all log lines written to the standard error; returns what writes the lines that wait at the end."""
+    output, form = sys.stderr.fileno(), logging.Formatter("%(levelname)s %(name)s: %(message)s")
+    handler: logging.Handler = LogLines(output)
+    end = handler.close
+    if stat.S_ISREG(os.fstat(output).st_mode):
+        handler = QueuedLines(queue.Queue[logging.LogRecord](MOST_WAITING))
+        writing = logging.StreamHandler(sys.stderr)
+        writing.setFormatter(form)
+        listener, form = QueueListener(handler.queue, writing), logging.Formatter()
+        listener.start()
+        end = listener.stop
+    handler.setFormatter(form)
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     for name in ("can", "canopen"):  # each SDO of simulated boards, for one
         logging.getLogger(name).setLevel(logging.WARNING)
-    return lines
+    return end
