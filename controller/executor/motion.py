@@ -199,7 +199,7 @@ class Motion:
         if not self.committing:
             self.close()
         if commit is not None and commit.reached and self._index != REALIGNMENT:
-            self._took(commit)
+            self._took(commit, now)
 
     def advance(self, now: float) -> str | None:
         """Does what is due; returns a sentence when program or stream have ended by themselves."""
@@ -290,7 +290,7 @@ class Motion:
         """
         self._index, self._before = index, self.actuation.states
         if states == self._before and not (strict and self.moving):
-            self._took(Commit(states, reached=True))
+            self._took(Commit(states, reached=True), now)
             return None
         differ = self.actuation.differ(states, 0)
         if now < self.actuation.ready_at(differ, strict) - 1e-9 or (strict and self.moving):
@@ -308,8 +308,9 @@ class Motion:
             self.execution.begins(index)
         return None
 
-    def _took(self, commit: Commit) -> None:
+    def _took(self, commit: Commit, now: float) -> None:
         """Notes that the outputs have reached the stage begun last."""
+        self.supervision.await_anew(commit.states, self.ends, self.clock, now)
         execution, stream = self.execution, self.stream
         if stream is not None and self._index < len(stream.stages) and stream.stages[self._index] == commit.states:
             stream.took(self._index)

@@ -81,6 +81,21 @@ class MotionSupervision:
             self._switched_at[k] = clock
             self._ask_at[k] = clock + self._travel(k)
 
+    def await_anew(self, states: int, ends: Ends, clock: float, now: float) -> None:
+        """Awaits actuators that a stage asks for, and that did not follow their outputs before a reset.
+
+        Their outputs are as the stage has them, so nothing switches.
+
+        Args:
+            states: that the stage ends in.
+            ends: what the end-stops read.
+            clock: see `tick` [s].
+            now: for a question [s].
+        """
+        behind = (states ^ self._commanded) & self._commanded_known & ~self._pending
+        if behind:
+            self.switched(behind, states, ends, clock, now)
+
     def moving(self, ends: Ends, clock: float) -> bool:
         """Whether a switched actuator has not arrived, by its end-stop or else by the travel time."""
         if self._pending & self._confirms & self._late(ends):

@@ -255,3 +255,37 @@ def test_an_end_stop_at_the_contracted_end_alone_tells_what_it_can() -> None:
     rig.run(0)
     rig.go(0.2)
     assert rig.reason.endswith("its end-stop does not read contracted")
+
+
+def stuck_and_reset() -> Rig:
+    """An actuator has not followed its output, and a person has reset: the output is on still."""
+    rig = ready()
+    rig.master.stuck = 1
+    rig.run(0b000111)
+    rig.go(0.2)
+    assert rig.mode == "fault"
+    rig.send(Reset(1))
+    rig.go(0.2)
+    assert (rig.mode, rig.master.outputs) == ("ready", 0b000111)
+    return rig
+
+
+def test_the_next_program_lets_go_of_an_actuator_that_was_stuck() -> None:
+    rig = stuck_and_reset()
+    rig.run(0b000110)
+    rig.go(0.3)
+    assert (rig.master.outputs, rig.results[-1]) == (0b000110, (2, "done"))
+
+
+def test_an_actuator_that_was_stuck_and_is_used_again_is_found_again() -> None:
+    rig = stuck_and_reset()
+    rig.run(0b000111)  # its output need not change for that
+    rig.go(0.2)
+    assert (rig.mode, rig.results[-1]) == ("fault", (2, "aborted"))
+    assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
+    rig.send(Reset(2))
+    rig.go(0.2)
+    rig.master.stuck = 0
+    rig.master.inputs |= 1  # it comes loose, and arrives
+    rig.go(0.1)
+    assert codes(rig) == [("unexpected-motion", "1.left (can0/1 output 0)")]
