@@ -127,7 +127,7 @@ class Outbox:
                 data = encode(payload)
             except Exception:
                 log.exception("a payload has no JSON: %r", payload)
-                data = encode(refused(codes.INVALID_GOAL, "internal error, see the journal"))
+                data = encode(without_json(payload))
             try:
                 if isinstance(target, str):
                     self._publishers[target].put(data)
@@ -137,3 +137,10 @@ class Outbox:
             except Exception as error:  # a peer that is gone must not end the service of the others
                 log.warning("not sent on %s: %s", key, error)
             self._turned = self._clock()  # to wait for a slow peer is no standstill
+
+
+def without_json(payload: Payload) -> Payload:
+    """Returns what is sent in place of a payload that has no JSON: of a result, its goal and status are kept."""
+    kept = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
+    kept = {name: value.encode(errors="backslashreplace").decode() for name, value in kept.items()}
+    return {**refused(codes.INVALID_GOAL, "internal error, see the journal"), **kept}

@@ -123,6 +123,15 @@ def test_a_payload_without_json_is_still_answered(session: FakeSession, value: o
     assert query.ended == 2
 
 
+@pytest.mark.parametrize(("goal", "told"), [("a", "a"), ("\udc80", "\\udc80")])
+def test_a_result_without_json_still_names_its_goal_and_status(session: FakeSession, goal: str, told: str) -> None:
+    outbox = Outbox(session, "p")
+    outbox.publish("result", {"id": goal, "status": "aborted", "code": -4, "value": object()})
+    outbox.close(PATIENCE)
+    ((_, result),) = session.sent
+    assert (result["id"], result["status"], result["message"]) == (told, "aborted", "internal error, see the journal")
+
+
 def test_a_peer_that_is_gone_ends_nothing(session: FakeSession) -> None:
     outbox, query = Outbox(session, "p"), FakeQuery(session)
     query.reply = lambda *_, **__: 1 / 0  # type: ignore[method-assign]

@@ -116,17 +116,24 @@ class Observer:
         return result
 
     def results(self, goal: str | None) -> list[Message]:
-        return [result for result in self.heard["result"] if result["id"] == goal]
+        return [result for result in self.heard["result"] if names(result, goal)]
 
     def span(self, goal: str) -> tuple[float, float]:
         """From sending a goal to hearing its result: only then may it move the arm [UNIX s]."""
-        heard = [time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if it["id"] == goal]
+        heard = [
+            time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if it.get("id") == goal
+        ]
         return self.sent[goal], heard[-1]
 
     def feedback(self, goal: str) -> list[Message]:
-        return [feedback for feedback in self.heard["feedback"] if feedback["id"] == goal]
+        return [feedback for feedback in self.heard["feedback"] if names(feedback, goal)]
 
     def diagnosed(self) -> Message:
         """Returns the next diagnostics."""
         before = len(self.heard["diagnostics"])
         return eventually(lambda: self.heard["diagnostics"][before:])[0]
+
+
+def names(message: Message, goal: str | None) -> bool:
+    """Whether a message is of a goal; a stranger's, put on the daemon's key, may have no id."""
+    return "id" in message and bool(message["id"] == goal)
