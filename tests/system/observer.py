@@ -120,9 +120,7 @@ class Observer:
 
     def span(self, goal: str) -> tuple[float, float]:
         """From sending a goal to hearing its result: only then may it move the arm [UNIX s]."""
-        heard = [
-            time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if it.get("id") == goal
-        ]
+        heard = [time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if names(it, goal)]
         return self.sent[goal], heard[-1]
 
     def feedback(self, goal: str) -> list[Message]:
