@@ -109,9 +109,11 @@ class SdoClient:
         if data[1:4] != self._multiplexer:
             self._take_late(data[1:4])
             return
-        if self._skip > 0:
+        if self._skip > 0:  # late, or the right one: the answer to another request is right in both cases
             self._skip -= 1
             self._take_late(data[1:4])
+            self._link.answered(outgoing, now)
+            self._request(now)
             return
         self._link.answered(outgoing, now)
         self._slowest = max(self._slowest, now - (self._asked_at if self._asked > 1 else outgoing.first_at))

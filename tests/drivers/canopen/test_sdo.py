@@ -134,7 +134,7 @@ def test_a_late_confirmation_of_a_repeated_write_does_not_hide_a_refusal():
     """The first write was answered late: the second answer to it comes while the next value is written."""
     need = Need(0x1600, 0, 1)
     confirmed, refused = b"\x60\x00\x16\x00\0\0\0\0", b"\x80\x00\x16\x00\x30\x00\x09\x06"
-    line = Line([], [confirmed], [confirmed, refused])
+    line = Line([], [confirmed], [confirmed], [refused])
 
     def steps():
         first = yield from objects.write("can0/5", need, 0)
@@ -142,6 +142,16 @@ def test_a_late_confirmation_of_a_repeated_write_does_not_hide_a_refusal():
         return first, second
 
     assert line.run(steps()) == (None, 0x06090030)
+
+
+def test_answers_that_never_come_late_do_not_delay_what_follows():
+    need = Need(0x6206, 1, 1)
+    confirmed, held = b"\x60\x06\x62\x01\0\0\0\0", b"\x4f\x06\x62\x01\x01\0\0\0"
+    line = Line([], [confirmed], [held], [held])  # the answer to the first request was lost
+    begun = line.now
+    assert line.run(objects.settle("can0/5", need, 0)) is None
+    assert line.now - begun < 0.6  # one time-out, of the first request
+    assert line.requests == ["2f 06 62 01 01 00 00 00"] * 2 + ["40 06 62 01 00 00 00 00"] * 2
 
 
 def test_a_slow_board_is_given_more_time():
