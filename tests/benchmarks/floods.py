@@ -130,7 +130,7 @@ def stop_often(parts: Parts, client: Observer, count: int) -> list[float]:
     session, drawn, puts = parts.session(), random.Random(50), list[float]()
     time.sleep(1.0)
     for k in range(count):
-        eventually(lambda k=k: run(client, f"stopped {len(puts)} {k} {time.monotonic()}")["accepted"])
+        run(client, f"stopped {k} {time.monotonic()}")  # a flood of goals may leave no place for it: then the arm holds
         time.sleep(drawn.uniform(*BETWEEN))
         puts.append(time.monotonic())
         session.put(f"hyperbit/{parts.name}/stop", b"")
