@@ -78,6 +78,9 @@ COMMANDS = {
         "report", "figure5", "Repeat the paper's experiment of section 4: three targets, three algorithms."
     ),
     "check": Entry("health", "check", "Say all that is wrong in an arm's file, by field."),
+    "probe": Entry(
+        "probe", "probe", "Find the nodes of a CAN bus and tell what each is and holds; writes nothing on them."
+    ),
     "wear": Entry("health", "wear", "Say how often each actuator has switched, and how goals ended."),
     "calibrate": Entry(
         "calibrate",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from drivers.canopen import cia301, inspection, objects, pdo_search
 from drivers.canopen.boot import find
 from drivers.canopen.bus import CanBus
 from drivers.canopen.cia301 import Frame
+from drivers.canopen.conversation import converse
 from drivers.canopen.events import Changed, Echoed, Event, Received
 from drivers.canopen.faults import Fault
 from drivers.canopen.inspection import Inspection, Reading
@@ -21,7 +21,6 @@ from drivers.canopen.pdo_setup import Held, pdo_words, usable
 from drivers.canopen.procedure import BoardError, Procedure, Runner
 from drivers.canopen.wiring import Timing, Wiring
 
-_POLL = 0.001  # [s] between two looks at the buses
 _STUCK_AFTER = 0.5  # [s]
 _PATIENCE = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # that are told in full
@@ -65,6 +64,11 @@ class Probe:
         if len(self._answers) < len(self._boards):
             return None
         return tuple(self._answers[board.name] for board in self._boards)
+
+    @property
+    def over(self) -> bool:
+        """Whether all boards have answered or are given up."""
+        return self.answers is not None
 
     def start(self, now: float) -> None:
         """Begins to ask; all buses are open."""
@@ -190,37 +194,8 @@ def probe(wiring: Wiring, timing: Timing, open_bus: Callable[..., CanBus] = CanB
     Raises:
         BusError: a bus cannot be opened.
     """
-    buses = {settings.name: open_bus(settings) for settings in wiring.buses}
-    try:
-        for bus in buses.values():
-            bus.open()
-        return _run(wiring, timing, list(buses.values()))
-    finally:
-        for bus in buses.values():
-            bus.close()
-
-
-def _run(wiring: Wiring, timing: Timing, buses: Sequence[CanBus]) -> tuple[Answer, ...]:
     outbox: list[tuple[str, Frame]] = []
     asking = Probe(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
-    by_name = {bus.name: bus for bus in buses}
-
-    def flush(now: float) -> None:
-        while outbox:
-            bus, frame = outbox.pop(0)
-            if by_name[bus].send(frame) is not None:
-                asking.send_failed(bus, frame, now)
-
-    begun = time.monotonic()
-    asking.start(begun)
-    flush(begun)
-    while (answers := asking.answers) is None:
-        now = time.monotonic()
-        for bus in buses:
-            for event in bus.poll():
-                asking.take(event, now)
-                flush(now)
-        asking.tick(now)
-        flush(now)
-        time.sleep(_POLL)
-    return answers
+    converse(asking, outbox, [open_bus(settings) for settings in wiring.buses])
+    assert asking.answers is not None
+    return asking.answers

@@ -1,0 +1,65 @@
+"""The command probe on simulated boards, over python-can's virtual bus."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.simulation.simulation import Simulation
+from drivers.simulation.variants import VARIANTS
+
+CHANNEL = "test_commands_probe"
+
+
+@pytest.fixture
+def boards():
+    """Runs boards 5 and 9; the second is special."""
+    settings = BusSettings("can0", "virtual", CHANNEL)
+    channels = (Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 9, 0, 0))
+    simulation = Simulation(Wiring((settings,), channels), Timing(), variants={"can0/9": VARIANTS["guarding-only"]})
+    simulation.start()
+    yield simulation
+    simulation.stop()
+
+
+def test_each_node_has_its_rows(hyperbit, boards):
+    boards.fault("error", "can0/9", "2320")
+    code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual")
+    assert code == 0
+    first, second = out.split(f"{CHANNEL}/9\n")
+    assert first.startswith(f"{CHANNEL}/5\n")
+    for line in (
+        "type             1000h = 00030191h: CiA 401, digital inputs, digital outputs",
+        "outputs          64 bits in 6200h; RPDO1 bits 0 to 63",
+        "RPDO1            enabled, COB-ID 00000205h, transmission type 255, maps 62000108h 62000208h",
+        "errors           1001h = 00h; 1003h: empty",
+        "1017h = 0000h, no heartbeat",
+        "1029h sub 1 = 00h, pre-operational",
+        "identity         1018h: vendor 00000000h, product 00000191h, revision 00000001h, serial 00000000h",
+    ):
+        assert line in first
+    assert "no 1016h (heartbeat consumer); no 1017h; 100Ch = 0000h, guard time 0 ms" in second
+    assert "output short circuit (2320h)" in second
+
+
+def test_json_has_all_that_was_read(hyperbit, boards):
+    code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual", "--json")
+    assert code == 0
+    five, nine = (json.loads(line) for line in out.splitlines())
+    assert (five["node"], nine["node"]) == (5, 9)
+    assert five["objects"]["1000h:0"] == 0x00030191
+    assert "1017h:0" not in nine["objects"]
+    assert five["pdos"]["RPDO1"]["mapping"][0] == "62000108h"
+
+
+def test_a_bus_without_nodes_fails_in_words(hyperbit):
+    code, out, err = hyperbit("probe", "test_nobody", "--interface", "virtual")
+    assert (code, out) == (1, "")
+    assert "no node on test_nobody (virtual): check power, cable, termination and bit rate" in err
+
+
+def test_a_bus_that_is_not_there_fails_in_words(hyperbit):
+    code, _, err = hyperbit("probe", "can99")
+    assert (code, "can99" in err, "--interface socketcan: is the channel can99 up?" in err) == (1, True, True)
