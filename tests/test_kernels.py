@@ -9,8 +9,8 @@ from controller import kernels
 
 def test_modules_with_kernels_come_with_those_they_depend_on():
     found = kernels.kernels()
-    assert {"controller.search.meeting", "controller.search.guard", "controller.obstacles.touching"} <= found.keys()
-    assert "controller.obstacles.touching" in found["controller.search.meeting"]
+    assert {"controller.search.matching", "controller.search.scene", "controller.obstacles.touching"} <= found.keys()
+    assert "controller.obstacles.touching" in found["controller.search.matching"]
     for name, others in found.items():
         assert name not in others
         assert others <= found.keys()

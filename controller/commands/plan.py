@@ -117,8 +117,7 @@ def answer(arm: Arm, position: list[float], orientation: Orientation, found: Sol
         "within_tolerance": found.within_tolerance,
         "seconds": found.seconds,
         "cost": found.cost,
-        "optimal": found.optimal,
-        "lower_bound": found.lower_bound if np.isfinite(found.lower_bound) else None,
+        **found.proof(),
     }
 
 

@@ -16,7 +16,7 @@ from controller.motion.ways import PATIENCE
 from controller.motion.without_search import fixed, held
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
-from controller.search.solution import Solution
+from controller.search.solution import Solution, certificate, proof
 from controller.search.solver import DEADLINE, Solver
 
 # [s] for the whole of a trajectory: the arm is to begin soon. First answers are kept time for, and given when the rest
@@ -52,6 +52,14 @@ class Plan:
     def switches(self) -> int:
         """Actuators that switch, all points together."""
         return sum(solution.switches for solution in self.solutions)
+
+    def proof(self) -> dict[str, str | bool | float | None]:
+        """Returns what is proven of the cost of the whole plan, as fields for JSON.
+
+        The arm must come to the first point, so the whole costs no less than is proven of that.
+        """
+        bound, cost = self.solutions[0].bound, sum(solution.cost for solution in self.solutions)
+        return proof(certificate(all(s.within_tolerance for s in self.solutions), bound, cost), bound)
 
     def improved(self, solver: Solver, pace: Pace, first: int, configurations: Sequence[Configuration]) -> "Plan":
         """Returns the plan with other configurations from point `first`, at least 1, on; the rest stays as it is.

@@ -11,6 +11,7 @@ from controller.motion.sentences import place
 from controller.motion.trajectory import Trajectory
 from controller.search.solution import Solution
 from controller.search.solver import Solver
+from controller.search.target import distance, within
 
 
 def fixed(solver: Solver, trajectory: Trajectory, previous: Configuration, point: int) -> Solution:
@@ -31,7 +32,8 @@ def fixed(solver: Solver, trajectory: Trajectory, previous: Configuration, point
 
 def held(solution: Solution, goal: NDArray[np.float64], tolerance: float) -> Solution | None:
     """Returns what holding a configuration is for the next point, None if it does not serve there."""
-    error = float(np.linalg.norm(solution.tip[: len(goal), 3] - goal))
-    if error > tolerance:
+    frame = np.eye(4)
+    frame[: len(goal), 3] = goal
+    if not within(solution.tip, frame, tolerance, np.inf):
         return None
-    return replace(solution, error=error, switches=0, seconds=0.0, cost=0.0, lower_bound=0.0)
+    return replace(solution, error=distance(solution.tip, frame), switches=0, seconds=0.0, cost=0.0, bound=0.0)

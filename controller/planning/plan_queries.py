@@ -108,6 +108,7 @@ def described(whole: Manipulator, reduced: Manipulator, previous: Configuration,
             "error": solution.error,
             "orientation_error": solution.angle if trajectory.turns[k] < np.inf else None,
             "switches": solution.switches,
+            **solution.proof(),
             "stages": labels,
             "excursion": transition.excursion,
             "seconds": solution.seconds,
@@ -120,4 +121,4 @@ def described(whole: Manipulator, reduced: Manipulator, previous: Configuration,
     along = f", {between} points between them" if between else ""
     message = f"{len(trajectory.waypoints)} waypoints{along}, {plan.switches} switches"
     bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
-    return {**done(message), "waypoints": points, "switches": plan.switches, **bias}
+    return {**done(message), "waypoints": points, "switches": plan.switches, **plan.proof(), **bias}

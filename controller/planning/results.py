@@ -51,7 +51,8 @@ class Results:
         """Publishes the result of a program; `travels` are measured ways of actuators."""
         number = goal.program.program
         self._told.append(number)
-        self._publish("result", result(goal.report.id, verdict, switches, goal.report.where(measured, travels)))
+        told = result(goal.report.id, verdict, switches, goal.report.where(measured, travels))
+        self._publish("result", told if goal.plan is None else {**told, **goal.plan.proof()})
         self._ledger.ended(number, verdict.status, verdict.code, verdict.message, switches)
         self._ended(verdict.sentence)
 

@@ -1,105 +1,266 @@
-"""Points in memory that is used again and again, to be asked for what is near."""
+"""A spatial index: configurations of one segment, sorted into cells by the position, or the pose, of their frames.
+
+Poses stand in cells of position and rotation together, so that few of them are compared. The axis of a rotation times
+the sine of its angle, half the vector of R - R^T, moves by no more than the chord between two rotations. Times a weight
+that makes the chord's limit as long as the distance's, the axis stands beside the position as more coordinates of one
+point: the sine of the angle in the plane, three elsewhere.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
+from numba import float64, int32, int64, njit, uint8
 from numpy.typing import NDArray
 
-from controller.search.guard import Pairs
-from controller.search.meeting import collect, match
-from controller.search.pose_meeting import match_poses, write_points
-from controller.search.sorting import CELLS, Sorted, put_into_cells, sort_into_cells
+from controller.search.frame_rows import SIDE, Side, named
 
 Array = NDArray[np.float64]
+Index32 = NDArray[np.int32]
+
+CELLS = 1 << 17
+POINTS_A_CELL = 0.5  # at least, on the average
+LEAST_SIDE = 1e-300  # one over it is finite still
+NOTHING = 255  # level where there are no points
+ROOM = 1 + 1e-6  # of the cells' side: rounding must not put two near points more than one cell apart
+
+
+class Index(NamedTuple):
+    """Points in the order of the cells that they lie in.
+
+    Attributes:
+        points: shape (n, size).
+        costs: of the points, shape (n,).
+        starts: where each cell's points begin, shape (cells + 1,). Around all points there is a border of empty cells.
+        order: number of each point in the side, shape (n,).
+        near: the least level of the points in a cell and in those after it along each coordinate, of which a match
+            looks at all; NOTHING if there are none; of no meaning for six coordinates.
+        bounds: cost that each level has at least, shape (256,).
+        origin: least corner of the points, shape (6,).
+        shape: cells along each coordinate, but for one, shape (6,).
+        strides: how many cells farther the next one is along each coordinate, shape (6,).
+        per: cells per unit of length.
+        turns: length that a rotation's axis stands for; 0 if the cells are of positions only.
+        least: least cost.
+        side: the configurations.
+    """
+
+    points: Array
+    costs: Array
+    starts: Index32
+    order: Index32
+    near: NDArray[np.uint8]
+    bounds: Array
+    origin: Array
+    shape: Array
+    strides: NDArray[np.int64]
+    per: float
+    turns: float
+    least: float
+    side: Side
+
+
+INDEX = named(
+    Index,
+    float64[:, ::1],
+    float64[::1],
+    int32[::1],
+    int32[::1],
+    uint8[::1],
+    float64[::1],
+    float64[::1],
+    float64[::1],
+    int64[::1],
+    float64,
+    float64,
+    float64,
+    SIDE,
+)
 
 
 class Cells:
-    """Points in the order of the cells they lie in.
+    """Memory for an index, used again and again: fresh pages would cost more time than what is written to them.
 
     Args:
         most: room for so many points.
         size: coordinates of a position, 2 or 3.
+        cells: room for so many cells.
     """
 
-    def __init__(self, most: int, size: int) -> None:
-        self._starts, self._cells = np.empty(CELLS + 1, dtype=np.int32), np.empty(most, dtype=np.int32)
-        self._order, self._prices = np.empty(most, dtype=np.int32), np.empty(most)
+    def __init__(self, most: int, size: int, cells: int = CELLS) -> None:
+        self._starts, self._cells = np.empty(cells + 2, dtype=np.int32), np.empty(most, dtype=np.int32)
+        self._near = np.empty(cells + 1, dtype=np.uint8)
+        self._order, self._costs = np.empty(most, dtype=np.int32), np.empty(most)
         self._size, self._whole = size, 3 if size == 2 else 6
-        self._room, self._unsorted = np.empty(most * self._whole), np.empty(most * self._whole)
-        self._grid, self._tolerance, self._limit = np.empty(13), 0.0, np.inf
-        self._sorted: Sorted
+        self._points, self._unsorted = np.empty(most * self._whole), np.empty(most * self._whole)
 
     def claim(self, most: int | None = None) -> None:
-        """Has the system hand out the memory for so many points, or for all, now, not in the middle of a search."""
+        """Has the system hand out the memory for so many positions, or for all, now, not in the middle of a search."""
         self._starts.fill(0)
-        for array in (self._cells, self._order, self._prices):
+        self._near.fill(0)
+        for array in (self._cells, self._order, self._costs):
             array[:most].fill(0)
-        for array in (self._room, self._unsorted):
-            array[: most and most * self._whole].fill(0)
+        self._points[: most and most * self._size].fill(0)
 
-    def fill(self, rows: Array, costs: Array, tolerance: float, limit: float = np.inf) -> None:
-        """Takes points, the first numbers of rows (n, ...), and their costs (n,).
+    def fill(self, side: Side, radius: float, chord: float = np.inf, cells: int | None = None) -> Index:
+        """Returns the index of a side, which must stay as it is.
 
         Args:
-            rows: frames, (n, 4) or (n, 12), where rotations will be asked for; they must stay as they are then.
-            costs: shape (n,).
-            tolerance: of the distances to be asked for.
-            limit: of the rotations' squared chord, see Target; infinite where any will do.
+            side: n configurations.
+            radius: of the distances to be asked for.
+            chord: greatest squared chord to be asked for, see Target; infinite if any orientation will do.
+            cells: use about so many cells if the radius allows; absent: in proportion to the points.
         """
-        n, self._tolerance, self._limit = len(rows), tolerance, limit
-        size, points = self._size, rows
-        if limit < np.inf:
-            size = self._whole
+        n, size, turns, points = len(side.costs), self._size, 0.0, side.frames
+        if chord < np.inf:
+            size, turns = self._whole, radius / np.sqrt(chord)
             points = self._unsorted[: n * size].reshape(n, size)
-            write_points(rows, tolerance / np.sqrt(limit), points)
-        own, prices = self._room[: n * size].reshape(n, size), self._prices[:n]
-        sort_into_cells(points, size, tolerance, self._starts, self._cells, self._grid)
-        put_into_cells(points, costs, self._starts, self._cells, self._order, own, prices)
-        self._sorted = own, prices, self._starts, self._order, self._grid, rows
-
-    def match(
-        self,
-        targets: Array,
-        target_costs: Array,
-        frames: Array,
-        frame_costs: Array,
-        weight: float,
-        best: float,
-        best_square: float,
-        pairs: Pairs,
-        *,
-        carried: bool = False,
-    ) -> tuple[int, int, int, float, float]:
-        """Returns the best target, frame and row, see meeting.match; targets are seen from the frames, or carried."""
-        if self._limit < np.inf:
-            return match_poses(
-                targets,
-                target_costs,
-                frames,
-                frame_costs,
-                not carried,
-                self._sorted,
-                self._tolerance,
-                self._limit,
-                weight,
-                best,
-                best_square,
-                pairs,
-            )
-        return match(
-            targets,
-            target_costs,
-            frames,
-            frame_costs,
-            not carried,
-            self._sorted,
-            self._tolerance,
-            weight,
-            best,
-            best_square,
-            pairs,
+            write_points(side.frames, turns, points)
+        own, costs = self._points[: n * size].reshape(n, size), self._costs[:n]
+        grid, strides = np.empty(13), np.empty(6, dtype=np.int64)
+        most = n / POINTS_A_CELL + 64 if cells is None else cells
+        near = self._near if size < 6 else self._near[:1]
+        least, most_cost = (float(side.costs.min()), float(side.costs.max())) if n else (np.inf, np.inf)
+        bounds = np.full(256, least)
+        if most_cost > least:
+            bounds += np.arange(256) * ((most_cost - least) / (NOTHING - 1))
+        bounds[NOTHING] = np.inf
+        count = sort_into_cells(
+            points, side.costs, size, radius, most, self._starts, self._cells, near, bounds, grid, strides
+        )
+        put_into_cells(points, side.costs, self._starts, self._cells, self._order, own, costs)
+        starts, order = self._starts[: count + 2], self._order[:n]
+        return Index(
+            own, costs, starts, order, near, bounds, grid[:6], grid[6:12], strides, float(grid[12]), turns, least, side
         )
 
-    def collect(
-        self, asking: Array, costs: Array, limit: float, found: NDArray[np.int64], found_costs: Array, pairs: Pairs
-    ) -> int:
-        """Writes the cheapest pairs of asking frames and rows, see meeting.collect; returns their number."""
-        return collect(asking, costs, self._sorted, self._tolerance, limit, found, found_costs, pairs)
+
+@njit("void(f8[:,::1], i8, f8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+def write_point(frames: Array, n: int, turns: float, points: Array, k: int) -> None:
+    """Writes the point of position and rotation of frames[n] to points[k], of three coordinates in the plane or six."""
+    if frames.shape[1] == 4:
+        points[k, 0], points[k, 1], points[k, 2] = frames[n, 0], frames[n, 1], turns * frames[n, 3]
+    else:
+        points[k, 0], points[k, 1], points[k, 2] = frames[n, 0], frames[n, 1], frames[n, 2]
+        points[k, 3] = 0.5 * turns * (frames[n, 10] - frames[n, 8])
+        points[k, 4] = 0.5 * turns * (frames[n, 5] - frames[n, 9])
+        points[k, 5] = 0.5 * turns * (frames[n, 6] - frames[n, 4])
+
+
+@njit("void(f8[:,::1], f8, f8[:,::1])", cache=True, nogil=True)
+def write_points(frames: Array, turns: float, points: Array) -> None:
+    """Writes the points (n, 3 or 6) of frames (n, 4 or 12)."""
+    for n in range(len(frames)):
+        write_point(frames, n, turns, points, n)
+
+
+@njit(
+    "i8(f8[:,::1], f8[::1], i8, f8, f8, i4[::1], i4[::1], u1[::1], f8[::1], f8[::1], i8[::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def sort_into_cells(
+    rows: Array,
+    costs: Array,
+    size: int,
+    radius: float,
+    most: float,
+    starts: Index32,
+    cells: Index32,
+    near: NDArray[np.uint8],
+    bounds: Array,
+    grid: Array,
+    strides: NDArray[np.int64],
+) -> int:
+    """Counts points into cells at least two radii wide; returns the number of cells.
+
+    Args:
+        rows: each begins with a point's coordinates, shape (n, ...).
+        costs: of the points, shape (n,).
+        size: how many coordinates a point has, at most 6.
+        radius: of the distances to be asked for.
+        most: most cells.
+        starts: written: where each cell's points end, shape (cells + 2,).
+        cells: written: the cell of each point, shape (n,).
+        near: written unless of shape (1,), see Index.
+        bounds: of the levels, see Index.
+        grid: written: the least corner (6,), cells along each coordinate but for one (6,), cells per unit of length.
+        strides: written, see Index.
+    """
+    low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
+    for a in range(size):
+        low[a], high[a] = (np.inf, -np.inf) if len(rows) else (0.0, 0.0)
+    for n in range(len(rows)):
+        for a in range(size):
+            low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
+    most = min(most, len(starts) - 2)
+    side = max(2.0 * radius * ROOM, LEAST_SIDE)
+    while True:
+        product, finest = 1.0, 0.0
+        for a in range(size):
+            shape[a] = np.floor((high[a] - low[a]) / side) + 3.0
+            product *= shape[a]
+            finest = max(finest, shape[a])
+        if product <= most or finest == 3.0:
+            break
+        side *= 1.25
+    per, step, count = 1.0 / side, 1, int(product)
+    grid[12] = per
+    for a in range(6):
+        grid[a], grid[6 + a], strides[a] = low[a], shape[a] - 1.0, step
+        step *= int(shape[a])
+    mapped = len(near) > 1
+    for c in range(count + 2):
+        starts[c] = 0
+    if mapped:
+        for c in range(count):
+            near[c] = NOTHING
+    finer = 1.0 / (bounds[1] - bounds[0]) if bounds[1] > bounds[0] else 0.0
+    for n in range(len(rows)):
+        c = 0
+        for a in range(size):
+            # Rounding may put the outermost just outside.
+            c += strides[a] * min(1 + int((rows[n, a] - low[a]) * per), int(shape[a]) - 2)
+        cells[n] = c
+        starts[c] += 1
+        if mapped:
+            level = min(int((costs[n] - bounds[0]) * finer), NOTHING - 1)
+            if bounds[level] > costs[n]:  # by rounding
+                level -= 1
+            for corner in range(1 << size):
+                other = c
+                for a in range(size):
+                    other -= strides[a] * ((corner >> a) & 1)
+                near[other] = min(near[other], level)
+    for c in range(count + 1):
+        starts[c + 1] += starts[c]
+    return count
+
+
+@njit(
+    "void(f8[:,::1], f8[::1], i4[::1], i4[::1], i4[::1], f8[:,::1], f8[::1])",
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def put_into_cells(
+    rows: Array, costs: Array, starts: Index32, cells: Index32, order: Index32, points: Array, prices: Array
+) -> None:
+    """Copies points and costs in the order of their cells, after sort_into_cells; `starts` are then starts.
+
+    Args:
+        rows: see sort_into_cells.
+        costs: of the rows, shape (n,).
+        starts: see sort_into_cells.
+        cells: see sort_into_cells.
+        order: written: the row of each point, shape (n,).
+        points: written, as many coordinates as were sorted by, shape (n, ...).
+        prices: written, shape (n,).
+    """
+    for n in range(len(rows) - 1, -1, -1):
+        c = cells[n]
+        starts[c] -= 1
+        at = starts[c]
+        order[at], prices[at] = n, costs[n]
+        for a in range(points.shape[1]):
+            points[at, a] = rows[n, a]

@@ -25,6 +25,12 @@ def switching(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np
     return np.asarray(((manipulator.bits != own[:, None]) * weights[:, None]).sum(axis=2), dtype=float)
 
 
+def mean_cost(manipulator: Manipulator, costs: Penalties) -> float:
+    """Returns the mean cost of switching an actuator, from the costs of each state (B, Kmax)."""
+    dearest = sum(costs[i, :k].max() for i, k in enumerate(manipulator.states.tolist()))
+    return float(dearest / len(manipulator.actuators))
+
+
 def contraction(manipulator: Manipulator) -> Penalties:
     """Returns penalties (B, Kmax) that count the extended actuators."""
     return weighted(manipulator.bits.sum(axis=2))
@@ -33,3 +39,9 @@ def contraction(manipulator: Manipulator) -> Penalties:
 def weighted(counts: NDArray[np.integer]) -> Penalties:
     """Returns counts (B, Kmax) weighted from 2 at the base to 1 at the tip."""
     return np.linspace(2.0, 1.0, len(counts))[:, None] * counts
+
+
+def distances(manipulator: Manipulator, configuration: ArrayLike) -> NDArray[np.float64]:
+    """Returns how many actuators of each state (B, Kmax) differ from a configuration (B,)."""
+    own = manipulator.bits[np.arange(len(manipulator.modules)), np.asarray(configuration)]
+    return np.asarray((manipulator.bits != own[:, None]).sum(axis=2), dtype=float)

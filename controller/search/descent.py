@@ -1,29 +1,73 @@
-"""The descent of the configuration tree, from base to tip: POP and IPOP (section 3.2), one kernel; and a wider one."""
+"""The descent of the configuration tree, from base to tip: POP and IPOP (section 3.2), and a beam search."""
+
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.search.guard import KINDS, STATES, Guard, hits, stand
+from controller.manipulator.manipulator import Manipulator
+from controller.search.frame_rows import named
+from controller.search.scene import Scene, for_scenes, hits, stand
+from controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-@njit("f8(f4[::1], i8, i8[::1], f8[::1], f8, f8, f8, f8)", cache=True, nogil=True, error_model="numpy")
-def measure(
-    values: NDArray[np.float32], offset: int, shape: Index, reference: Array, pixel: float, x: float, y: float, z: float
-) -> float:
-    """Returns the measure of reachability (section 3.1.2) of a point in one intermediate workspace.
+class Tables(NamedTuple):
+    """Configuration sets of an arm.
+
+    Attributes:
+        rotations: shape (B, Kmax, 3, 3).
+        translations: shape (B, Kmax, 3).
+        states: K_i, shape (B,).
+    """
+
+    rotations: Array
+    translations: Array
+    states: Index
+
+
+class Levels(NamedTuple):
+    """The arrays of Densities."""
+
+    values: NDArray[np.float32]
+    offsets: Index
+    shapes: Index
+    references: Array
+    pixels: Array
+
+
+POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
+TABLES = named(Tables, float64[:, :, :, ::1], float64[:, :, ::1], int64[::1])
+LEVELS = named(Levels, float32[::1], int64[::1], int64[:, ::1], float64[:, ::1], float64[::1])
+
+
+def tables_of(manipulator: Manipulator) -> Tables:
+    """Returns the configuration sets of an arm."""
+    return Tables(manipulator.rotations, manipulator.translations, manipulator.states)
+
+
+def levels_of(densities: Densities) -> Levels:
+    """Returns the arrays of densities."""
+    return Levels(densities.values, densities.offsets, densities.shapes, densities.references, densities.pixels)
+
+
+@njit(float64(LEVELS, int64, float64, float64, float64), cache=True, nogil=True, error_model="numpy")
+def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
+    """Returns the measure of reachability (section 3.1.2) of a point (x, y, z) in intermediate workspace i.
 
     It is the value of the point's pixel (see Densities): ln of the number of configurations that end there, or minus
     the distance to where any end. Outside the box, the distance to the box is taken off as well.
     """
+    reference, pixel = levels.references[i], levels.pixels[i]
+    nx, ny, nz = levels.shapes[i, 2], levels.shapes[i, 1], levels.shapes[i, 0]
     fx, fy, fz = (x - reference[0]) / pixel, (y - reference[1]) / pixel, (z - reference[2]) / pixel
-    ix = min(max(int(np.floor(fx + 0.5)), 0), shape[2] - 1)
-    iy = min(max(int(np.floor(fy + 0.5)), 0), shape[1] - 1)
-    iz = min(max(int(np.floor(fz + 0.5)), 0), shape[0] - 1)
-    value = float(values[offset + (iz * shape[1] + iy) * shape[2] + ix])
+    ix = min(max(int(np.floor(fx + 0.5)), 0), nx - 1)
+    iy = min(max(int(np.floor(fy + 0.5)), 0), ny - 1)
+    iz = min(max(int(np.floor(fz + 0.5)), 0), nz - 1)
+    value = float(levels.values[levels.offsets[i] + (iz * ny + iy) * nx + ix])
     outside = max(abs(fx - ix), abs(fy - iy), abs(fz - iz))
     if outside > 0.51:
         dx, dy, dz = fx - ix, fy - iy, fz - iz
@@ -32,54 +76,41 @@ def measure(
 
 
 @njit(
-    [
-        "UniTuple(f8, 3)(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
-        f" f8[:,::1], f8[::1], i8, i8[::1], {guard})"
-        for guard in KINDS
-    ],
+    for_scenes(
+        lambda scene: POINT(float64[::1], TABLES, LEVELS, float64[:, ::1], float64[::1], int64, int64[::1], scene)
+    ),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
 def descend(
     goal: Array,
-    rotations: Array,
-    translations: Array,
-    states: Index,
-    values: NDArray[np.float32],
-    offsets: Index,
-    shapes: Index,
-    references: Array,
-    pixels: Array,
+    arm: Tables,
+    levels: Levels,
     penalties: Array,
     thresholds: Array,
     depth: int,
     configuration: Index,
-    guard: Guard,
+    scene: Scene | None,
 ) -> tuple[float, float, float]:
     """Fixes modules 1 to `depth`; writes their states to `configuration`, returns the goal in frame F_depth.
 
     Of a module's states whose measure is at least the level's threshold, the one with the least penalty is taken (the
-    secondary criterion), the greater measure deciding between equals; where no state reaches the threshold, the one
-    with the greatest measure. POP is the case of thresholds that nothing reaches. States in which the module touches
-    something are passed over; where no other is left, that is the end, and the goal returned is not a number.
+    secondary criterion), ties broken by the greater measure; if no state reaches the threshold, the one with the
+    greatest measure. POP is the case of thresholds that nothing reaches. States in which the module touches an
+    obstacle are skipped; if no other is left, the descent ends, and the goal returned is not a number.
 
     Args:
         goal: position in frame F_0, shape (3,).
-        rotations: configuration sets, shape (B, Kmax, 3, 3).
-        translations: configuration sets, shape (B, Kmax, 3).
-        states: K_i, shape (B,).
-        values: and the next four: the arrays of Densities.
-        offsets: see Densities.
-        shapes: see Densities.
-        references: see Densities.
-        pixels: see Densities.
+        arm: configuration sets.
+        levels: densities.
         penalties: the secondary criterion, for each module's states, shape (B, Kmax).
         thresholds: on the primary criterion, for each level, shape (B+1,).
         depth: number of modules to fix.
         configuration: written, shape (B,).
-        guard: what to keep clear of, None if there is nothing.
+        scene: obstacles, None if there are none.
     """
+    rotations, translations, states = arm
     x, y, z = goal[0], goal[1], goal[2]
     for i in range(depth):
         best, best_measure, best_penalty, best_passes = -1, 0.0, 0.0, False
@@ -90,7 +121,7 @@ def descend(
             qx = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
             qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
             qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-            m = measure(values, offsets[i + 1], shapes[i + 1], references[i + 1], pixels[i + 1], qx, qy, qz)
+            m = measure(levels, i + 1, qx, qy, qz)
             passes = m >= thresholds[i + 1]
             if best < 0 or (passes and not best_passes):
                 better = True
@@ -100,50 +131,53 @@ def descend(
                 better = penalties[i, j] < best_penalty
             else:
                 better = m > best_measure
-            if guard is not None and better:
-                guard[STATES][i] = j
-                better = not hits(guard, i)
+            if scene is not None and better:
+                scene.states[i] = j
+                better = not hits(scene, i)
             if better:
                 best, best_measure, best_penalty, best_passes = j, m, penalties[i, j], passes
                 bx, by, bz = qx, qy, qz
-        if guard is not None:
+        if scene is not None:
             if best < 0:
                 return np.nan, np.nan, np.nan
-            stand(guard, i, best)
+            stand(scene, i, best)
         configuration[i] = best
         x, y, z = bx, by, bz
     return x, y, z
 
 
 @njit(
-    [
-        "i8(f8[::1], f8[:,:,:,::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1],"
-        f" f8[:,::1], f8, i8, i8[:,::1], f8[:,::1], f8[::1], {guard})"
-        for guard in KINDS
-    ],
+    for_scenes(
+        lambda scene: int64(
+            float64[::1],
+            TABLES,
+            LEVELS,
+            float64[:, ::1],
+            float64,
+            int64,
+            int64[:, ::1],
+            float64[:, ::1],
+            float64[::1],
+            scene,
+        )
+    ),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def spread(
+def beam_search(
     goal: Array,
-    rotations: Array,
-    translations: Array,
-    states: Index,
-    values: NDArray[np.float32],
-    offsets: Index,
-    shapes: Index,
-    references: Array,
-    pixels: Array,
+    arm: Tables,
+    levels: Levels,
     costs: Array,
     worth: float,
     depth: int,
     configurations: Index,
     wanted: Array,
     prices: Array,
-    guard: Guard,
+    scene: Scene | None,
 ) -> int:
-    """Fixes modules 1 to `depth` of many configurations at once: a beam through the configuration tree.
+    """Fixes modules 1 to `depth` of many configurations at once: a beam search of the configuration tree.
 
     Of all children of the nodes of one level that touch nothing, those of least cost less `worth` times their measure
     are kept, as many as there is room for. Writes their states to `configurations` (W, B), the goal in frame F_depth to
@@ -151,22 +185,17 @@ def spread(
 
     Args:
         goal: position in frame F_0, shape (3,).
-        rotations: and the next seven: see descend.
-        translations: see descend.
-        states: see descend.
-        values: see descend.
-        offsets: see descend.
-        shapes: see descend.
-        references: see descend.
-        pixels: see descend.
+        arm: configuration sets.
+        levels: densities.
         costs: of every module's states, shape (B, Kmax).
         worth: cost that one more unit of the measure makes up for.
         depth: number of modules to fix.
         configurations: written.
         wanted: written.
         prices: written.
-        guard: what to keep clear of, None if there is nothing.
+        scene: obstacles, None if there are none.
     """
+    rotations, translations, states = arm
     width, most = len(prices), len(prices) * states.max()
     parents, choices = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     scores, points, totals = np.empty(most), np.empty((most, 3)), np.empty(most)
@@ -176,13 +205,13 @@ def spread(
         born = 0
         for n in range(count):
             x, y, z = wanted[n, 0], wanted[n, 1], wanted[n, 2]
-            if guard is not None:
+            if scene is not None:
                 for k in range(i):
-                    stand(guard, k, configurations[n, k])
+                    stand(scene, k, configurations[n, k])
             for j in range(states[i]):
-                if guard is not None:
-                    guard[STATES][i] = j
-                    if hits(guard, i):
+                if scene is not None:
+                    scene.states[i] = j
+                    if hits(scene, i):
                         continue
                 r, b = rotations[i, j], translations[i, j]
                 dx, dy, dz = x - b[0], y - b[1], z - b[2]
@@ -190,7 +219,7 @@ def spread(
                 points[born, 1] = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
                 points[born, 2] = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
                 p = points[born]
-                m = measure(values, offsets[i + 1], shapes[i + 1], references[i + 1], pixels[i + 1], p[0], p[1], p[2])
+                m = measure(levels, i + 1, p[0], p[1], p[2])
                 parents[born], choices[born], totals[born] = n, j, prices[n] + costs[i, j]
                 # Out of reach by any distance counts as worse than any cost.
                 scores[born] = totals[born] - worth * m if m >= 0 else 1e12 - m

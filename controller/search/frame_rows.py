@@ -1,12 +1,53 @@
 """Frames as rows of numbers: (x, y, cos, sin) while the arm stays in the plane, (x, y, z, R row by row) elsewhere."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from numba import njit
+from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
+Index32 = NDArray[np.int32]
+
+
+def named(kind: type, *parts: Any) -> Any:
+    """Returns numba's type of a NamedTuple with fields of these types."""
+    return types.NamedTuple(parts, kind)  # type: ignore[no-untyped-call]
+
+
+class Side(NamedTuple):
+    """Configurations of one segment of the arm, modules first+1 to last, as kernels take them.
+
+    Attributes:
+        frames: what is compared of each, shape (n, 4) or (n, 12).
+        costs: shape (n,).
+        rows: their rows in the segment, shape (n,).
+        first: modules below the segment.
+        last: modules up to its end.
+        parents: of the segment, see Segment.
+        modules: of the segment.
+        choices: of the segment.
+    """
+
+    frames: Array
+    costs: Array
+    rows: NDArray[np.int64]
+    first: int
+    last: int
+    parents: Index32
+    modules: Index32
+    choices: Index32
+
+
+SIDE = named(Side, float64[:, ::1], float64[::1], int64[::1], int64, int64, int32[::1], int32[::1], int32[::1])
+NO_ROWS = np.zeros(1, dtype=np.int32)
+
+
+def fixed(frame: Array) -> Side:
+    """Returns the side that is a frame (4,) or (12,) and no part of the arm, such as the goal."""
+    return Side(frame[None].copy(), np.zeros(1), np.zeros(1, dtype=np.int64), 0, 0, NO_ROWS, NO_ROWS, NO_ROWS)
 
 
 def motions(manipulator: Manipulator) -> Array:
@@ -50,3 +91,20 @@ def invert(a: Array, i: int, out: Array, k: int) -> None:
             out[k, m] = -a[i, 3 + m] * a[i, 0] - a[i, 6 + m] * a[i, 1] - a[i, 9 + m] * a[i, 2]
             for n in range(3):
                 out[k, 3 + 3 * m + n] = a[i, 3 + 3 * n + m]
+
+
+@njit("void(f8[:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
+def compose_all(frames: Array, frame: Array, out: Array) -> None:
+    """Writes frame[0] carried by each of the frames (n, ...) to `out` (n, ...)."""
+    for n in range(len(frames)):
+        compose(frames, n, frame, 0, out, n)
+
+
+@njit("void(f8[:,::1])", cache=True, nogil=True)
+def invert_all(frames: Array) -> None:
+    """Replaces frames (n, ...) by those that lead back."""
+    other = np.empty((1, frames.shape[1]))
+    for n in range(len(frames)):
+        invert(frames, n, other, 0)
+        for a in range(frames.shape[1]):
+            frames[n, a] = other[0, a]

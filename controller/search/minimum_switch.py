@@ -1,44 +1,72 @@
-"""Fewest switches: the cheapest configuration within the tolerance, and a proof that no cheaper one exists.
+"""Fewest switches: the cheapest configuration within the tolerances, and a proof that no cheaper one exists.
 
-The arm is cut in two. Both halves' configurations near the previous one are listed, cheapest first, and meet in the
-middle; what is found costs less than anything left out, or else the pairs left out are checked: one half of such a pair
-costs more than was listed, so the other costs little, and for each of those few the dear half is cut in two again.
+The stages, each of which improves the incumbent and what is proven of it: two lists, matched in the middle; IPOP's
+answer, if the lists yield no proof; four lists, which prove what two lists leave out; beam searches, and two lists
+around the incumbent, while time is left.
 """
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.found import CLOSE, Found
-from controller.search.halves import Halves
+from controller.search.criteria import distances
+from controller.search.four_list import FourList, Proof
+from controller.search.hull import Hull
+from controller.search.incumbent import Incumbent
 from controller.search.nearest import Nearest
-from controller.search.quarters import Quarters
-from controller.search.reach import Reach
-from controller.search.target import Target
+from controller.search.paths import Paths
+from controller.search.scene import collides
+from controller.search.target import Target, search_radius
+from controller.search.two_list import TwoList
 
 Array = NDArray[np.float64]
 
 NEAR = 1 << 14  # rows of a half, for a beginning
-LADDER = (1 << 16, 1 << 18)  # the next where the one before proves nothing
-BEAMS = (32, 128, 512)  # widths, the next where there is time
-MOST_CHECKS = 128
+WIDE = 1 << 16  # for what the near lists leave out
+LADDER = (NEAR, WIDE, 1 << 18)  # rows of lists around the incumbent
+BEAMS = (32, 128, 512)  # widths, the next if there is time
+FAR = 1.0, 1.2  # of what near lists leave out in both halves: beams come before the proof of what costs more
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A goal and where it is asked for from.
+
+    Attributes:
+        target: the goal.
+        seed: the configuration that costs nothing, shape (B,).
+        costs: of every state of every module, at least 0, shape (B, Kmax).
+        patience: `time.perf_counter()` up to which to search if nothing is within the tolerances before.
+        hopeless: whether it is known that nothing is.
+    """
+
+    target: Target
+    seed: Configuration
+    costs: Array
+    patience: float
+    hopeless: bool = False
 
 
 class MinimumSwitch:
-    """The search of one manipulator, with the memory for its tables."""
+    """The search of one manipulator, with the memory for its tables.
 
-    def __init__(self, manipulator: Manipulator, reach: Reach) -> None:
-        """Cuts the arm into halves and quarters of like numbers of configurations; allocates."""
-        self._m = manipulator
-        self._near, self._wide = Halves(manipulator, NEAR), Halves(manipulator, LADDER[-1])
-        self._quarters = Quarters(manipulator, self._near.cut)
-        self._nearest, self._reach = Nearest(manipulator, self._wide), reach
+    Args:
+        manipulator: the arm.
+        hull: of its tips.
+        paths: of its densities.
+    """
+
+    def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths) -> None:
+        self._m, self._hull, self._paths = manipulator, hull, paths
+        self._near, self._wide = TwoList(manipulator, NEAR), TwoList(manipulator, LADDER[-1])
+        self._four = FourList(manipulator, self._near.cut)
+        self._nearest = Nearest(manipulator, self._wide)
         self._row_time = 0.0
+        self._proof: Proof | None = None
 
     def claim(self) -> None:
         """Has the system hand out memory now, not in the middle of a search with a deadline.
@@ -47,140 +75,155 @@ class MinimumSwitch:
         """
         self._near.claim()
         self._wide.claim(LADDER[0])
-        self._quarters.claim()
+        self._four.claim()
         self._nearest.claim()
 
-    def expect(self, centre: Configuration, costs: Array, tolerance: float) -> Iterator[None]:
-        """Lists and sorts, step by step, what the search of a goal begins with; what is so already costs nothing."""
-        self._near.list(centre, costs, costs)
+    def expect(self, seed: Configuration, costs: Array, tolerance: float) -> Iterator[None]:
+        """Lists and sorts, step by step, what the search of a position begins with; repeating it costs nothing."""
+        radius = search_radius(self._m, tolerance)
+        self._near.list(seed, costs, costs)
         yield
-        self._near.sort(tolerance * CLOSE)
+        self._near.index(radius, np.inf)
         yield
-        self._quarters.list(centre, costs)
+        self._four.list(seed, costs)
         yield
-        self._quarters.sort(tolerance * CLOSE)
+        self._four.index(radius, np.inf)
 
-    def improve(
-        self,
-        target: Target,
-        centre: Configuration,
-        costs: Array,
-        first: Callable[[], Found],
-        widen: Callable[[Found, int], Found],
-        until: float,
-        latest: float,
-        hopeless: bool = False,
-    ) -> Found:
-        """Returns the cheapest configuration within the tolerances, and what is proven of its cost.
+    def improve(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Runs the stages until the incumbent is settled or its time is over."""
+        stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
+            self._two_lists,
+            self._outside,
+            self._ipop,
+            self._far,
+            self._four_lists,
+            self._approach,
+            self._around,
+            self._four_lists,
+            self._beams,
+        )
+        self._proof = None
+        for stage in stages:
+            if not incumbent.settled:
+                stage(problem, incumbent)
+        if incumbent.cost == np.inf and not incumbent.settled and problem.patience > incumbent.until:
+            incumbent.until = problem.patience
+            for stage in (self._approach, self._around, self._four_lists, self._beams):
+                if not incumbent.settled:
+                    stage(problem, incumbent)
+        if incumbent.cost == np.inf:
+            if incumbent.square == np.inf:
+                self._ipop(problem, incumbent)
+            self._nearest.improve(problem.target, incumbent)
 
-        Args:
-            target: in frame F_0, with what to keep clear of.
-            centre: the configuration that costs nothing, shape (B,).
-            costs: of every state of every module, at least 0, shape (B, Kmax).
-            first: gives an answer from far and wide, of infinite cost if it is not within the tolerance.
-            widen: looks for a better one farther from the centre, with a beam of a width.
-            until: `time.perf_counter()` at which to be done, nearly.
-            latest: the same, where nothing is within the tolerances yet.
-            hopeless: whether it is known that nothing is.
-        """
-        best, near = Found(centre, np.inf, np.inf), self._near
-        if time.perf_counter() < until and not hopeless:
-            near.list(centre, costs, costs)
-            best = self._proven(near, target, centre, costs, best, until)
-        if best.cost == np.inf and (hopeless or self._reach.excludes(target.position, target.tolerance)):
-            best = replace(best, bound=np.inf)
-        if best.bound < best.cost or best.cost == np.inf:
-            best = replace(best.better(first()), bound=best.bound)
-        if not best.settled:
-            best = self._further(target, centre, costs, best, widen, until)
-        if not best.settled and best.cost == np.inf and latest > until:
-            best = self._further(target, centre, costs, best, widen, latest)
-        return best if best.cost < np.inf else replace(self._nearest.improve(target, best, until), bound=best.bound)
-
-    def reach(self, target: Target, best: Configuration, until: float) -> Configuration:
-        """Returns a configuration within the tolerances near one that is not, or else the nearest found."""
+    def reach(self, target: Target, incumbent: Incumbent) -> None:
+        """Offers a configuration within the tolerances near the incumbent's, or else the nearest found."""
         free = np.zeros(self._m.bits.shape[:2])
-        found = self._nearest.improve(target, Found(best, np.inf, np.inf), until)
-        for most in (NEAR, *LADDER):
-            if found.cost == np.inf:
-                found = self._wander(target, free, found, most, until)
-        return found.configuration
-
-    def _further(
-        self,
-        target: Target,
-        centre: Configuration,
-        costs: Array,
-        best: Found,
-        widen: Callable[[Found, int], Found],
-        until: float,
-    ) -> Found:
-        """Returns what beams and longer lists find until the deadline, and prove."""
-        began = time.perf_counter()
-        if began > until:
-            return best
-        best = widen(best, BEAMS[0])
-        beam_time = time.perf_counter() - began
-        if best.cost == np.inf:  # what is nearer is nearer to what is within the tolerance, too
-            best = self._nearest.improve(target, best, until)
-        for most in (NEAR, *LADDER):
-            best = self._wander(target, costs, best, most, until)
-            if best.cost < np.inf or not target.hard:
-                break
-        best = self._proven(self._near, target, centre, costs, best, until)
+        problem = Problem(target, incumbent.configuration, free, incumbent.until)
+        self._nearest.improve(target, incumbent)
         for most in LADDER:
-            if best.settled or time.perf_counter() + most * self._row_time > until:
-                break
-            self._list(centre, costs, costs, most)
-            best = self._proven(self._wide, target, centre, costs, best, until)
-            if not best.settled:
-                better = self._wander(target, costs, best, most, until - most * self._row_time)
-                best = replace(better, bound=best.bound)
-        for before, width in pairwise(BEAMS):
-            beam_time *= 1.5 * width / before
-            if best.settled or time.perf_counter() + beam_time > until:
-                break
-            better = self._wander(target, costs, widen(best, width), NEAR, until)
-            best = replace(better, bound=best.bound)
-        return best
+            if incumbent.cost == np.inf:
+                self._wander(problem, incumbent, most)
 
-    def _list(self, centre: Configuration, distances: Array, costs: Array, most: int) -> None:
+    def _two_lists(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Matches the halves near the seed."""
+        if problem.hopeless:
+            incumbent.prove(np.inf)
+        elif not incumbent.late:
+            self._near.list(problem.seed, problem.costs, problem.costs)
+            complete, bound = self._near.match(problem.target, incumbent)
+            incumbent.prove(bound)
+            if complete:
+                self._proof = Proof(self._four, problem.target, problem.seed)
+
+    def _outside(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Proves that a goal outside the hull of all tips is unreachable."""
+        target = problem.target
+        if incumbent.cost == np.inf and self._hull.excludes(target.position, target.tolerance):
+            incumbent.prove(np.inf)
+
+    def _ipop(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Offers IPOP's answer if nothing better is known."""
+        if incumbent.cost < np.inf:
+            return
+        target, modules = problem.target, np.arange(len(problem.seed))
+        configuration = self._paths.follow(target, problem.seed, "ipop-previous")
+        clear = target.scene is None or not collides(target.scene, configuration)
+        served = clear and target.met(configuration)
+        cost = float(problem.costs[modules, configuration].sum()) if served else np.inf
+        square = target.square(self._m.tip(configuration)) if clear else np.inf
+        incumbent.offer(configuration, cost, square)
+
+    def _four_lists(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Proves what the two lists leave out to be no better, or finds it.
+
+        Lists more if the proof has come to what the near lists leave out in both halves.
+        """
+        proof, near, wide = self._proof, self._near, self._wide
+        if proof is None or incumbent.over:
+            return
+        starts = near.lower.beyond, near.upper.beyond
+        if not proof.begun:
+            self._four.list(problem.seed, problem.costs)
+            proof.add(near, (0.0, 0.0), starts, incumbent.cost)
+        proof.run(incumbent)
+        if not incumbent.over and proof.rest == sum(starts) and incumbent.bound >= proof.rest:
+            self._list(problem.seed, problem.costs, problem.costs, WIDE)
+            proof.add(wide, starts, (starts[0], wide.upper.beyond), incumbent.cost)
+            proof.run(incumbent)
+
+    def _far(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Improves an incumbent that costs too much for a quick proof, by beam searches and halves around it."""
+        if incumbent.late:
+            return
+        for width, share in zip(BEAMS, FAR, strict=False):
+            most = share * (self._near.lower.beyond + self._near.upper.beyond)
+            if most < incumbent.cost < np.inf and not incumbent.late:
+                self._paths.widen(problem.target, problem.costs, width, incumbent)
+                self._wander(problem, incumbent, NEAR)
+
+    def _approach(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Brings the tip nearer: what is near is near to what is within the tolerances, too."""
+        if incumbent.cost == np.inf:
+            self._release()
+            self._nearest.improve(problem.target, incumbent)
+
+    def _around(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Matches halves around the incumbent; longer lists while nothing is within the tolerances."""
+        for most in LADDER:
+            self._wander(problem, incumbent, most)
+            if incumbent.cost < np.inf or not problem.target.hard:
+                break
+
+    def _beams(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Offers what wider beam searches find, and halves around it."""
+        began, seconds = time.perf_counter(), 0.0
+        for width in BEAMS[1:]:
+            if incumbent.settled or incumbent.left() < seconds:
+                break
+            began = time.perf_counter()
+            self._paths.widen(problem.target, problem.costs, width, incumbent)
+            seconds = 6.0 * (time.perf_counter() - began)
+            self._wander(problem, incumbent, NEAR)
+
+    def _release(self) -> None:
+        """Ends a proof that goes by the wide lists, which are about to be overwritten."""
+        if self._proof is not None and self._proof.rest > self._near.lower.beyond + self._near.upper.beyond:
+            self._proof = None
+
+    def _list(self, seed: Configuration, distances: Array, costs: Array, most: int) -> None:
         """Lists the wide halves, and notes how long a row takes, with room."""
         began = time.perf_counter()
-        self._wide.list(centre, distances, costs, most)
+        self._wide.list(seed, distances, costs, most)
         rows = len(self._wide.lower.costs) + len(self._wide.upper.costs)
         self._row_time = 4.0 * (time.perf_counter() - began) / rows
 
-    def _wander(self, target: Target, costs: Array, best: Found, most: int, until: float) -> Found:
-        """Returns the cheapest configuration that is near the best, again and again until it is the best itself."""
-        while time.perf_counter() < until:
-            own = self._m.bits[np.arange(len(best.configuration)), best.configuration]
-            distances = (self._m.bits != own[:, None]).sum(axis=2).astype(float)
-            self._list(best.configuration, distances, costs, most)
-            better = self._wide.meet(target, best, until)
-            if better.cost >= best.cost:
-                return better
-            best = better
-        return best
-
-    def _proven(
-        self,
-        halves: Halves,
-        target: Target,
-        centre: Configuration,
-        costs: Array,
-        best: Found,
-        until: float,
-    ) -> Found:
-        """Returns the best of all pairs listed, and a bound on the cost of those left out, checked if they are few."""
-        best = halves.meet(target, best, until)
-        lower, upper = halves.lower, halves.upper
-        bound = min(lower.beyond, upper.beyond, halves.unasked)
-        if bound < best.cost and halves.unasked == np.inf:
-            below = np.flatnonzero(lower.costs < best.cost - upper.beyond)
-            above = np.flatnonzero(upper.costs < best.cost - lower.beyond)
-            if len(below) + len(above) <= MOST_CHECKS:
-                below, above = below[np.argsort(lower.costs[below])], above[np.argsort(upper.costs[above])]
-                self._quarters.list(centre, costs)
-                return self._quarters.check(target, halves, below, above, best, until)
-        return Found(best.configuration, best.cost, best.square, bound)
+    def _wander(self, problem: Problem, incumbent: Incumbent, most: int) -> None:
+        """Matches halves around the incumbent again and again, until it is the best near itself."""
+        self._release()
+        while incumbent.left() > most * self._row_time:
+            seed, cost = incumbent.configuration, incumbent.cost
+            self._list(seed, distances(self._m, seed), problem.costs, most)
+            self._wide.match(problem.target, incumbent)
+            if incumbent.cost >= cost:
+                break

@@ -1,4 +1,4 @@
-"""Paths of probability: the densities' descent from the base, finished by the exact tail."""
+"""Paths of probability: the densities' descent from the base, finished by the exact distal table."""
 
 import math
 import time
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search import criteria
-from controller.search.descent import descend, spread
-from controller.search.finish import finish
-from controller.search.found import Found
-from controller.search.guard import Guard
+from controller.search.descent import beam_search, descend, levels_of, tables_of
+from controller.search.distal_table import Wanted, build_distal_table, finish
+from controller.search.incumbent import Incumbent
 from controller.search.method import PaperMethod
-from controller.search.tail import build_tail
+from controller.search.scene import Scene
 from controller.search.target import Target
 from controller.workspace.densities import Densities
 
@@ -26,24 +25,25 @@ Vector = NDArray[np.float64]
 # which nothing reaches, makes the search POP.
 ENOUGH: tuple[float, ...] = (30.0, 1_000.0, 10_000.0, np.inf)
 
-BEAM, BEAM_TIME = 64, 0.05  # width, and time [s] for its ends, where descents end among what is to be avoided
+BEAM, BEAM_TIME = 64, 0.05  # width, and time [s] for its ends, if descents end among obstacles
 
 
 class Paths:
-    """POP and IPOP of one manipulator, and a beam; holds the exact table of the last modules."""
+    """POP and IPOP of one manipulator, and a beam search; holds the exact table of the last modules."""
 
     def __init__(self, manipulator: Manipulator, densities: Densities) -> None:
         """Builds the table."""
         self.manipulator = manipulator
         self.densities = densities
-        self._tail = build_tail(manipulator)
+        self.table = build_distal_table(manipulator)
+        self._arm, self._levels = tables_of(manipulator), levels_of(densities)
         self._edge = edge(densities)
 
     def follow(self, target: Target, previous: Configuration, method: PaperMethod) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, else the nearest seen.
 
-        With a guard only what is within the tolerances is sought at first, with a beam, too, and the nearest in the
-        end; `previous` if all ways are blocked.
+        Among obstacles only configurations within the tolerances are sought at first, also by a beam search, and the
+        nearest in the end; `previous` if all paths are blocked.
 
         Args:
             target: in frame F_0.
@@ -51,7 +51,7 @@ class Paths:
             method: the algorithm, and for IPOP the secondary criterion.
         """
         best, aim, ladder = previous, target, ENOUGH
-        most = least = np.inf if target.guard is None else within_squares(target)
+        most = least = np.inf if target.scene is None else within_squares(target)
         if method == "pop":
             aim, ladder = replace(target, tolerance=0.0), (np.inf,)  # the nearest
             penalties = criteria.indifferent(self.manipulator)
@@ -65,32 +65,45 @@ class Paths:
                 best, least = configuration, square
             if within:
                 break
-        if least == most and target.guard is not None:
+        if least == most and target.scene is not None:
             best, least = self._around(aim, penalties, best, most)
-        if least == most and target.guard is not None:
+        if least == most and target.scene is not None:
             configuration, square, _ = self._descend(aim, penalties, np.inf, np.inf)
             best = configuration if square < np.inf else self._around(aim, penalties, best, np.inf)[0]
         return best
 
-    def spread(self, target: Target, costs: criteria.Penalties, worth: float, width: int, best: Found) -> Found:
-        """Returns the best of a beam's configurations, or `best` if none is cheaper.
+    def widen(self, target: Target, costs: criteria.Penalties, width: int, incumbent: Incumbent) -> None:
+        """Offers the configurations of a beam search.
 
         Args:
             target: in frame F_0.
             costs: of every module's states, shape (B, Kmax).
-            worth: cost that one more unit of the measure makes up for.
             width: how many partial configurations are kept at each module.
-            best: found before.
+            incumbent: the best so far.
         """
         modules = np.arange(len(self.manipulator.modules))
-        most = within_squares(target)
-        for configuration, (x, y, z), price in self._beam(target.position, target.guard, costs, worth, width):
-            if price < best.cost:
-                square, within = self._finish(x, y, z, target, costs, configuration, most)
+        most, worth = within_squares(target), criteria.mean_cost(self.manipulator, costs)
+        for configuration, wanted, price in self._beam(target.position, target.scene, costs, worth, width):
+            if price < incumbent.cost:
+                square, within = self.finish(wanted, target, costs, configuration, most)
                 cost = float(costs[modules, configuration].sum())
-                if within and cost < best.cost:
-                    best = Found(configuration, cost, square)
-        return best
+                if within and cost < incumbent.cost and target.met(configuration):
+                    incumbent.offer(configuration, cost, square)
+
+    def finish(
+        self,
+        wanted: Vector,
+        target: Target,
+        penalties: criteria.Penalties,
+        configuration: Configuration,
+        most: float = np.inf,
+    ) -> tuple[float, bool]:
+        """Fixes the modules that the densities leave, for a position (3,) in frame F_root, see distal_table.finish."""
+        asked = Wanted(target.rotation, target.tolerance, target.exact_chord, target.weight)
+        found: tuple[float, bool] = finish(
+            wanted, asked, most, self.table, penalties, self._arm, configuration, target.scene
+        )
+        return found
 
     def _around(
         self, target: Target, penalties: criteria.Penalties, best: Configuration, most: float
@@ -104,8 +117,8 @@ class Paths:
             most: the square to be bettered.
         """
         towards, until = self._towards(target.position), time.perf_counter() + BEAM_TIME
-        for configuration, (x, y, z), _ in self._beam(towards, target.guard, penalties, 1.0, BEAM):
-            square, _ = self._finish(x, y, z, target, penalties, configuration, most)
+        for configuration, wanted, _ in self._beam(towards, target.scene, penalties, 1.0, BEAM):
+            square, _ = self.finish(wanted, target, penalties, configuration, most)
             if square < most:
                 return configuration, square
             if time.perf_counter() > until:
@@ -113,37 +126,30 @@ class Paths:
         return best, most
 
     def _beam(
-        self, goal: Vector, guard: Guard, costs: criteria.Penalties, worth: float, width: int
+        self, goal: Vector, scene: Scene | None, costs: criteria.Penalties, worth: float, width: int
     ) -> Iterator[tuple[Configuration, Vector, float]]:
-        """Gives the configurations of a beam up to the tail, the goal in the frame there, and their costs so far.
+        """Gives the configurations of a beam up to the table, the goal in the frame there, and their costs so far.
 
         Args:
             goal: position in frame F_0, shape (3,).
-            guard: what to keep clear of.
+            scene: obstacles.
             costs: of every module's states, shape (B, Kmax).
             worth: cost that one more unit of the measure makes up for.
             width: how many partial configurations are kept at each module.
         """
-        m, d, t = self.manipulator, self.densities, self._tail
-        configurations = np.zeros((width, len(m.modules)), dtype=np.int64)
+        configurations = np.zeros((width, len(self.manipulator.modules)), dtype=np.int64)
         wanted, prices = np.zeros((width, 3)), np.zeros(width)
-        count = spread(
+        count = beam_search(
             goal,
-            m.rotations,
-            m.translations,
-            m.states,
-            d.values,
-            d.offsets,
-            d.shapes,
-            d.references,
-            d.pixels,
+            self._arm,
+            self._levels,
             costs,
             worth,
-            t.root,
+            self.table.root,
             configurations,
             wanted,
             prices,
-            guard,
+            scene,
         )
         yield from zip(configurations[:count], wanted, prices.tolist(), strict=False)
 
@@ -164,59 +170,21 @@ class Paths:
 
         Where it does not miss by less than `most`, that is returned, and the configuration is none.
         """
-        m, d, t = self.manipulator, self.densities, self._tail
-        configuration = np.zeros(len(m.modules), dtype=np.int64)
+        configuration = np.zeros(len(self.manipulator.modules), dtype=np.int64)
         wanted = descend(
             self._towards(target.position),
-            m.rotations,
-            m.translations,
-            m.states,
-            d.values,
-            d.offsets,
-            d.shapes,
-            d.references,
-            d.pixels,
+            self._arm,
+            self._levels,
             penalties,
             self._thresholds(target, enough),
-            t.root,
+            self.table.root,
             configuration,
-            target.guard,
+            target.scene,
         )
         if math.isnan(wanted[0]):
             return configuration, most, False
-        return configuration, *self._finish(*wanted, target, penalties, configuration, most)
-
-    def _finish(
-        self,
-        x: float,
-        y: float,
-        z: float,
-        target: Target,
-        penalties: criteria.Penalties,
-        configuration: Configuration,
-        most: float = np.inf,
-    ) -> tuple[float, bool]:
-        """Fixes the modules that the densities leave, for a goal in frame F_root, see finish."""
-        m, t = self.manipulator, self._tail
-        return finish(
-            x,
-            y,
-            z,
-            target.rotation,
-            target.tolerance,
-            target.limit,
-            target.weight,
-            most,
-            t.root,
-            t.depth,
-            t.table,
-            penalties,
-            m.rotations,
-            m.translations,
-            m.states,
-            configuration,
-            target.guard,
-        )
+        square, within = self.finish(np.array(wanted), target, penalties, configuration, most)
+        return configuration, square, within
 
     def _thresholds(self, target: Target, enough: float) -> NDArray[np.float64]:
         """Returns, for each level, the ln of a pixel's count at which `enough` points are within the tolerances.
@@ -227,14 +195,14 @@ class Paths:
             return np.full(len(self.densities.pixels), np.inf)
         tolerance = target.tolerance
         ball = math.pi * tolerance**2 if self.manipulator.planar else 4 / 3 * math.pi * tolerance**3
-        ball *= target.share
+        ball = max(ball * target.share, 1e-300)
         volumes = self.densities.pixels**self.manipulator.dimension
         return np.log(np.maximum(enough * volumes / ball, 1.0))
 
 
 def within_squares(target: Target) -> float:
     """Returns what is more than any square, see Target, of what is within the tolerances, by little."""
-    return target.tolerance**2 * 1.001 + (target.weight**2 * target.limit if target.oriented else 0.0)
+    return target.tolerance**2 * 1.001 + (target.weight**2 * target.chord if target.oriented else 0.0)
 
 
 def edge(densities: Densities) -> NDArray[np.float64]:

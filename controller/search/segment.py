@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
-from controller.search.frame_rows import compose, coordinates, invert
+from controller.search.frame_rows import Side, compose, invert
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -42,10 +42,12 @@ class Segment:
     frames: Array
     beyond: float
 
-    @property
-    def positions(self) -> Array:
-        """Of F_last in F_first, shape (n, 2) or (n, 3)."""
-        return self.frames[:, : coordinates(self.frames)]
+    def side(self, rows: Index | None = None) -> Side:
+        """Returns the segment, or some of its rows (n,), as kernels take it."""
+        chosen = np.arange(len(self.costs)) if rows is None else rows
+        costs = self.costs if rows is None else self.costs.take(rows)
+        own = self.frames if rows is None else self.frames.take(rows, axis=0)
+        return Side(own, costs, chosen, self.first, self.last, self.parents, self.modules, self.choices)
 
     def write(self, row: int, configuration: Configuration) -> None:
         """Puts a row's states in a configuration (B,) that has the centre's."""

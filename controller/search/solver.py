@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -15,14 +14,14 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.search import criteria
 from controller.search.candidates import Candidates
-from controller.search.found import Found
-from controller.search.guard import buried, guard_of
+from controller.search.hull import build_hull
+from controller.search.incumbent import Incumbent
 from controller.search.method import Method
-from controller.search.minimum_switch import MinimumSwitch
+from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
-from controller.search.reach import build_reach
+from controller.search.scene import buried, scene_of
 from controller.search.solution import Solution
-from controller.search.target import Target
+from controller.search.target import Target, distance
 from controller.workspace.densities import Densities
 
 Vector = NDArray[np.float64]
@@ -57,12 +56,12 @@ class Solver:
             clearance: of this arm; configurations found keep clear, wherever the arm stands before.
         """
         self.manipulator = manipulator
-        self.clearance, self._guard = clearance, guard_of(manipulator, clearance)
+        self.clearance, self._scene = clearance, scene_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
         self._paths = Paths(manipulator, densities)
-        self._reach = build_reach(manipulator)
+        self._hull = build_hull(manipulator)
         self._to_base = inverse(manipulator.base)
         self._candidates: tuple[int, Candidates] | None = None
 
@@ -72,14 +71,14 @@ class Solver:
         It shares the tables and the memory of this one: only one of them may search at a time.
         """
         other = copy(self)
-        other.clearance, other._guard = clearance, guard_of(self.manipulator, clearance)
+        other.clearance, other._scene = clearance, scene_of(self.manipulator, clearance)
         return other
 
     def another(self) -> "Solver":
         """Returns a solver with the same tables and memory of its own: both may search at the same time."""
         other = copy(self)
         vars(other).pop("_minimum", None)
-        other._candidates = None
+        other._candidates, other._scene = None, scene_of(self.manipulator, self.clearance)
         return other
 
     def prepare(self) -> None:
@@ -93,9 +92,9 @@ class Solver:
             previous: shape (B,).
             tolerance: that the goal is likely to have.
         """
-        centre = np.asarray(previous, dtype=np.int64)
-        costs = criteria.switching(self.manipulator, centre, self._weights)
-        return self._minimum.expect(centre, costs, tolerance)
+        seed = np.asarray(previous, dtype=np.int64)
+        costs = criteria.switching(self.manipulator, seed, self._weights)
+        return self._minimum.expect(seed, costs, tolerance)
 
     def solve(
         self,
@@ -120,19 +119,24 @@ class Solver:
                 deadline [s].
         """
         began = time.perf_counter()
-        chosen = np.asarray(previous, dtype=np.int64)
-        world = self._target(goal, tolerance, turn)
-        bound = 0.0
-        if method in ("minimum-switch", "ipop-previous") and self._served(world, chosen):
-            best = chosen.copy()
+        seed = np.asarray(previous, dtype=np.int64)
+        target = self._target(goal, tolerance, turn)
+        incumbent = Incumbent(seed, began + deadline)
+        if method in ("minimum-switch", "ipop-previous") and self._served(target, seed):
+            incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == "minimum-switch":
-            latest = began + (max(deadline, patience) if world.hard else deadline)
-            best, bound = self._fewest(world, chosen, began + deadline, latest)
+            costs = criteria.switching(self.manipulator, seed, self._weights)
+            patience = began + (max(deadline, patience) if target.hard else deadline)
+            self._minimum.improve(Problem(target, seed, costs, patience, self._hopeless(target)), incumbent)
         else:
-            best = self._paths.follow(self._local(world), chosen, method)
-            if world.hard and not self._served(world, best) and not self._hopeless(world):
-                best = self._minimum.reach(self._local(world), best, began + patience)  # densities know positions only
-        return self._described(best, world, chosen, time.perf_counter() - began, bound)
+            best = self._paths.follow(target, seed, method)
+            if target.hard and not self._served(target, best) and not self._hopeless(target):
+                incumbent.until = began + patience  # densities know positions only
+                incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
+                self._minimum.reach(target, incumbent)
+                best = incumbent.configuration
+            incumbent = Incumbent(best, incumbent.until)
+        return self._described(incumbent.configuration, target, seed, time.perf_counter() - began, incumbent.bound)
 
     def described(
         self,
@@ -155,54 +159,67 @@ class Solver:
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
         costs = criteria.switching(self.manipulator, previous, self._weights)
-        return self._candidates[1].find(self._local(self._target(goal, tolerance, turn)), previous, costs)
+        return self._candidates[1].find(
+            self._target(goal, tolerance, turn), np.asarray(previous, dtype=np.int64), costs
+        )
 
     def _described(
         self,
         configuration: Configuration,
-        world: Target,
+        target: Target,
         previous: Configuration,
         seconds: float = 0.0,
         bound: float = 0.0,
     ) -> Solution:
         tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
+        cost = self._cost(configuration, previous)
+        served = clear and target.met(configuration)
         return Solution(
             configuration=configuration,
             tip=tip,
-            error=world.distance(tip),
+            error=float(distance(tip, target.goal)),
             switches=self.manipulator.switches(configuration, previous),
-            within_tolerance=clear and world.met(tip),
+            within_tolerance=served,
             seconds=seconds,
-            cost=self._cost(configuration, previous),
-            lower_bound=bound,
-            angle=world.angle(tip),
+            cost=cost,
+            bound=min(bound, cost) if served else bound,
+            angle=target.angle(tip),
             clear=clear,
         )
 
-    def _served(self, world: Target, configuration: Configuration) -> bool:
+    def _served(self, target: Target, configuration: Configuration) -> bool:
         """Returns whether a configuration is within the tolerances, and clear."""
-        return world.met(self.manipulator.tip(configuration)) and self._clear(configuration)
+        return target.met(configuration) and self._clear(configuration)
 
-    def _hopeless(self, world: Target) -> bool:
-        """Returns whether regions lie so around the goal that no clear tip can come within the tolerance."""
-        return buried(self.clearance, world.position, world.tolerance)
+    def _hopeless(self, target: Target) -> bool:
+        """Returns whether the goal lies so deep in obstacles that no clear tip can come within the tolerance."""
+        return buried(self.clearance, target.goal[:3, 3], target.tolerance)
 
     def _clear(self, configuration: Configuration) -> bool:
         return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
 
     def _target(self, goal: ArrayLike, tolerance: float, turn: float) -> Target:
-        """Returns what a goal asks for, in the world; see solve."""
-        given, frame = np.asarray(goal, dtype=float), np.eye(4)
-        if given.ndim == 2:
-            frame = given
-        else:
-            frame[: len(given), 3] = given
-        weight = tolerance / turn if turn < math.pi else 0.0  # so that both tolerances count alike
-        return Target(frame, self.manipulator.planar, tolerance, turn, weight, self._guard)
+        """Returns what a goal asks for; see solve.
 
-    def _local(self, world: Target) -> Target:
-        """Returns a target in the world in frame F_0."""
-        return replace(world, frame=self._to_base @ world.frame)
+        Raises:
+            ValueError: the goal has a wrong number of coordinates, or the arm is planar and the goal is not.
+        """
+        given, frame = np.asarray(goal, dtype=float), np.eye(4)
+        arm = "planar" if self.manipulator.planar else "spatial"
+        if given.shape == (4, 4):
+            frame = np.ascontiguousarray(given)
+            if self.manipulator.planar and not np.allclose(frame[2], (0, 0, 1, 0), atol=1e-9):
+                raise ValueError("the arm is planar, but the goal's frame is not in the plane z = 0")
+        elif given.shape == (self.manipulator.dimension,):
+            frame[: len(given), 3] = given
+        else:
+            size = self.manipulator.dimension
+            raise ValueError(
+                f"a goal of a {arm} arm is a position ({size},) or a frame (4, 4), got shape {given.shape}"
+            )
+        weight = tolerance / turn if turn < math.pi else 0.0  # so that both tolerances count alike
+        local = self._to_base @ frame
+        return Target(local, frame, self.manipulator, tolerance, turn, weight, self._scene)
 
     def _cost(self, configuration: Configuration, previous: Configuration) -> float:
         """Returns the weighted number of switches between two configurations."""
@@ -210,26 +227,6 @@ class Solver:
         new = self.manipulator.bits[np.arange(len(previous)), configuration]
         return float(((own != new) * self._weights).sum())
 
-    def _fewest(
-        self, world: Target, previous: Configuration, until: float, latest: float
-    ) -> tuple[Configuration, float]:
-        """Returns the cheapest configuration found, and the bound proven."""
-        target = self._local(world)
-        costs = criteria.switching(self.manipulator, previous, self._weights)
-        worth = float(self._weights.sum() / len(self.manipulator.actuators))
-
-        def first() -> Found:
-            configuration = self._paths.follow(target, previous, "ipop-previous")
-            tip = self.manipulator.tip(configuration)
-            cost = self._cost(configuration, previous) if self._served(world, configuration) else np.inf
-            return Found(configuration, cost, world.square(tip) if self._clear(configuration) else np.inf)
-
-        def widen(best: Found, width: int) -> Found:
-            return self._paths.spread(target, costs, worth, width, best)
-
-        found = self._minimum.improve(target, previous, costs, first, widen, until, latest, self._hopeless(world))
-        return found.configuration, min(found.bound, found.cost)
-
     @cached_property
     def _minimum(self) -> MinimumSwitch:
-        return MinimumSwitch(self.manipulator, self._reach)
+        return MinimumSwitch(self.manipulator, self._hull, self._paths)

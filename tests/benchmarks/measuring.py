@@ -127,12 +127,12 @@ def claimed(problem: product.Problem, arm: Arm, goals: Goals, proofs: Proofs) ->
     claims = agrees = contradicts = 0
     for goal, before, fewest in zip(goals, proofs.previous, proofs.fewest, strict=False):
         solution = product.solution(problem, goal, before, arm.tolerance)
-        claims += solution.optimal
+        claims += solution.certificate == "optimal"
         if solution.optimal and fewest >= 0:
             agrees += solution.switches == fewest
             contradicts += solution.switches != fewest
         elif fewest >= 0:
-            contradicts += solution.lower_bound > fewest
+            contradicts += solution.bound > fewest
     return claims, agrees, contradicts
 
 

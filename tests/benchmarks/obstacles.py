@@ -124,7 +124,9 @@ def measured(
         plain = traced(solver.avoiding(None), method, goals, tolerance, turn, among.before)
         switches = (f"{np.mean([f.switches for f in t.found if f.within_tolerance]):.2f}" for t in (among, plain))
         median, most = 1e3 * np.quantile(among.seconds, (0.5, 0.99))
-        proven = f"{np.mean([f.optimal for f in among.found]):.0%}" if method == "minimum-switch" else ""
+        proven = (
+            f"{np.mean([f.certificate == 'optimal' for f in among.found]):.0%}" if method == "minimum-switch" else ""
+        )
         times = f"{median:.2f} / {most:.1f}"
         ratio = f"{np.median(among.seconds) / np.median(plain.seconds):.2f}"
         table.add_row(method, f"{among.within:.1%}", f"{plain.within:.1%}", *switches, proven, times, ratio)
@@ -163,7 +165,11 @@ def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, c
                 found = own.solve(goal, previous, tolerance, method, turn=turn)
                 if found.within_tolerance and clearance.where(found.configuration):
                     raise AssertionError(f"{method}: {clearance.where(found.configuration)}")
-                count += found.within_tolerance, found.optimal, found.optimal and found.switches != fewest
+                count += (
+                    found.within_tolerance,
+                    found.optimal is True,
+                    found.optimal is True and found.switches != fewest,
+                )
             previous = clear[0] if len(clear) else previous
     title = f"18 actuators, {scenes} times a disc and a box, tolerance {tolerance:g}, {turn:.3g} rad:"
     title += f" {solvable} of {asked} goals can be reached clear of them"

@@ -67,7 +67,7 @@ def oriented(arm: Arm, solver: Solver, tolerance: float, turn: float) -> Solve:
     to_base = inverse(arm.manipulator.base)
 
     def solve(goal: NDArray[np.float64], previous: Configuration) -> Solution:
-        target = Target(to_base @ goal, arm.manipulator.planar, tolerance, turn, tolerance / turn)
+        target = Target(to_base @ goal, goal, arm.manipulator, tolerance, turn, tolerance / turn)
         return solver.described(oriented_ipop.solve(problem, target, previous), goal, previous, tolerance, turn)
 
     return solve
@@ -102,7 +102,9 @@ def measured(experiment: Experiment, number: int, console: Console) -> None:
             proofs = proven(solver, tolerance, turn, goals, before, found)
         switches, times = [f.switches for f in found], 1e3 * np.array([f.seconds for f in found])
         spent = " / ".join(f"{t:.2f}" for t in (np.median(times), np.quantile(times, 0.99), times.max()))
-        within, optimal = np.mean([f.within_tolerance for f in found]), np.mean([f.optimal for f in found])
+        within, optimal = (
+            np.mean([getattr(f, name) is True for f in found]) for name in ("within_tolerance", "optimal")
+        )
         numbers = f"{np.mean(switches):.2f} / {max(switches)}"
         table.add_row(name, f"{within:.1%}", f"{optimal:.0%}", numbers, spent if times.any() else "")
     table.caption = proofs

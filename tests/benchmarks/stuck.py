@@ -73,7 +73,7 @@ def searched(
         states = arm.manipulator.actuator_states(carried(reached, left, arm.manipulator))
         if not np.array_equal(states[held >= 0], held[held >= 0]):
             raise AssertionError("a held actuator was to switch")
-        rows.append((found.error, found.lower_bound == np.inf, found.switches, found.seconds))
+        rows.append((found.error, found.certificate == "unreachable", found.switches, found.seconds))
     there = [solver.solve(goal, reached, arm.tolerance).within_tolerance for goal in edge]
     return np.array(rows, dtype=float), mapping, float(np.mean(there))
 

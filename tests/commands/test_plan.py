@@ -21,6 +21,7 @@ def test_plan_prints_one_line_of_json(hyperbit):
     assert list(line) == [
         *("goal", "configuration", "position", "orientation"),
         *("error", "orientation_error", "switches", "within_tolerance", "seconds", "cost", "optimal", "lower_bound"),
+        "certificate",
     ]
     assert line["goal"] == [0.55, 2.9]
     assert line["orientation_error"] is None

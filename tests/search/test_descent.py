@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
 from controller.search import criteria
-from controller.search.descent import descend, measure
+from controller.search.descent import Levels, descend, levels_of, measure, tables_of
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm, spatial_arm
@@ -16,7 +16,8 @@ LEVEL = np.array([[[0.5, 1.5, 2.5], [3.5, -0.1, 5.5]]], dtype=np.float32)  # pix
 
 
 def measured(x: float, y: float, z: float = 0.0) -> float:
-    return measure(LEVEL.ravel(), 0, np.array(LEVEL.shape), np.array([1.0, 2.0, 0.0]), 0.1, x, y, z)
+    shapes, references = np.array([LEVEL.shape]), np.array([[1.0, 2.0, 0.0]])
+    return measure(Levels(LEVEL.ravel(), np.array([0, 6]), shapes, references, np.array([0.1])), 0, x, y, z)
 
 
 @pytest.mark.parametrize(("row", "column"), list(np.ndindex(2, 3)))
@@ -58,14 +59,8 @@ def descended(manipulator: Manipulator, d: Densities, goal, penalties, threshold
     configuration = np.full(len(manipulator.modules), -1)
     wanted = descend(
         goal,
-        manipulator.rotations,
-        manipulator.translations,
-        manipulator.states,
-        d.values,
-        d.offsets,
-        d.shapes,
-        d.references,
-        d.pixels,
+        tables_of(manipulator),
+        levels_of(d),
         penalties,
         thresholds,
         depth,
@@ -89,8 +84,7 @@ def test_each_module_takes_the_branch_that_the_two_criteria_order_first(name, se
         rows = []
         for j in range(manipulator.states[i]):
             q = manipulator.rotations[i, j].T @ (goal - manipulator.translations[i, j])
-            n = i + 1
-            m = measure(d.values, d.offsets[n], d.shapes[n], d.references[n], d.pixels[n], *q)
+            m = measure(levels_of(d), i + 1, *q)
             # Those that pass first, by penalty, then measure; then the others by measure alone.
             rows.append((0, penalties[i, j], -m, q) if m >= asked else (1, 0.0, -m, q))
         taken = rows[configuration[i]]

@@ -12,9 +12,9 @@ from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.vgt import vgt
 from controller.search.frame_rows import motions
-from controller.search.halves import middle
 from controller.search.segment import Storage, build_segment
 from controller.search.solver import Solver
+from controller.search.two_list import middle
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
 
@@ -46,7 +46,7 @@ def test_brute_force_agrees(arm, seed, tolerance, weighted):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
     previous = rng.integers(0, arm.states)
     goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    found = solver_of(arm, weights).solve(goal, previous, tolerance, deadline=10.0)
+    found = solver_of(arm, weights).solve(goal[: arm.dimension], previous, tolerance, deadline=10.0)
     narrow, wide = brute_force(arm, goal, previous, tolerance, weights)
     if found.within_tolerance:
         assert wide - 1e-9 <= found.cost <= narrow + 1e-9
@@ -76,10 +76,10 @@ def test_brute_force_agrees_on_200_goals_of_20_actuators(weighted):
     solver = solver_of(arm, weights)
     tips = all_tips(arm)
     previous = np.zeros(7, dtype=np.int64)
-    for goal in tips[rng.integers(0, len(tips), 200)]:
-        x, y, _ = np.abs(tips - goal).T
+    for goal in tips[rng.integers(0, len(tips), 200), :2]:
+        x, y, _ = np.abs(tips - (*goal, 0.0)).T
         near = np.flatnonzero((x <= 0.005) & (y <= 0.005))
-        near = near[np.linalg.norm(tips[near] - goal, axis=1) <= 0.005]
+        near = near[np.linalg.norm(tips[near, :2] - goal, axis=1) <= 0.005]
         within = np.column_stack(np.unravel_index(near, tuple(arm.states)))
         states = np.concatenate([arm.bits[i, within[:, i], : len(m.actuators)] for i, m in enumerate(arm.modules)], 1)
         least = ((states != arm.actuator_states(previous)) @ weights).min()
@@ -99,7 +99,7 @@ def test_goals_in_sequence_are_met_proven_and_cheaper_than_ipop(arm, densities):
         ipop = solver.solve(goal, previous, 0.002, "ipop-previous")
         found = solver.solve(goal, previous, 0.002, deadline=10.0)
         assert found.within_tolerance
-        assert found.lower_bound <= found.cost == found.switches <= ipop.switches
+        assert found.bound <= found.cost == found.switches <= ipop.switches
         proven += found.optimal
         previous = found.configuration
     assert proven >= 54
@@ -157,12 +157,12 @@ def test_long_and_spatial_arms():
         solver = Solver(arm, map_densities(arm, arm.length / 100, 20_000))
         previous = rng.integers(0, arm.states)
         for _ in range(3):
-            goal = arm.tip(rng.integers(0, arm.states))[:3, 3]
+            goal = arm.tip(rng.integers(0, arm.states))[: arm.dimension, 3]
             ipop = solver.solve(goal, previous, tolerance, "ipop-previous")
             found = solver.solve(goal, previous, tolerance)
             assert found.within_tolerance >= ipop.within_tolerance
             assert not ipop.within_tolerance or found.cost <= ipop.cost
-            assert found.lower_bound <= found.cost or not found.within_tolerance
+            assert found.bound <= found.cost or not found.within_tolerance
             previous = found.configuration
 
 

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from controller.manipulator.frames import Frame, angle_between, turned
 from controller.manipulator.manipulator import Manipulator
-from controller.search import criteria, halves
-from controller.search.found import Found
+from controller.search import criteria, two_list
+from controller.search.incumbent import Incumbent
 from controller.search.method import METHODS
 from controller.search.solver import Solver
 from controller.search.target import Target
+from controller.search.two_list import TwoList
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
 
@@ -110,8 +111,8 @@ def test_long_arms_keep_both_tolerances_and_claim_no_false_bound(arm, densities)
         assert found.error <= 0.005
         assert found.angle <= 0.03
         assert angle_between(found.tip, goal) == pytest.approx(found.angle)
-        assert found.lower_bound <= found.cost
-        assert position.lower_bound <= found.cost  # what is asked more costs no less
+        assert found.bound <= found.cost
+        assert position.bound <= found.cost  # what is asked more costs no less
         previous = found.configuration
 
 
@@ -132,16 +133,13 @@ def test_a_meeting_cut_short_says_what_it_left_out(seed):
     rng = np.random.default_rng(seed)
     arm = (paper_arm(4), spatial_arm(4))[seed % 2]
     centre, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, 0.3)
-    target = Target(goal, arm.planar, 0.05, 0.3, 0.05 / 0.3)
+    target = Target(goal, goal, arm, 0.05, 0.3, 0.05 / 0.3)
     costs = criteria.switching(arm, centre, arm.per_module(np.ones(len(arm.actuators))))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(halves, "AT_ONCE", 5)
-        both = halves.Halves(arm, 1000)
+        patch.setattr(two_list, "AT_ONCE", 5)
+        both = TwoList(arm, 1000)
         both.list(centre, costs, costs)
-        nothing = Found(centre, np.inf, np.inf)
-        cut = both.meet(target, nothing, until=0.0)
-        left = both.unasked
-        whole = both.meet(target, nothing)
-    assert both.unasked == np.inf
-    assert left == both.lower.costs[5:].min()
-    assert whole.cost >= min(cut.cost, left)
+        cut, whole = Incumbent(centre, 0.0), Incumbent(centre, np.inf)
+        assert both.match(target, cut) == (False, both.lower.costs[5:].min())
+        assert both.match(target, whole) == (True, min(both.lower.beyond, both.upper.beyond))
+    assert whole.cost >= min(cut.cost, both.lower.costs[5:].min())

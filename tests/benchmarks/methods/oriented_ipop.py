@@ -37,9 +37,8 @@ def solve(problem: Problem, target: Target, previous: Configuration) -> Configur
     for enough in ENOUGH:
         configuration = np.zeros(len(previous), dtype=np.int64)
         frame = descend(problem, target, penalties, enough, configuration)
-
-        x, y, z = frame[:3, 3]
-        square, within = problem.paths._finish(x, y, z, target, penalties, configuration)
+        position = np.ascontiguousarray(frame[:3, 3])
+        square, within = problem.paths.finish(position, target, penalties, configuration)
         if square < least or within:
             best, least = configuration, square
         if within:
@@ -54,7 +53,7 @@ def descend(
     m, d, frame = problem.manipulator, problem.densities, target.frame
     ball = math.pi * target.tolerance**2 if m.planar else 4 / 3 * math.pi * target.tolerance**3
     ball *= target.share * (2 * math.pi if m.planar else 8 * math.pi**2)
-    for i in range(problem.paths._tail.root):
+    for i in range(problem.paths.table.root):
         onward = inverse(m.frames[i, : m.states[i]]) @ frame
         values = d.at(i + 1, onward)
         threshold = math.log(max(enough * d.volume(i + 1) / ball, 1.0)) if enough < np.inf else np.inf

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 SAMPLES = {2: 513, 3: 25}  # along an edge of the square or cube on whose surface the directions lie
 
 
-class Reach:
+class Hull:
     """The hull of all tips in frame F_0.
 
     Args:
@@ -71,6 +71,6 @@ class Reach:
 
 
 @lru_cache(maxsize=2)  # planning and following share it
-def build_reach(manipulator: Manipulator) -> Reach:
+def build_hull(manipulator: Manipulator) -> Hull:
     """Returns the hull of an arm's tips."""
-    return Reach(manipulator)
+    return Hull(manipulator)

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from controller.search.sorting import CELLS, sort_into_cells
+from controller.search.cells import CELLS, sort_into_cells
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-290, 1e-313])
 @pytest.mark.parametrize("tolerance", [1.0, 1e-3, 1e-300, 8.7e-316, 0.0])
 def test_every_point_has_a_cell_however_small_points_and_tolerances_are(size: float, tolerance: float) -> None:
     rows = np.array([[0.0, 0.0], [size, 0.0], [0.0, size], [size / 2, size / 3]])
-    starts, cells, grid = np.empty(CELLS + 1, dtype=np.int32), np.empty(len(rows), dtype=np.int32), np.empty(13)
-    count = sort_into_cells(rows, 2, tolerance, starts, cells, grid)
+    starts, cells, grid = np.empty(CELLS + 2, dtype=np.int32), np.empty(len(rows), dtype=np.int32), np.empty(13)
+    near, strides = np.empty(CELLS, dtype=np.uint8), np.empty(6, dtype=np.int64)
+    costs, bounds = np.zeros(len(rows)), np.zeros(256)
+    count = sort_into_cells(rows, costs, 2, tolerance, 72.0, starts, cells, near, bounds, grid, strides)
     assert ((cells >= 0) & (cells < count)).all()
     assert starts[count] == len(rows)
-    assert np.isfinite(grid[6])
+    assert np.isfinite(grid[12])

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
-from controller.search import tail as tail_module
-from controller.search.finish import finish, nearest
-from controller.search.tail import build_tail, lowest
+from controller.search import distal_table as table_module
+from controller.search.descent import tables_of
+from controller.search.distal_table import Wanted, build_distal_table, finish, lowest, nearest
 from tests.arms import (
     any_frames,
     coordinates,
@@ -44,22 +44,15 @@ def searches(draw):
 
 def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0, most=math.inf):
     """Returns the square missed, whether it is within, and the configuration that `finish` gives."""
-    t = build_tail(manipulator)
+    t = build_distal_table(manipulator)
     configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
     square, within = finish(
-        *goal,
-        rotation,
-        tolerance,
-        limit,
-        weight,
+        goal,
+        Wanted(rotation, tolerance, limit, weight),
         most,
-        t.root,
-        t.depth,
-        t.table,
+        t,
         penalties,
-        manipulator.rotations,
-        manipulator.translations,
-        manipulator.states,
+        tables_of(manipulator),
         configuration,
         None,
     )
@@ -68,9 +61,9 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
 
 def run_nearest(manipulator, goal, penalties, best_penalty, best_square):
     """Returns row, penalty and squared distance that `nearest` gives without tolerance."""
-    t = build_tail(manipulator)
-    anyhow = NO_TURN, 0.0, math.inf, 0.0
-    return nearest(*goal, *anyhow, best_penalty, best_square, t.table, penalties, manipulator.states, t.depth, None)
+    t = build_distal_table(manipulator)
+    anyhow = Wanted(NO_TURN, 0.0, math.inf, 0.0)
+    return nearest(goal, anyhow, best_penalty, best_square, t, penalties, manipulator.states, None)
 
 
 def cost(penalties, configurations):
@@ -132,10 +125,10 @@ def test_finish_does_so_of_poses(search, frame, turn):
 @given(searches(), st.sampled_from([2, 8, 30]), st.sampled_from([1, 6, 40]))
 def test_finish_does_so_however_the_arm_is_cut(search, most_points, most_branches):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tail_module, "MOST_POINTS", most_points)
-        patch.setattr(tail_module, "MOST_BRANCHES", most_branches)
+        patch.setattr(table_module, "MOST_POINTS", most_points)
+        patch.setattr(table_module, "MOST_BRANCHES", most_branches)
         manipulator, goal, penalties, tolerance = search
-        t = build_tail(manipulator)
+        t = build_distal_table(manipulator)
         assert t.depth - t.root == 0 or math.prod(manipulator.states[t.root : t.depth].tolist()) <= most_branches
         assert len(t.points) <= max(most_points, manipulator.states[-1])
         # The modules before the root are the densities' to decide: leave them out.
@@ -146,7 +139,7 @@ def test_finish_does_so_however_the_arm_is_cut(search, most_points, most_branche
 @given(searches())
 def test_nearest_without_tolerance_is_the_nearest_of_all(search):
     manipulator, goal, penalties, _ = search
-    t = build_tail(manipulator)
+    t = build_distal_table(manipulator)
     row, _, square = run_nearest(manipulator, goal, penalties, np.inf, np.inf)
     squares = ((t.points - goal) ** 2).sum(axis=1)
     assert square == pytest.approx(squares.min(), abs=1e-12)
@@ -156,7 +149,7 @@ def test_nearest_without_tolerance_is_the_nearest_of_all(search):
 @given(searches())
 def test_nearest_finds_nothing_better_than_the_best(search):
     manipulator, goal, penalties, _ = search
-    t = build_tail(manipulator)
+    t = build_distal_table(manipulator)
     best = ((t.points - goal) ** 2).sum(axis=1).min()
     assume(best > 0)  # an exact hit is within any tolerance
     assert run_nearest(manipulator, goal, penalties, np.inf, best * 0.999)[0] == -1
@@ -165,7 +158,7 @@ def test_nearest_finds_nothing_better_than_the_best(search):
 
 @given(arms)
 def test_the_table_holds_the_tips_in_the_order_of_their_number(manipulator):
-    t = build_tail(manipulator)
+    t = build_distal_table(manipulator)
     upper = Manipulator(manipulator.modules[t.depth :])
     assert_allclose(t.points, upper.tips(every_configuration(upper))[:, :3, 3], atol=1e-12)
     assert sorted(t.order.tolist()) == list(range(len(t.points)))
@@ -177,7 +170,7 @@ def test_the_table_holds_the_tips_in_the_order_of_their_number(manipulator):
 def test_thin_and_flat_tables_have_few_cells(exponents, seed):
     sizes = 10.0 ** np.array(exponents)
     positions = np.random.default_rng(seed).uniform(0, 1, (500, 3)) * sizes
-    t = build_tail(Manipulator([transforms([frames.spatial(p) for p in positions], planar=False)]))
+    t = build_distal_table(Manipulator([transforms([frames.spatial(p) for p in positions], planar=False)]))
     assert t.shape.prod() <= 8 * len(t.points)
 
 
@@ -209,7 +202,7 @@ def test_lowest(states, top, most, expected):
 
 @pytest.mark.parametrize("manipulator", [paper_arm(16), spatial_arm(9)], ids=["planar", "spatial"])
 def test_real_tables_are_as_long_as_allowed(manipulator):
-    t = build_tail(manipulator)
+    t = build_distal_table(manipulator)
     longer = math.prod(manipulator.states[t.depth - 1 :].tolist())
-    assert len(t.points) <= tail_module.MOST_POINTS < longer
+    assert len(t.points) <= table_module.MOST_POINTS < longer
     assert t.shape.prod() <= 2 * len(t.points)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.search.reach import Reach
+from controller.search.hull import Hull
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
@@ -14,17 +14,17 @@ from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
 @settings(max_examples=40)
 @given(short_arms(most=4), st.integers(0, 2**32 - 1))
 def test_no_tip_is_excluded(arm, seed):
-    reach = Reach(arm)
+    hull = Hull(arm)
     for configuration in np.random.default_rng(seed).integers(0, arm.states, (30, len(arm.states))):
-        assert not reach.excludes(arm.tip(configuration)[:3, 3], 0.0)
+        assert not hull.excludes(arm.tip(configuration)[:3, 3], 0.0)
 
 
 @pytest.mark.parametrize(("arm", "axis"), [(paper_arm(16), 1), (spatial_arm(16), 2)], ids=["planar", "spatial"])
 def test_what_is_just_beyond_the_straight_arm_is_excluded(arm, axis):
     top = max(arm.tip(np.full(16, state))[axis, 3] for state in range(arm.states[0]))
-    reach = Reach(arm)
+    hull = Hull(arm)
     for beyond, excluded in ((0.001, False), (0.003, True)):
-        assert reach.excludes(np.eye(3)[axis] * (top + beyond), 0.002) == excluded
+        assert hull.excludes(np.eye(3)[axis] * (top + beyond), 0.002) == excluded
 
 
 def test_a_goal_surely_out_of_reach_is_told_so(arm, densities):
@@ -42,14 +42,14 @@ def test_what_cannot_be_reached_is_approached_as_near_as_brute_force_knows(arm, 
     low, high = tips.min(axis=0) - 0.3, tips.max(axis=0) + 0.3
     for goal in np.random.default_rng(0).uniform(low, high, (60, 3)):
         nearest = np.linalg.norm(tips - goal, axis=1).min()
-        found = solver.solve(goal[: arm.dimension], np.zeros(6, dtype=np.int64), 1e-5)
+        found = solver.solve(goal[: arm.dimension], np.zeros(6, dtype=np.int64), 1e-5, deadline=10.0)
         assert found.error <= most * nearest + 1e-9
 
 
 def test_the_papers_arm_comes_as_near_as_its_hull_allows(solver):
     """Where the workspace is convex no configuration comes nearer than the hull."""
-    reach = Reach(solver.manipulator)
+    hull = Hull(solver.manipulator)
     for angle in np.linspace(0.8, 2.3, 16):
         goal = 6.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
-        error = solver.solve(goal[:2], np.zeros(16, dtype=np.int64), 0.002).error
-        assert reach.excludes(goal, error - 0.02)
+        error = solver.solve(goal[:2], np.zeros(16, dtype=np.int64), 0.002, deadline=10.0).error
+        assert hull.excludes(goal, error - 0.02)

@@ -1,0 +1,264 @@
+"""Four lists: the pairs that two lists leave out are proven to be no better, or found.
+
+A pair left out has one half that costs more than was listed; so its other half costs little if the pair is to be better
+than the incumbent. Each half is cut in two again, into quarters that are listed whole or nearly so. The dear half is
+streamed, a layer of equal cost after the other, as pairs of its quarters (Schroeppel and Shamir 1981, "A T =
+O(2^(n/2)), S = O(2^(n/4)) algorithm for certain NP-complete problems"), and each pair is looked up among the cheap rows
+of the other half. When these have become few, each of them is looked up in turn: the dear half's quarters meet.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.search.cells import Cells, Index
+from controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
+from controller.search.incumbent import Incumbent
+from controller.search.matching import Span
+from controller.search.segment import Segment, Storage, build_segment, step
+from controller.search.target import Target
+from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+ROWS = 1 << 14  # of a quarter
+BINS = 512  # of costs, for the sizes of layers
+AT_ONCE = 1 << 17  # pairs between two looks at the clock
+LAYER = 1 << 14  # pairs of a layer, at least, if it is not the last
+FEWER = 4  # an index is built anew when this many times fewer rows are of interest
+LOOKUP = 3  # how much longer it takes to look up a pair in a full index than in one of few rows
+
+
+class FourList:
+    """Memory for the rows of all quarters, used again for each seed.
+
+    Attributes:
+        limit: least cost of a configuration of either half that the quarters' lists leave out.
+        unit: width of a layer.
+        layers: number of configurations of lower and upper half by cost in units, nearly, shape (2, BINS).
+
+    Args:
+        manipulator: the arm.
+        cut: modules in the lower half.
+    """
+
+    limit: tuple[float, float]
+    unit: float
+    layers: tuple[Array, Array]
+
+    def __init__(self, manipulator: Manipulator, cut: int) -> None:
+        self._states, self._motions = manipulator.states, motions(manipulator)
+        count, size = len(self._states), coordinates(self._motions)
+        first, second = middle(manipulator, 0, cut), middle(manipulator, cut, count)
+        self._ends = ((0, first), (first, cut), (cut, second), (second, count))
+        self._storages = [Storage(rows(manipulator, *ends, ROWS), self._motions.shape[1]) for ends in self._ends]
+        self._above, self.below = (Cells(self._storages[k].rows, size) for k in (3, 0))
+        self._key: tuple[NDArray[np.generic], ...] = ()
+        self._sorted: tuple[float, ...] = ()
+        self.a: Side  # of the first quarter; frames lead back
+        self.b: tuple[Side, Side]  # frames lead on, and back
+        self.c: tuple[Side, Side]
+        self.d: Side
+        self._index: Index
+
+    def claim(self) -> None:
+        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+        for storage in self._storages:
+            storage.claim()
+        self._above.claim()
+        self.below.claim()
+        self._key = self._sorted = ()
+
+    def list(self, seed: Configuration, costs: Array) -> None:
+        """Lists the cheapest configurations of the quarters; does nothing if they are listed already.
+
+        Args:
+            seed: the configuration that costs nothing, shape (B,).
+            costs: of each module's states, shape (B, Kmax).
+        """
+        if self._key and all(map(np.array_equal, (seed, costs), self._key)):
+            return
+        self._key, self._sorted = (), ()  # until it is done
+        parts = [
+            build_segment(self._motions, self._states, storage, seed, costs, costs, *ends)
+            for storage, ends in zip(self._storages, self._ends, strict=True)
+        ]
+        a, b, c, self.d = (by_cost(part) for part in parts)
+        self.a, self.b, self.c = back(a), (b, back(b)), (c, back(c))
+        self.limit = min(parts[0].beyond, parts[1].beyond), min(parts[2].beyond, parts[3].beyond)
+        least = step(costs, self._states, 0, len(self._states))
+        most = max(float(low.costs[-1] + high.costs[-1]) for low, high in ((a, b), (c, self.d)))
+        self.unit = max(least if least < np.inf else 1.0, most / (BINS - 2), 1e-300)
+        self.layers = self._sizes(a, b), self._sizes(c, self.d)
+        self._key = (seed.copy(), costs.copy())
+
+    def index(self, radius: float, chord: float) -> Index:
+        """Returns the index of the uppermost quarter, see Cells.fill; the same as before if nothing has changed."""
+        if self._sorted != (radius, chord):
+            self._sorted = ()
+            self._index = self._above.fill(self.d, radius, chord)
+            self._sorted = (radius, chord)
+        return self._index
+
+    def _sizes(self, low: Side, high: Side) -> Array:
+        first, second = (
+            np.bincount((side.costs / self.unit + 1e-6).astype(np.int64), minlength=1).astype(float)
+            for side in (low, high)
+        )
+        return np.convolve(first, second)
+
+
+def by_cost(part: Segment) -> Side:
+    """Returns the rows of a segment in the order of their costs."""
+    return part.side(rows=np.argsort(part.costs))
+
+
+def first_rows(side: Side, count: int) -> Side:
+    """Returns the first rows of a side."""
+    return side._replace(frames=side.frames[:count], costs=side.costs[:count], rows=side.rows[:count])
+
+
+def back(side: Side) -> Side:
+    """Returns a side whose frames lead back."""
+    frames = side.frames.copy()
+    invert_all(frames)
+    return side._replace(frames=frames)
+
+
+def seen(frame: Array, side: Side) -> Side:
+    """Returns a side with what each of its frames makes of a frame (4,) or (12,)."""
+    frames = np.empty_like(side.frames)
+    compose_all(side.frames, frame[None], frames)
+    return side._replace(frames=frames)
+
+
+@dataclass(eq=False)
+class Stream:
+    """Configurations of one half, in layers of rising cost, against cheap ones of the other half.
+
+    Attributes:
+        upper: whether the upper half is streamed.
+        band: rows of the other half, in the order of their costs; the goal as seen from them, or their tips.
+        floor: least cost of the band.
+        done: streamed up to this cost.
+        cells: memory for the index of the band.
+        index: of the band, once it is needed.
+    """
+
+    upper: bool
+    band: Side
+    floor: float
+    done: float
+    cells: Cells
+    index: Index | None = None
+
+    @property
+    def bound(self) -> float:
+        """Least cost of a pair that is left."""
+        return self.done + self.floor
+
+
+class Proof:
+    """Streams for one goal; the one that leaves the lowest bound is continued first.
+
+    Attributes:
+        rest: least cost of a pair that no stream comes to.
+
+    Args:
+        four: listed for the seed.
+        target: the goal.
+        seed: the configuration that costs nothing, shape (B,).
+    """
+
+    def __init__(self, four: FourList, target: Target, seed: Configuration) -> None:
+        self._four, self._target, self._seed = four, target, seed
+        self._inner: Side
+        self._streams: list[Stream] = []
+        self.rest = 0.0
+
+    @property
+    def begun(self) -> bool:
+        """Whether there are streams."""
+        return len(self._streams) > 0
+
+    def add(self, two: TwoList, floors: tuple[float, float], starts: tuple[float, float], most: float) -> None:
+        """Adds streams of both halves against the rows of two lists.
+
+        Args:
+            two: lists of both halves.
+            floors: cost of lower and upper rows from which on the streams of the other half have not met them.
+            starts: cost of lower and upper half from which on they are to be streamed.
+            most: pairs that cost as much are of no interest.
+        """
+        lower, upper = two.lower, two.upper
+        self._inner = seen(self._target.row, self._four.a)
+        for of_upper, half, floor, start in ((False, upper, floors[1], starts[0]), (True, lower, floors[0], starts[1])):
+            cells = two.bands[of_upper]
+            self._streams.append(Stream(of_upper, self._band(half, floor, most - start), floor, start, cells))
+        self.rest = lower.beyond + upper.beyond
+
+    def run(self, incumbent: Incumbent) -> None:
+        """Streams until the incumbent is settled, the time is over, or what no stream comes to is the cheapest left."""
+        while True:
+            stream = min(self._streams, key=lambda s: s.bound)
+            incumbent.prove(min(stream.bound, self.rest))
+            limit = self._four.limit[stream.upper]
+            if incumbent.over or stream.bound >= self.rest or stream.done >= limit:
+                return
+            if not self._advance(stream, incumbent, limit):
+                return
+
+    def _band(self, half: Segment, floor: float, ceiling: float) -> Side:
+        """Returns the rows of a half that cost from `floor` to less than `ceiling`, in the order of their costs."""
+        chosen = np.flatnonzero((half.costs >= floor) & (half.costs < ceiling))
+        chosen = chosen[np.argsort(half.costs[chosen])]
+        side = half.side(rows=chosen)
+        return seen(self._target.row, side) if half.first == 0 else side
+
+    def _advance(self, stream: Stream, incumbent: Incumbent, limit: float) -> bool:
+        """Streams one layer, or looks up the band; returns whether there was time for all of it."""
+        four, band, target = self._four, stream.band, self._target
+        count = int(np.searchsorted(band.costs, incumbent.cost - stream.done))
+        layers, first = four.layers[stream.upper], int(stream.done / four.unit + 1e-6)
+        outer, inner = (four.c[0], four.d) if stream.upper else (four.b[1], self._inner)
+        last, size = first + 1, float(layers[first : first + 1].sum())
+        while last < len(layers) and size < LAYER:
+            size += layers[last]
+            last += 1
+        if count * len(outer.costs) * LOOKUP <= size:
+            return self._look_up(stream, count, incumbent, limit)
+        if stream.index is None or FEWER * count < len(stream.index.side.costs):
+            stream.index = stream.cells.fill(first_rows(band, count), target.radius, target.chord, BAND_CELLS)
+        low, high = stream.done - 1e-9 * four.unit, min(last * four.unit, limit) if last < len(layers) else limit
+        at_once = max(int(len(outer.costs) * AT_ONCE / max(size, 1.0)), 1)
+        for start in range(0, len(outer.costs), at_once):
+            if incumbent.late:
+                return False
+            span = Span(start, min(start + at_once, len(outer.costs)), 0, len(inner.costs), low, high)
+            improve(incumbent, (outer, inner, stream.index), span, target, self._seed, nearer=False)
+        stream.done = high
+        return True
+
+    def _look_up(self, stream: Stream, count: int, incumbent: Incumbent, limit: float) -> bool:
+        """Looks up the cheapest rows of the band, all those that a better pair may have."""
+        four, target, band, done = self._four, self._target, stream.band, stream.done
+        if stream.upper:
+            outer, index = four.c[1], four.index(target.radius, target.chord)
+        else:
+            outer, index = four.b[0], four.below.fill(self._inner, target.radius, target.chord)
+        at_once = max(AT_ONCE // (LOOKUP * len(outer.costs)), 1)
+        for start in range(0, count, at_once):
+            if band.costs[start] + done >= incumbent.cost:
+                break
+            if incumbent.late:
+                # A pair that is left has a row of the band from here on, or a half beyond the limit.
+                stream.done = min(done + float(band.costs[start]) - stream.floor, limit)
+                incumbent.prove(min(self.rest, *(s.bound for s in self._streams)))
+                return False
+            span = Span(0, len(outer.costs), start, min(start + at_once, count), -np.inf, np.inf)
+            improve(incumbent, (outer, band, index), span, target, self._seed, nearer=False)
+        stream.done = limit
+        return True

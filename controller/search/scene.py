@@ -1,0 +1,191 @@
+"""Obstacles as the search's kernels take them: bodies are checked as modules are set, or when a match would do.
+
+Kernels are compiled with a scene and without, so that an arm with nothing to avoid does not pay for it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import float64, int64, njit, types
+from numpy.typing import NDArray
+
+from controller.manipulator.frames import compose
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.clearance import ROUNDING, Clearance
+from controller.obstacles.gaps import placed, touches
+from controller.obstacles.touching import first_near
+from controller.search.frame_rows import named
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+class Scene(NamedTuple):
+    """An arm among obstacles, with room for one configuration: one search at a time may use it.
+
+    Attributes:
+        rotations: configuration sets, shape (B, Kmax, 3, 3).
+        translations: configuration sets, shape (B, Kmax, 3).
+        bodies: and the next two: see Clearance.
+        balls: see Clearance.
+        lines: see Clearance.
+        kinds: and the next three: see Regions.
+        axes: see Regions.
+        centres: see Regions.
+        sizes: see Regions.
+        margin: how near to an obstacle is too near.
+        apart: how near modules may not come to each other; less than 0 if they may.
+        states: room: the configuration, shape (B,).
+        turns: room: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3).
+        places: room: their positions, shape (B + 1, 3).
+        ends: room: bodies in the world, shape (B, Lmax, 2, 3).
+        middles: room: balls in the world, shape (B, 4).
+        checks: room: how many more configurations may be checked, shape (1,).
+    """
+
+    rotations: Array
+    translations: Array
+    bodies: Array
+    balls: Array
+    lines: Integers
+    kinds: Integers
+    axes: Array
+    centres: Array
+    sizes: Array
+    margin: float
+    apart: float
+    states: Integers
+    turns: Array
+    places: Array
+    ends: Array
+    middles: Array
+    checks: Integers
+
+
+SCENE = named(
+    Scene,
+    float64[:, :, :, ::1],
+    float64[:, :, ::1],
+    float64[:, :, :, :, ::1],
+    float64[:, :, ::1],
+    int64[::1],
+    int64[::1],
+    float64[:, :, ::1],
+    float64[:, ::1],
+    float64[:, ::1],
+    float64,
+    float64,
+    int64[::1],
+    float64[:, :, ::1],
+    float64[:, ::1],
+    float64[:, :, :, ::1],
+    float64[:, ::1],
+    int64[::1],
+)
+
+
+def for_scenes(signature: Callable[[Any], Any]) -> list[Any]:
+    """Returns the signatures of a kernel with a scene and without."""
+    return [signature(types.none), signature(SCENE)]
+
+
+def scene_of(manipulator: Manipulator, clearance: Clearance | None) -> Scene | None:
+    """Returns the scene of an arm, None if there is nothing to avoid."""
+    if clearance is None or clearance.free:
+        return None
+    modules, regions = len(manipulator.modules), clearance.regions
+    turns, places = np.empty((modules + 1, 3, 3)), np.empty((modules + 1, 3))
+    turns[0], places[0] = manipulator.base[:3, :3], manipulator.base[:3, 3]
+    return Scene(
+        manipulator.rotations,
+        manipulator.translations,
+        clearance.bodies,
+        clearance.balls,
+        clearance.lines,
+        regions.kinds,
+        regions.axes,
+        regions.centres,
+        regions.sizes,
+        float(clearance.margin),
+        float(clearance.apart),
+        np.zeros(modules, dtype=np.int64),
+        turns,
+        places,
+        np.empty((modules, *clearance.bodies.shape[2:])),
+        np.empty((modules, 4)),
+        np.zeros(1, dtype=np.int64),
+    )
+
+
+def buried(clearance: Clearance | None, point: Array, tolerance: float) -> bool:
+    """Returns whether a tip within a distance of a point (3,) in the world is inside an obstacle for certain.
+
+    That is certain only of last modules whose bodies contain the tip in every state.
+    """
+    if clearance is None or (clearance.regions.depths(point) > clearance.radius - tolerance).all():
+        return False
+    last = clearance.manipulator.modules[-1]
+    for frame, lines in zip(last.frames, last.body, strict=True):
+        along = lines[:, 1] - lines[:, 0]
+        length = np.maximum((along**2).sum(axis=1), 1e-300)
+        share = np.clip(((frame[:3, 3] - lines[:, 0]) * along).sum(axis=1) / length, 0.0, 1.0)
+        away = np.linalg.norm(lines[:, 0] + share[:, None] * along - frame[:3, 3], axis=1)
+        if away.min() > ROUNDING * clearance.manipulator.length / 2:
+            return False
+    return True
+
+
+@njit(types.boolean(SCENE, int64), cache=True, nogil=True, error_model="numpy")
+def hits(scene: Scene, i: int) -> bool:
+    """Returns whether module i, in its state and on the frame below it, touches an obstacle or a module below.
+
+    With self-collision, call it for all modules below first.
+    """
+    r, b, ball = scene.turns[i], scene.places[i], scene.balls[i, scene.states[i]]
+    body = scene.bodies[i, scene.states[i], : scene.lines[i]]
+    if touches(r, b, body, ball, scene.kinds, scene.axes, scene.centres, scene.sizes, scene.margin) >= 0:
+        return True
+    if scene.apart < 0:
+        return False
+    ends, middles = scene.ends, scene.middles
+    for n in range(scene.lines[i]):
+        for end in range(2):
+            ends[i, n, end, 0], ends[i, n, end, 1], ends[i, n, end, 2] = placed(r, b, body[n, end])
+    middles[i, 0], middles[i, 1], middles[i, 2] = placed(r, b, ball[:3])
+    middles[i, 3] = ball[3]
+    return bool(first_near(ends, middles, scene.lines, i, scene.apart) >= 0)
+
+
+@njit(types.void(SCENE, int64), cache=True, nogil=True)
+def carry(scene: Scene, i: int) -> None:
+    """Writes the frame above module i, in its state."""
+    s, t = scene.rotations[i, scene.states[i]], scene.translations[i, scene.states[i]]
+    compose(scene.turns[i], scene.places[i], s, t, scene.turns[i + 1], scene.places[i + 1])
+
+
+@njit(types.boolean(SCENE, int64, int64), cache=True, nogil=True)
+def blocked(scene: Scene, first: int, last: int) -> bool:
+    """Returns whether any of modules first+1 to last touches, in their states, on the frame below them."""
+    for i in range(first, last):
+        if hits(scene, i):
+            return True
+        carry(scene, i)
+    return False
+
+
+@njit(types.boolean(SCENE, int64[::1]), cache=True, nogil=True)
+def collides(scene: Scene, configuration: Configuration) -> bool:
+    """Returns whether the arm touches anything in a configuration (B,)."""
+    for i in range(len(configuration)):
+        scene.states[i] = configuration[i]
+    return bool(blocked(scene, 0, len(configuration)))
+
+
+@njit(types.void(SCENE, int64, int64), cache=True, nogil=True)
+def stand(scene: Scene, i: int, state: int) -> None:
+    """Sets a state of module i that is known to be clear, and the frame above it."""
+    scene.states[i] = state
+    if scene.apart >= 0:
+        hits(scene, i)  # writes its body in the world
+    carry(scene, i)
