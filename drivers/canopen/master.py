@@ -159,6 +159,8 @@ class Master:
             ValueError: a bit of `outputs` is no line's.
         """
         self._look_halted(now)
+        if release and self._booting.under_way:  # a board that has started anew would take over what it had before
+            raise Busy("the boards are being booted")
         if release:
             self._commit.give_up("an output had to be switched off first")
         if self._commit.under_way:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from random import Random
+from typing import Any
 
 from controller.executor.arm import ExecutedArm
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
 from drivers.simulation.buses import board_names
 from drivers.simulation.variants import VARIANTS, Variant
 
-# Variants of boards that boot and obey each SYNC whatever the arm's file says.
+# Variants of boards that boot and obey each SYNC; the last one only where all outputs hold without the master.
 ORDINARY = ("standard", "many-outputs", "saves-writes", "all-bits", "no-error-behaviour")
 
 
@@ -25,13 +27,17 @@ def draw_arm(random: Random) -> ExecutedArm:
         for output in outputs:
             end_stop = output if random.random() < 0.8 else None
             channels.append(Channel(f"{node}.{output}", bus, node, output, end_stop))
-    used = {channel.bus for channel in channels}
+    if random.random() < 0.6:
+        channels = [draw_kind(random, channel) for channel in channels]
+    interlocks = draw_interlocks(random, [bus.name for bus in buses])
+    used = {channel.bus for channel in channels} | {lock.bus for lock in interlocks}
     count = len(channels)
     wiring = Wiring(
         buses=tuple(bus for bus in buses if bus.name in used),
         channels=tuple(channels),
-        on_loss=random.choice(["hold", "hold", "contract"]),
+        on_loss="hold" if any(c.pulse is not None for c in channels) else random.choice(["hold", "hold", "contract"]),
         shared_rpdo=random.random() < 0.3,
+        interlocks=interlocks,
     )
     heartbeat = random.choice([0.02, 0.05, 0.1])
     timing = Timing(
@@ -50,6 +56,7 @@ def draw_arm(random: Random) -> ExecutedArm:
         timing=timing,
         inrush=random.choice([None, 1, 2, 3]),
         rest=random.choice([0.0, 0.0, 0.05, 0.3]),
+        contract_on_stop=random.random() < 0.3,
         locked=locked,
         locked_states=locked,  # of actuators with end-stops, those read
         continue_on_stuck=random.random() < 0.4,
@@ -57,8 +64,38 @@ def draw_arm(random: Random) -> ExecutedArm:
     )
 
 
+def draw_kind(random: Random, channel: Channel) -> Channel:
+    """Returns an actuator of any kind in place of an ordinary one; its second output and input are the bits above."""
+    paired, second = random.random() < 0.6, channel.output + 12
+    fields: dict[str, Any] = {"input_contracted": second} if random.random() < 0.4 else {}
+    inverted = {name for name in ("input", "input_contracted") if random.random() < 0.2}
+    if paired:
+        fields["output_off"] = second
+        if random.random() < 0.7:
+            fields["pulse"] = random.choice([0.02, 0.05, 0.2])
+    elif random.random() < 0.2:
+        inverted.add("output")
+    if random.random() < 0.5:
+        fields["travel"] = random.choice([(0.02, 0.02), (0.1, 0.04), (0.04, 0.1)])
+    if "pulse" not in fields and random.random() < 0.2:
+        fields["on_loss"] = "hold"
+    return replace(channel, inverted=frozenset(inverted), **fields)
+
+
+def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
+    """Returns an interlock on the first board, or on one of its own, or none."""
+    if random.random() < 0.7:
+        return ()
+    node, inverted = random.choice([1, 9]), random.random() < 0.5
+    return (Interlock("door", buses[node % len(buses)], node, 30, inverted),)
+
+
 def draw_variants(random: Random, wiring: Wiring) -> dict[str, Variant]:
     """Returns what the boards of a wiring are like: half of the arms have standard boards only."""
     if random.random() < 0.5:
         return {}
-    return {name: VARIANTS[random.choice(ORDINARY)] for name in board_names(wiring)}
+    may_hold = all(
+        level is None for level in wiring.loss_levels
+    )  # else boards that go on without the master are refused
+    names = ORDINARY if may_hold else ORDINARY[:-1]
+    return {name: VARIANTS[random.choice(names)] for name in board_names(wiring)}

@@ -12,7 +12,7 @@ from drivers.simulation.fault_commands import perform
 from drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import OnItsWay
-from tests.simulation.facts import Commit, Switch
+from tests.simulation.facts import Commit, Energised, Switch
 from tests.simulation.record import Record
 
 
@@ -22,6 +22,7 @@ class BoardSide:
     Attributes:
         names: mask of the actuators of each board, by its name.
         silent: whether a board is cut off from its bus.
+        opened: names of the interlocks that are open.
 
     Args:
         wiring: buses, boards and actuators.
@@ -50,13 +51,42 @@ class BoardSide:
         self.silent = False
         self._buses = SimulatedBuses(wiring, timing, send, variants)
         self._agenda, self._record = agenda, record
-        self._drives = 0
+        self._paired = sum(1 << k for k in wiring.paired)
+        self._drives, self._coils = self._valves(), 0
+        self._interlocks = tuple(lock.name for lock in wiring.interlocks)
+        self.opened: set[str] = set()
         self._timer = float("inf")
         self._step()
 
     def drives(self) -> int:
-        """Whether each actuator's drive is on, as a mask."""
+        """The end to which each actuator is driven, or was driven last, as a mask."""
+        return self._drives
+
+    def coils(self) -> int:
+        """Mask of the actuators with two coils of which one is on."""
+        return self._coils
+
+    def both_on(self) -> list[int]:
+        """How often both coils of each actuator were on at once, (A,)."""
+        return self._buses.both_on()
+
+    def _valves(self) -> int:
         return sum(drive << k for k, drive in enumerate(self._buses.drives()))
+
+    def _driven(self, coils: list[tuple[int, int]]) -> int:
+        """Returns where the actuators are driven: those with two coils where the last one that was on drives them."""
+        before, after = self._drives, self._valves() & ~self._paired
+        for k, (on, off) in enumerate(coils):
+            if self._paired >> k & 1:
+                after |= (on if on != off else before >> k & 1) << k
+        return after
+
+    def door(self, name: str, is_open: bool) -> None:
+        """Opens or closes an interlock."""
+        perform(self._buses, "open" if is_open else "close", name)
+        (self.opened.add if is_open else self.opened.discard)(name)
+        self._record.doors(bool(self.opened))
+        self._set_timer()
 
     def positions(self) -> int:
         """The end that each actuator is nearer to, as a mask."""
@@ -66,7 +96,7 @@ class BoardSide:
         """Takes a frame of the executor that has left; `lost` if the boards do not get it."""
         frame = sent.frame
         boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
-        missing = sum(mask for name, mask in boards.items() if lost or not self._takes_part(name))
+        missing = sum(mask for name, mask in boards.items() if lost or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
         if not lost:
             self._buses.step(self._agenda.now)
@@ -99,8 +129,11 @@ class BoardSide:
             self.fault("release", label)
             self.fault("slow", label, 1)
             self.fault("restore_sensor", label)
+        for name in self._interlocks:
+            self.door(name, is_open=False)
 
-    def _takes_part(self, name: str) -> bool:
+    def takes_part(self, name: str) -> bool:
+        """Whether a board sends its inputs and takes commands."""
         board = self._buses.board(name)
         return not board.silent and board.state == State.OPERATIONAL
 
@@ -122,8 +155,12 @@ class BoardSide:
 
     def _see(self, cause: str, commit: Commit | None = None) -> None:
         """Compares the outputs with those of before."""
-        after = self.drives()
+        coils = self._buses.coils()
+        after = self._driven(coils)
+        on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
+        came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
         changed, self._drives = after ^ self._drives, after
         for bus, mask in self._masks.items():
             if changed & mask:
                 self._record.switch(Switch(changed & mask, after, cause, bus, commit))
+            self._record.energise(Energised(came & mask, on & mask, cause, bus, commit))

@@ -30,6 +30,9 @@ class Commit:
     realigns: bool  # something was asked for, and outputs of locked actuators were not as they are locked
     running: Running | None
     candidates: list[tuple[int, int]]  # index and states of the stages that were asked for
+    homing: int = 0  # actuators of unknown state, which something that was asked for brings to `homes`
+    homes: int = 0
+    releases: bool = False  # an output of a pulse was on
     synced_at: float | None = None
     switched: int = 0
 
@@ -44,12 +47,23 @@ class Switch(NamedTuple):
     commit: Commit | None
 
 
+class Energised(NamedTuple):
+    """Coils of actuators with two: those that came on, and all that are on. `cause` is as of a switch."""
+
+    came: int
+    on: int
+    cause: str
+    bus: str
+    commit: Commit | None
+
+
 @dataclass
 class Step:
     """What happened in the last step of the world."""
 
     frames: list[tuple[str, Frame]] = field(default_factory=list)
     switches: list[Switch] = field(default_factory=list)
+    energised: list[Energised] = field(default_factory=list)
     accepted: list[tuple[Program, Accepted]] = field(default_factory=list)
     ended: list[Ended] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)

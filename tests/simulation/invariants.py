@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from controller.executor.bits import indices
+from controller.executor.core import PERIOD
 from drivers.canopen import cia301
 from tests.simulation.facts import Switch
 from tests.simulation.record import LATE, RPDOS
@@ -32,7 +34,9 @@ def outputs_change_only_as_asked(world: World) -> None:
             continue
         require(commit is not None, f"a SYNC without RPDOs switched {mask:b}")
         assert commit is not None
-        mask &= ~commit.locked  # see locked_actuators_switch_only_to_their_states
+        away = mask & commit.homing & (switch.after ^ commit.homes)
+        require(not away, f"{away:b} of unknown state switched away from what was guessed")
+        mask &= ~(commit.locked | commit.homing)  # see locked_actuators_switch_only_to_their_states
         if not mask:
             continue
         fitting = [(k, states) for k, states in commit.candidates if not (states ^ switch.after) & mask]
@@ -49,7 +53,7 @@ def nothing_is_commanded_without_a_request(world: World) -> None:
         if frame.id & 0x780 in RPDOS:
             commit = record.commit
             assert commit is not None
-            asked = commit.candidates or commit.realigns
+            asked = commit.candidates or commit.realigns or commit.releases or commit.homing
             require(asked, f"{bus}: RPDO {frame.id:03X}h in mode {record.mode}, and no stage is due")
         elif frame.id == cia301.SYNC:
             commit = record.commit
@@ -135,7 +139,7 @@ def heartbeats_do_not_pause(world: World) -> None:
 
 def inrush_and_rest_hold(world: World) -> None:
     """No more actuators switch at once than the arm allows, no stage before the last one has settled, and all rest."""
-    record, arm, now = world.record, world.arm, world.agenda.now
+    record, arm, now, travel = world.record, world.arm, world.agenda.now, world.kinds.travel
     for switch in _by_sync(world):
         commit, mask = switch.commit, switch.mask & ~record.suspect
         if commit is None or not mask:
@@ -144,14 +148,60 @@ def inrush_and_rest_hold(world: World) -> None:
         require(commit.switched.bit_count() <= world.most, f"{commit.switched:b} switched at once")
         if record.last_commit is not None and record.last_commit[0] is not commit and arm.inrush is not None:
             pause = now - record.last_commit[1]
-            require(pause >= arm.timing.travel_time - LATE, f"{mask:b} switched {pause:g} s after the stage before")
-        for k in range(len(arm.actuators)):
-            if mask >> k & 1:
-                pause = now - record.switched_at[k]
-                least = arm.timing.travel_time + arm.rest if arm.rest else 0.0
-                require(pause >= least - LATE, f"actuator {k} switched {pause:g} s after it switched last")
-                record.switched_at[k] = now
-        record.last_commit = commit, now
+            least = max(travel[k][record.last_after >> k & 1] for k in indices(record.last_commit[0].switched))
+            require(pause >= least - LATE, f"{mask:b} switched {pause:g} s after the stage before")
+        for k in indices(mask):
+            pause = now - record.switched_at[k]
+            least = travel[k][1 - (switch.after >> k & 1)] + arm.rest if arm.rest else 0.0
+            require(pause >= least - LATE, f"actuator {k} switched {pause:g} s after it switched last")
+            record.switched_at[k] = now
+        record.last_commit, record.last_after = (commit, now), switch.after
+
+
+def two_coils_are_never_on_at_once(world: World) -> None:
+    """Of an actuator with two coils one is on at most, also during faults and boots."""
+    both = world.boards.both_on()
+    require(not any(both), f"both coils of an actuator were on: {both}")
+
+
+def coils_come_on_only_as_asked(world: World) -> None:
+    """A coil of two comes on only by a SYNC whose RPDOs were sent for something that was asked for."""
+    lost = sum(1 << k for k, level in zip(world.arm.wiring.paired, _off_levels(world), strict=True) if level == 1)
+    for coils in world.record.step.energised:
+        came, commit = coils.came & ~world.record.suspect, coils.commit
+        if coils.cause != "SYNC":
+            came &= ~lost  # its board contracts it without the executor
+            require(not came, f"the coils {came:b} came on by {coils.cause}")
+        elif came:
+            asked = commit is not None and (commit.candidates or commit.realigns or commit.homing)
+            require(asked, f"the coils {came:b} came on, and nothing was asked for")
+
+
+def pulses_end(world: World) -> None:
+    """No pulse is longer than asked by more than a period, unless the executor or the bus did not work."""
+    record, now = world.record, world.agenda.now
+    for k, length in world.kinds.pulse.items():
+        since, bus = record.energised_at[k], world.arm.wiring.channels[k].bus
+        if since is None or record.suspect >> k & 1 or record.disturbed_at[bus] >= since:
+            continue
+        require(now - since <= length + PERIOD + LATE, f"actuator {k}: a coil is on for {now - since:g} s")
+
+
+def nothing_begins_while_an_interlock_is_open(world: World) -> None:
+    """No RPDO is sent for a stage from a period after an interlock was opened on."""
+    record, now = world.record, world.agenda.now
+    if not world.arm.wiring.interlocks:
+        return
+    lock = world.arm.wiring.interlocks[0]
+    if not world.boards.takes_part(f"{lock.bus}/{lock.node}"):
+        record.unread_at = now
+    if not record.step.frames or now < record.open_since + PERIOD:
+        return
+    if max(record.unread_at, record.disturbed_at[lock.bus]) >= record.open_since - LATE:
+        return
+    for name, frame in record.step.frames:
+        if frame.id & 0x780 in RPDOS and record.commit is not None:
+            require(record.commit.releases, f"{name}: RPDO {frame.id:03X}h while an interlock is open")
 
 
 def locked_actuators_switch_only_to_their_states(world: World) -> None:
@@ -170,6 +220,10 @@ def the_executor_has_no_defect(world: World) -> None:
         raise Violation(text)
 
 
+def _off_levels(world: World) -> list[int | None]:
+    return list(world.arm.wiring.loss_levels[len(world.arm.actuators) :])
+
+
 def _by_sync(world: World) -> list[Switch]:
     return [switch for switch in world.record.step.switches if switch.cause == "SYNC"]
 
@@ -186,4 +240,8 @@ INVARIANTS = (
     heartbeats_do_not_pause,
     inrush_and_rest_hold,
     locked_actuators_switch_only_to_their_states,
+    two_coils_are_never_on_at_once,
+    coils_come_on_only_as_asked,
+    pulses_end,
+    nothing_begins_while_an_interlock_is_open,
 )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 
 from controller.executor.arm import ExecutedArm
+from controller.executor.core import Executor
 from controller.executor.events import Event, FromClient
 from controller.program import (
     Accepted,
@@ -26,7 +28,7 @@ from controller.program import (
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Frame
 from tests.simulation.agenda import Agenda
-from tests.simulation.facts import Commit, Running, Step, Switch
+from tests.simulation.facts import Commit, Energised, Running, Step, Switch
 
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
@@ -49,6 +51,10 @@ class Record:
         last_heartbeat: of the executor, on each bus [s].
         disturbed_at: when its heartbeats could not leave, on each bus [s].
         switched_at: when a SYNC switched each actuator [s].
+        energised_at: when the coil that is on of each actuator with two came on [s]; None: neither is on.
+        open_since: when an interlock was opened [s]; infinity if all are closed.
+        unread_at: when the board of the interlock did not send its inputs [s].
+        core: returns the executor, for what it takes for unknown, and for on.
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, note: Callable[[object], None]) -> None:
@@ -60,6 +66,7 @@ class Record:
         self.running: Running | None = None
         self.commit: Commit | None = None
         self.last_commit: tuple[Commit, float] | None = None  # that switched anything, and when
+        self.last_after = 0  # outputs after it
         self.programs: dict[tuple[int, int], Program] = {}
         self.results: dict[tuple[int, int], int] = {}
         self.acknowledged: set[tuple[int, int]] = set()
@@ -69,7 +76,11 @@ class Record:
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
         self.switched_at = [-1e12] * count
+        self.energised_at: list[float | None] = [None] * count
+        self.open_since, self.unread_at = math.inf, agenda.now
+        self.core: Callable[[], Executor | None] = lambda: None
         self._arm, self._agenda, self._note = arm, agenda, note
+        self._bus_of = [channel.bus for channel in arm.wiring.channels]
         self._setpoints: deque[Setpoint] = deque(maxlen=3)
         self._message: object = None
 
@@ -141,8 +152,15 @@ class Record:
             return self.commit
         elif frame.id & 0x780 in RPDOS and (self.commit is None or self.commit.began != now):  # all are sent at once
             apart = bool((self._outputs ^ self.locked_states) & self.locked)
-            realigns = apart and (self.running is not None or bool(self._followed(now)))
-            self.commit = Commit(now, self.locked, self.locked_states, realigns, self.running, self._asked(now))
+            core = self.core()
+            assert core is not None
+            contracting = core.ending.begun and core.modes.mode == "executing"
+            asked = self.running is not None or bool(self._followed(now)) or contracting
+            candidates = [(-1, self._outputs & self.locked)] if contracting else self._asked(now)
+            self.commit = Commit(now, self.locked, self.locked_states, apart and asked, self.running, candidates)
+            if asked:
+                self.commit.homing, self.commit.homes = core.motion.homing, core.motion.actuation.states
+            self.commit.releases = any(core.motion.kinds.on(core._master.outputs))
         return None
 
     # --- the boards
@@ -164,10 +182,26 @@ class Record:
         self.step.switches.append(switch)
         for k in range(len(self.synced)):
             self.synced[k] += switch.cause == "SYNC" and switch.mask >> k & 1
+            if switch.commit is not None and switch.cause == "SYNC":  # the executor had guessed otherwise, if at all
+                self.slack[k] += (switch.mask & switch.commit.homing) >> k & 1
         self.fallen |= switch.mask * (switch.cause != "SYNC")
         if switch.cause == "SYNC" and switch.commit is not None:
             self.counts["realigned"] += (switch.mask & switch.commit.locked).bit_count()
         self.counts["switches"] += switch.mask.bit_count() * (switch.cause == "SYNC")
+
+    def energise(self, coils: Energised) -> None:
+        """Coils have come on or gone off."""
+        if coils.came:
+            self.step.energised.append(coils)
+        for k, since in enumerate(self.energised_at):
+            if coils.came >> k & 1:
+                self.energised_at[k] = self._agenda.now
+            elif since is not None and coils.bus == self._bus_of[k] and not coils.on >> k & 1:
+                self.energised_at[k] = None
+
+    def doors(self, are_open: bool) -> None:
+        """Interlocks were opened, or all are closed."""
+        self.open_since = min(self.open_since, self._agenda.now) if are_open else math.inf
 
     def doubt(self, intended: int) -> None:
         """Of actuators that fell unnoticed, nobody can tell whether the SYNC that was intended has switched them."""

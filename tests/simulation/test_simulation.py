@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from controller.executor.actuation import Actuation
+from controller.executor.kinds import Kinds
 from controller.executor.locked import LockedActuators
 from controller.executor.modes import Modes
 from controller.executor.motion import Motion
@@ -40,7 +41,7 @@ def test_a_seed_replays_exactly_and_whatever_the_clock_of_the_system_says(monkey
     assert second.story() == first.story()
 
 
-def _count_everything(self: MemoryJournal, outputs: int) -> int:
+def _count_everything(self: MemoryJournal, states: int, unknown: int = 0) -> int:
     for k in range(len(self.counts)):
         self.counts[k] += self._intended >> k & 1
     self._intended = 0
@@ -48,10 +49,19 @@ def _count_everything(self: MemoryJournal, outputs: int) -> int:
 
 
 def _do_not_wait(self: Commit, clock: float, now: float) -> None:
-    buses, self._rpdos = list(self._rpdos), {}
+    buses, self._waiting = list(self._waiting), {}
     self._syncs.update(buses)
     for bus in buses:
         self._links[bus].send(Frame(SYNC), now)
+
+
+_go_on = Modes.go_on
+
+
+def _energise(self: Modes, now: float) -> None:
+    _go_on(self, now)
+    actuation = self._motion.actuation
+    actuation.switch(actuation.states, now, homing=-1)
 
 
 DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
@@ -64,6 +74,10 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),
     "the SYNC does not wait for the RPDOs": (Commit, "_sync_if_left", _do_not_wait),
     "no epoch ends": (Modes, "new_epoch", lambda self: None),
+    "pulses do not end": (Actuation, "tick", lambda self, now: None),
+    "both outputs of a pair are on": (Kinds, "_off_lines", lambda self, mask: mask << self._size),
+    "a start energises": (Modes, "go_on", lambda self, now: _energise(self, now)),
+    "interlocks are ignored": (Motion, "interlocks", lambda self: []),
 }
 
 

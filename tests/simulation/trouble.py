@@ -20,7 +20,8 @@ KINDS = {
     **{"bus is down": 0.6, "bus-off": 0.6, "bus is unacknowledged": 0.6, "queue is full": 1.0, "bus-passive": 0.5},
     **{"frames are lost": 0.4, "frames come twice": 0.5, "answers are late": 0.6, "strange frame": 1.0},
     **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
-    **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5},
+    **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5, "actuator is jammed": 0.5},
+    **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 1.0},
 }
 
 
@@ -145,3 +146,12 @@ class Trouble:
             case "sensor is lost":
                 world.boards.fault("lose_sensor", label)
                 self._later(4.0, lambda: world.boards.fault("restore_sensor", label))
+            case "actuator is jammed":
+                world.boards.fault("jam", label, random.choice([0.0, 0.02, 0.5, 1.0]))
+                self._later(4.0, lambda: world.boards.fault("release", label))
+            case "wires are cut" | "wires are shorted":
+                world.boards.fault("cut_wires" if kind == "wires are cut" else "short_wires", label)
+                self._later(4.0, lambda: world.boards.fault("restore_sensor", label))
+            case "door is opened" if world.arm.wiring.interlocks:
+                world.boards.door("door", is_open=True)
+                self._later(2.0, lambda: world.boards.door("door", is_open=False))

@@ -46,3 +46,11 @@ def test_a_release_of_one_board_leaves_the_other_alone() -> None:
     world.run(0.05)
     assert [actuator.coils[0] for actuator in world.actuators.values()] == [0, 0]
     assert world.master.outputs == 0b1000
+
+
+def test_nothing_is_released_while_boards_are_booted() -> None:
+    world = lost(2)
+    world.lost = lambda bus, node, frame: False
+    world.master.boot(world.now)
+    with pytest.raises(Busy, match="being booted"):
+        world.master.commit(0, world.now, release=True)
