@@ -23,10 +23,20 @@ INSTANCES = Path("/var/lib/hyperbit-arms")  # of the services by instance
 def check(
     file: ArmFile,
     bus: Annotated[bool, typer.Option("--bus", help="Ask each board, too; changes nothing on it.")] = False,
+    eds: Annotated[
+        Path | None, typer.Option(help="The maker's data sheet of the boards (EDS): compare it, without a bus.")
+    ] = None,
+    node: Annotated[str | None, typer.Option(help="As in can0/5: the one board that the EDS is of.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say all that is wrong in an arm's file, by field."""
+    """Say all that is wrong in an arm's file, by field.
+
+    Example: hyperbit check my-arm.yaml --eds 750-337.eds --node can0/5
+    """
     from controller.config import load
+
+    if node is not None and eds is None:
+        raise InputFaults(Path("check"), ["--node is for --eds: give the file, too"])
 
     try:
         arm = load(file)
@@ -35,7 +45,8 @@ def check(
             print_json({"ok": False, "faults": list(error.faults)})
             raise typer.Exit(2) from None
         raise
-    boards = ask_boards(arm) if bus else []
+    boards = compare(arm, eds, node) if eds is not None else []
+    boards += ask_boards(arm) if bus else []
     missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
     if as_json:
         print_json({"ok": not missing, "faults": missing, "boards": boards})
@@ -50,7 +61,7 @@ def check(
     if missing:
         if as_json:
             raise typer.Exit(1)
-        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer as they should")
+        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer as they should, or lack what is needed")
 
 
 def ask_boards(arm: Arm) -> list[dict[str, Any]]:
@@ -64,6 +75,32 @@ def ask_boards(arm: Arm) -> list[dict[str, Any]]:
     except BusError as error:
         raise Failed(str(error)) from None
     return [{"board": answer.board, "ok": answer.ok, "answer": answer.text} for answer in answers]
+
+
+def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
+    """Returns what each board of an arm lacks by an EDS; of one board alone if `node` names it.
+
+    Raises:
+        InputFaults: the file is no EDS, or the arm has no such board.
+    """
+    from controller.executor.arm import timing_of, wiring_of
+    from drivers.canopen.eds_check import Eds, UnreadableEds, lacks
+    from drivers.canopen.layout import lay_out
+
+    wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
+    boards = {board.name: board for board in lay_out(wiring).boards}
+    if node is not None and node not in boards:
+        raise InputFaults(Path("--node"), [f"{node}: the arm has no such board, only {', '.join(boards)}"])
+    answers = []
+    for name, board in boards.items():
+        if node in (None, name):
+            try:
+                found = lacks(Eds(eds, board.node), board, timing_of(arm.settings), wiring.error_state)
+            except UnreadableEds as error:
+                raise InputFaults(eds, [str(error)]) from None
+            text = "; ".join(map(str, found)) or f"by {eds.name} it has all that is needed"
+            answers.append({"board": name, "ok": not found, "answer": text, "lacks": [one._asdict() for one in found]})
+    return answers
 
 
 def wear(

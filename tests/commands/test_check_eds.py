@@ -1,0 +1,33 @@
+"""The option of `check` that compares with a maker's EDS."""
+
+from __future__ import annotations
+
+import json
+
+from drivers.simulation.dictionary import EDS
+from tests.commands.conftest import ARM
+
+
+def test_boards_that_lack_nothing(hyperbit):
+    code, out, err = hyperbit("check", str(ARM), "--eds", str(EDS), "--node", "can0/5")
+    assert (code, err) == (0, "")
+    assert "\n  can0/5: by board.eds it has all that is needed\n" in out
+    assert "can0/6" not in out
+
+
+def test_lacks_are_told_for_each_board(hyperbit, tmp_path):
+    path = tmp_path / "other.eds"
+    path.write_text(EDS.read_text().replace("[1017]", "[1FFF]"))
+    code, out, _ = hyperbit("check", str(ARM), "--eds", str(path), "--json")
+    told = json.loads(out)
+    assert (code, told["ok"], len(told["boards"])) == (1, False, 16)
+    assert told["boards"][0]["lacks"][0]["object"] == "1017h sub 0 (period of its heartbeat)"
+
+
+def test_faults_name_what_was_given(hyperbit, tmp_path):
+    code, _, err = hyperbit("check", str(ARM), "--node", "can0/5")
+    assert (code, "--node is for --eds" in err) == (2, True)
+    code, _, err = hyperbit("check", str(ARM), "--eds", str(EDS), "--node", "can7/5")
+    assert (code, "can7/5: the arm has no such board, only can0/1, can0/2" in err) == (2, True)
+    code, _, err = hyperbit("check", str(ARM), "--eds", str(tmp_path / "none.eds"))
+    assert (code, "none.eds" in err, "No such file" in err) == (2, True, True)
