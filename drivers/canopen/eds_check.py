@@ -69,8 +69,8 @@ class Eds:
         found = self._objects.indices.get(index)
         if found is None or isinstance(found, ODVariable):
             return found if sub == 0 else None
-        count, entry = self.default(index, 0), found.subindices.get(sub)
-        if entry is None and 1 in found.subindices and count is not None and 0 < sub <= count:
+        entry = found.subindices.get(sub)
+        if entry is None and 1 in found.subindices and 0 < sub <= (self.default(index, 0) or 0):
             entry = found[sub]  # like the first: an array that is described once
         return entry if isinstance(entry, ODVariable) else None
 
