@@ -72,7 +72,7 @@ def running(
         goals, changed, notifier = RepeatedGoals(), threading.Event(), Notifier()
 
         def publish(key: str, payload: Payload) -> None:
-            if key == "result":
+            if key != "feedback":
                 goals.ended(payload.get("id"))
             outbox.publish(key, payload)
 

@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 MOST_WAITING = 1_000  # messages in each lane
 TURN = 0.2  # [s] between two looks at the clock
-RECONNECTED = 5.0  # [s] after a standstill; clients try to connect anew every 4 s at least
+RECONNECTED = 5.0  # [s] after a standstill, and after the start; clients try to connect anew every 4 s at least
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
 
 Item = tuple[zenoh.Query | str, str, Payload]
@@ -33,7 +33,7 @@ class Outbox:
 
     A process that stood still for about the lease of its session loses its peers the moment that it goes on. What it
     published then would reach nobody, so results, and what follows them in their lane, wait until peers have had time
-    to connect anew.
+    to connect anew. So do the results of goals of the planner before this one, after the start.
 
     Args:
         session: open session.
@@ -51,7 +51,8 @@ class Outbox:
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
         self._turned, self._held_until = clock(), -float("inf")  # last look at the clock, and end of a wait [s]
-        self._first, self._second = deque[Item](), deque[Item]()
+        self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
+        self._reached_from = clock() + RECONNECTED  # clients of the planner before have connected [s]
         self._news = threading.Condition()
         self._full = self._closing = False
         self._publishers = {
@@ -66,7 +67,10 @@ class Outbox:
         self._thread.start()
 
     def publish(self, key: str, payload: Payload) -> None:
-        """Publishes on `key`, "result" or "feedback"."""
+        """Publishes on `key`: "result", "feedback", or "inherited" for the result of a goal of the planner before."""
+        if key == "inherited":
+            self._put(self._inherited, ("result", "result", payload), needed=True)
+            return
         refusal = key == "result" and payload["status"] == "refused"
         lane = self._second if refusal else self._first
         self._put(lane, (key, key, payload), needed=key == "result" and not refusal)
@@ -89,7 +93,7 @@ class Outbox:
 
     def waiting(self) -> int:
         """Returns how many messages are still to be sent."""
-        return len(self._first) + len(self._second)
+        return len(self._first) + len(self._second) + len(self._inherited)
 
     def _put(self, lane: deque[Item], item: Item, *, needed: bool) -> None:
         with self._news:
@@ -107,6 +111,8 @@ class Outbox:
             while True:
                 held = self._held() and not self._closing
                 lane = self._second if held else self._first or self._second
+                if self._closing or self._clock() >= self._reached_from:
+                    lane = self._inherited or lane
                 if lane or self._closing:
                     return lane.popleft() if lane else None
                 self._news.wait(TURN)

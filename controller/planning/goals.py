@@ -43,7 +43,7 @@ class RunningGoals:
         manipulator: the whole arm.
         link: to the executor.
         ledger: of goals.
-        publish: sends a payload on "feedback" or "result"; must not wait.
+        publish: sends a payload on "feedback", "result", or "inherited" (`Results`); must not wait.
         measured: returns the latest measured states, shape (A,).
         ended: told the sentence on the end of each program.
     """

@@ -61,7 +61,7 @@ class Planning:
         densities: of the arm reduced by the actuators that its file declares stuck.
         link: to the executor; started and closed with this.
         ledger: of goals and switches.
-        publish: sends a payload on "feedback" or "result"; must not wait.
+        publish: sends a payload on "feedback", "result", or "inherited" (`Results`); must not wait.
         on_change: called when `state` has changed, and 20 times a second; must not wait.
     """
 

@@ -26,7 +26,7 @@ class Results:
     Args:
         manipulator: the whole arm.
         ledger: of goals.
-        publish: sends a payload on "result"; must not wait.
+        publish: sends a payload on "result", or "inherited" for the result of another run's goal; must not wait.
         ended: told the sentence on the end of each program.
     """
 
@@ -66,7 +66,7 @@ class Results:
             log.warning("the result of program %d is not for this planner: %s", message.program, message.message)
             return
         payload = foreign_result(self._manipulator, message, measured, context)
-        self._publish("result", payload)
+        self._publish("inherited", payload)
         status, code, words = payload["status"], payload["code"], payload["message"]
         accepted = context.id, context.sent, context.waypoints
         self._ledger.ended(message.program, status, code, words, message.switches, accepted)

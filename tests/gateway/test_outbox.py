@@ -67,6 +67,19 @@ def stall(session: FakeSession, outbox: Outbox) -> None:
     assert session.waiting.wait(PATIENCE)
 
 
+def test_result_of_the_planner_before_waits_for_clients_to_connect_and_delays_nothing(session: FakeSession) -> None:
+    now = 100.0
+    outbox = Outbox(session, "p", clock=lambda: now)
+    outbox.publish("inherited", {"n": 1, "status": "aborted"})
+    outbox.publish("result", {"n": 2, "status": "succeeded"})
+    eventually(lambda: session.sent)
+    assert (session.sent, outbox.waiting()) == ([("p/result", {"n": 2, "status": "succeeded"})], 1)
+    now += RECONNECTED
+    eventually(lambda: len(session.sent) == 2)
+    assert session.sent[1] == ("p/result", {"n": 1, "status": "aborted"})
+    outbox.close(PATIENCE)
+
+
 def test_answer_feedback_and_result_of_a_goal_leave_in_order(session: FakeSession) -> None:
     outbox, query = Outbox(session, "p"), FakeQuery(session)
     stall(session, outbox)

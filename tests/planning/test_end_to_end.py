@@ -136,7 +136,7 @@ def test_the_result_of_a_planner_that_was_killed_is_told_by_the_next(chain: Chai
     old._link._drop()
     old._link.close()
     chain.planning = chain.plan_anew()
-    result = chain.inbox.next("result")
+    result = chain.inbox.next("inherited")
     assert (result["id"], result["status"]) == ("a", "aborted")
     assert "the planner is gone" in result["message"]
     assert result["configuration"] == "12"

@@ -177,7 +177,7 @@ def test_the_result_of_another_run_of_the_planner_is_published(desk: Desk) -> No
     desk.planning._goals._goals.clear()  # as if it had been sent by a planner that is gone
     desk.executor.show(outputs=program.stages[-1].states)
     ended = desk.executor.end(program)
-    result = desk.inbox.next("result")
+    result = desk.inbox.next("inherited")
     assert (result["id"], result["status"], result["error"] <= 0.002) == ("a", "succeeded", True)
     assert desk.executor.expect(Acknowledge).result == ended.result
     assert desk.ledger.entries[-1] == ("adopted", "a", 1)
