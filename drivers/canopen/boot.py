@@ -15,7 +15,6 @@ from drivers.canopen.layout import BoardLayout
 from drivers.canopen.objects import Need
 from drivers.canopen.outputs import Outputs
 from drivers.canopen.pdo import INPUTS, Pdo, subs_of, union
-from drivers.canopen.pdo_setup import ON_SYNC, Held, set_up, usable
 from drivers.canopen.procedure import Ask, BoardError, Order, Procedure, Step, Wait
 from drivers.canopen.sdo import TIMEOUT, Outcome, Transfer
 from drivers.canopen.wiring import ErrorState, Timing
@@ -122,7 +121,7 @@ def _configure(boot: Boot) -> Procedure:
     """Configures and starts the board, unless it is operational and configured."""
     board, it = boot.board, boot.it
     if board.state is State.OPERATIONAL:
-        yield from _ask_for_sync(it)
+        yield from pdo_search.ask_for_sync(it)
         wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
         if not wrong and pdo_search.as_is(it):
             board.state = None  # it may have left operational since its last heartbeat
@@ -131,36 +130,17 @@ def _configure(boot: Boot) -> Procedure:
         yield from _hold(it)
     if board.state is not State.PRE_OPERATIONAL:
         yield from _order(board.layout, Command.PRE_OPERATIONAL)
-    yield from _settle(it, it.needs)
+    yield from inspection.settle(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):
-        yield from _set_up(it, pdos)
+        yield from pdo_search.set_up_pdos(it, pdos)
     if not board.layout.loss[0]:
-        yield from _settle(it, it.error_mode)
+        yield from inspection.settle(it, it.error_mode)
     yield from _release(boot)
     board.guarded = False
     if it.guarded:
         board.guard()
     board.state = None  # an older heartbeat must not count as the answer
     yield from _order(board.layout, Command.START)
-
-
-def _set_up(it: Inspection, pdos: list[tuple[Pdo, Held]]) -> Procedure:
-    """Sets up the PDOs of one direction; if they refuse, others that carry the process data as they are mapped."""
-    for again in (False, True):
-        try:
-            for i, (wanted, held) in enumerate(pdos):
-                if not held.fits(wanted) or (wanted.parameters < 0x1800 and not it.synchronous):
-                    pdos[i] = wanted, (yield from set_up(it.layout, wanted, held, it.synchronous))
-            return
-        except BoardError:
-            other = None
-            if not again and not it.layout.shared:
-                other = yield from pdo_search.cover(it, pdos)
-            if other is None:
-                raise
-            pdos[:], needs = other
-            it.needs += needs
-            yield from _settle(it, needs)
 
 
 def _hold(it: Inspection) -> Procedure:
@@ -172,17 +152,6 @@ def _hold(it: Inspection) -> Procedure:
         place = need.index, need.sub
         yield from objects.write(it.name, need, need.corrected(it.held[place]))
         it.held[place] = yield from objects.read(it.name, *place, fresh=True)
-
-
-def _ask_for_sync(it: Inspection) -> Procedure:
-    """Asks for RPDOs that wait for SYNC where nothing else is wrong with them: a board that refuses is left alone."""
-    for i, (wanted, held) in enumerate(it.rpdos):
-        if it.synchronous and held.in_full and not held.pdo.on_sync and usable(it.layout, wanted, held) is None:
-            kind = ON_SYNC[0]
-            abort = yield from objects.write(it.name, Need(held.parameters, 2, kind), kind)
-            it.refuses_sync |= abort is not None
-            if abort is None:
-                it.rpdos[i] = wanted, held._replace(kind=(yield from objects.read(it.name, held.parameters, 2)))
 
 
 def _release(boot: Boot) -> Procedure:
@@ -231,7 +200,7 @@ def _await_operational(boot: Boot) -> Procedure:
 
 def _set_error_mode(boot: Boot) -> Procedure:
     """Writes the error mode; until here the outputs were to hold."""
-    yield from _settle(boot.it, boot.it.error_mode)
+    yield from inspection.settle(boot.it, boot.it.error_mode)
 
 
 def _check_errors(boot: Boot) -> Procedure:
@@ -297,13 +266,6 @@ def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
             for i, entry in enumerate(mapping)
         }
     return tuple(needs.values())
-
-
-def _settle(it: Inspection, needs: list[Need]) -> Procedure:
-    """Writes what differs."""
-    for need in it.unmet(needs):
-        yield from objects.settle(it.name, need, it.held[need.index, need.sub])
-        it.held[need.index, need.sub] = need.corrected(it.held[need.index, need.sub])
 
 
 def _order(layout: BoardLayout, command: Command) -> Procedure:

@@ -119,6 +119,13 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     return register, text, lost
 
 
+def settle(it: Inspection, needs: list[Need]) -> Reading:
+    """Writes what differs, and reads it back."""
+    for need in it.unmet(needs):
+        yield from objects.settle(it.name, need, it.held[need.index, need.sub])
+        it.held[need.index, need.sub] = need.corrected(it.held[need.index, need.sub])
+
+
 def _identify(it: Inspection) -> Reading:
     vendor = yield from objects.find(it.name, 0x1018, 1, 4)
     product = None

@@ -1,16 +1,16 @@
-"""The PDOs of a board that are to carry its process data: found among those that it has."""
+"""The PDOs of a board that are to carry its process data: found among those that it has, and set up."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Generator, Iterable
 
-from drivers.canopen import cia301
+from drivers.canopen import cia301, objects
 from drivers.canopen.cia301 import INVALID
 from drivers.canopen.faults import Fault
-from drivers.canopen.inspection import Inspection, Reading
+from drivers.canopen.inspection import Inspection, Reading, settle
 from drivers.canopen.objects import Need
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
-from drivers.canopen.pdo_setup import Held, pdo_words, read_pdo, usable
+from drivers.canopen.pdo_setup import ON_SYNC, Held, pdo_words, read_pdo, set_up, usable
 from drivers.canopen.procedure import BoardError, Step
 from drivers.canopen.sdo import Outcome
 
@@ -95,6 +95,36 @@ def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
                 " switch at once with their frame, not at the same instant as other boards"
             )
     return rpdos, tuple(held.pdo for _, held in it.tpdos)
+
+
+def set_up_pdos(it: Inspection, pdos: list[tuple[Pdo, Held]]) -> Reading:
+    """Sets up the PDOs of one direction; if they refuse, others that carry the process data as they are mapped."""
+    for again in (False, True):
+        try:
+            for i, (wanted, held) in enumerate(pdos):
+                if not held.fits(wanted) or (wanted.parameters < 0x1800 and not it.synchronous):
+                    pdos[i] = wanted, (yield from set_up(it.layout, wanted, held, it.synchronous))
+            return
+        except BoardError:
+            other = None
+            if not again and not it.layout.shared:
+                other = yield from cover(it, pdos)
+            if other is None:
+                raise
+            pdos[:], needs = other
+            it.needs += needs
+            yield from settle(it, needs)
+
+
+def ask_for_sync(it: Inspection) -> Reading:
+    """Asks for RPDOs that wait for SYNC where nothing else is wrong with them: a board that refuses is left alone."""
+    for i, (wanted, held) in enumerate(it.rpdos):
+        if it.synchronous and held.in_full and not held.pdo.on_sync and usable(it.layout, wanted, held) is None:
+            kind = ON_SYNC[0]
+            abort = yield from objects.write(it.name, Need(held.parameters, 2, kind), kind)
+            it.refuses_sync |= abort is not None
+            if abort is None:
+                it.rpdos[i] = wanted, held._replace(kind=(yield from objects.read(it.name, held.parameters, 2)))
 
 
 def _find_pdo(it: Inspection, wanted: Pdo, taken: set[int], in_full: bool) -> Generator[Step, Outcome, Held | None]:
