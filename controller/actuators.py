@@ -24,6 +24,7 @@ from controller.strict import InputFaults
 
 VGT: tuple[str, ...] = ("left", "diagonal", "right")  # of a truss module
 MOST_ROWS = 4096  # of a table
+STAGE = 0.1  # [s] that a stage may take beside the travel time, its margin and the rest
 
 
 def read_wired(path: Path) -> tuple[ArmSettings, tuple[str, ...], tuple[ActuatorSettings, ...]]:
@@ -175,6 +176,18 @@ def longest_travel(settings: ArmSettings) -> float:
     given = [entry.travel_time for entry in settings.actuators]
     every = [settings.travel_time if times is None else times for times in given] or [settings.travel_time]
     return max(max(times.extend, times.contract) if isinstance(times, TravelSettings) else times for times in every)
+
+
+def ending_time(settings: ArmSettings, actuators: int) -> float:
+    """Returns how long an arm may take to contract before the executor ends; 0 if it holds [s].
+
+    Each stage has to travel, to be found late, and to rest; actuators of unknown state take as many stages more.
+    """
+    if settings.on_stop == "hold":
+        return 0.0
+    stages = 2 * -(-actuators // (settings.inrush or actuators)) + 1
+    margin = max([entry.settle_margin or 0.0 for entry in settings.actuators] + [settings.boards.settle_margin])
+    return stages * (longest_travel(settings) + margin + settings.rest_time + STAGE)
 
 
 def error_state(setting: ErrorState | None) -> Literal["off", "hold", "device"] | None:

@@ -240,3 +240,11 @@ def test_a_file_either_loads_into_a_wiring_or_says_why_not(
         assert levels in ((None, None), (0, 1), (0, 0))
         assert (levels == (0, 0)) == (k in pulsed)
     assert arm.timing.travel_time == max(max(channel.travel or ()) for channel in wiring.channels)
+
+
+@pytest.mark.parametrize(
+    ("on_stop", "inrush", "expected"), [("hold", 4, 0.0), ("contract", 4, 5 * 0.68), ("contract", 1, 13 * 0.68)]
+)
+def test_the_end_takes_as_long_as_all_stages(tmp_path: Path, on_stop: str, inrush: int, expected: float) -> None:
+    arm = loaded(tmp_path, {**document(), "on_stop": on_stop, "inrush": inrush})
+    assert arm.ending == pytest.approx(expected), "travel 0.05, margin 0.03, rest 0.5, and 0.1 s to spare"

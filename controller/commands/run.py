@@ -41,19 +41,20 @@ def run(
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
 
-    from controller.actuators import read_wired
-    from controller.gateway.executor_process import ExecutorProcess
+    from controller.actuators import ending_time, read_wired
+    from controller.gateway.executor_process import PATIENCE, ExecutorProcess
     from controller.scheduling import shorten_slice
     from controller.sockets import socket_path
 
     shorten_slice()  # of this process's threads, so that a stop waits less for other processes
-    path = socket_path(socket, read_wired(file)[0].name)
+    settings, actuators, _ = read_wired(file)
+    path = socket_path(socket, settings.name)
     with contextlib.ExitStack() as stack:
         executor = None
         if socket is None:  # first, so that the boards boot while the kernels load
             journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # the counts of this ledger alone
             executor = ExecutorProcess(file, path, simulate=simulate, journal=journal, board=board)
-            stack.callback(executor.close)
+            stack.callback(executor.close, PATIENCE + ending_time(settings, len(actuators)))
         serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from controller.actuators import error_state, longest_travel, read_wired, terminals, travel_times
+from controller.actuators import ending_time, error_state, longest_travel, read_wired, terminals, travel_times
 from controller.settings import ActuatorSettings, ArmSettings, RealTimeSettings
 from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
 
@@ -28,6 +28,7 @@ class ExecutedArm:
         locked_states: their states.
         continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
         contract_on_stop: contract all actuators before the executor ends.
+        ending: time that this may take [s].
         real_time: what the file asks of the system.
         digest: SHA-256 of the file, in hexadecimal.
     """
@@ -42,6 +43,7 @@ class ExecutedArm:
     locked_states: int = 0
     continue_on_stuck: bool = False
     contract_on_stop: bool = False
+    ending: float = 10.0
     real_time: RealTimeSettings | None = None
     digest: str = ""
 
@@ -69,6 +71,7 @@ def read_arm(path: Path) -> ExecutedArm:
         locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == WORDS[1]),
         continue_on_stuck=settings.on_stuck == "continue",
         contract_on_stop=settings.on_stop == "contract",
+        ending=ending_time(settings, len(actuators)),
         real_time=settings.real_time,
         digest=hashlib.sha256(path.read_bytes()).hexdigest(),
     )

@@ -12,8 +12,6 @@ from controller.executor.motion import Motion
 from controller.executor.setpoint_stream import SetpointStream
 from controller.program import Setpoint, pack
 
-STAGE = 0.1  # [s] that a stage may take beside the travel time, its margin and the rest
-
 
 class Ending:
     """Contracts the arm before the executor ends, if the arm's file says so; else says what the boards will do.
@@ -93,14 +91,12 @@ class Ending:
         while rest:
             rest &= ~first(rest, self._arm.most)
             stages.append(pack(rest | (states & self._locked.mask), size))
-        homes = -(-self._motion.homing.bit_count() // self._arm.most)
-        travel, margin = self._motion.kinds.longest(self._motion.kinds.everything), max(self._motion.kinds.margin)
-        self.patience = (len(stages) + homes + 1) * (travel + margin + self._arm.rest + STAGE)
+        self.patience = self._arm.ending
         self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.patience + 5) * 1e6)}"))
         reason = "contracting before the end of the executor"
         message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
         stream = SetpointStream(message, self._arm.most, self._locked, size)
-        if not stages and not homes:
+        if not stages and not self._motion.homing:
             return
         if not stages:  # the states are unknown: they are brought about, and that is all
             stream.stages = [stream.start]

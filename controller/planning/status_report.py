@@ -182,6 +182,8 @@ def description(arm: Arm) -> Payload:
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
         "tolerance": {"position": arm.tolerance, "orientation": arm.turn},
         "travel_time": arm.travel_time,
+        "on_stop": arm.settings.on_stop,
+        "on_loss": arm.settings.boards.on_loss,
         "inrush": arm.settings.inrush,
         "rest_time": arm.settings.rest_time,
         "method": arm.settings.method,
