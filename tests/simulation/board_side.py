@@ -163,4 +163,4 @@ class BoardSide:
         for bus, mask in self._masks.items():
             if changed & mask:
                 self._record.switch(Switch(changed & mask, after, cause, bus, commit))
-            self._record.energise(Energised(came & mask, on & mask, cause, bus, commit))
+            self._record.energise(Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, commit))

@@ -48,10 +48,14 @@ class Switch(NamedTuple):
 
 
 class Energised(NamedTuple):
-    """Coils of actuators with two: those that came on, and all that are on. `cause` is as of a switch."""
+    """Coils of actuators with two: those that came on, all that are on, and those that came on to no effect.
+
+    `cause` is as of a switch.
+    """
 
     came: int
     on: int
+    again: int
     cause: str
     bus: str
     commit: Commit | None

@@ -194,6 +194,8 @@ class Record:
         if coils.came:
             self.step.energised.append(coils)
         for k, since in enumerate(self.energised_at):
+            # The end-stop of one that did not follow its coil told the other state: for the executor it switches.
+            self.slack[k] += coils.again >> k & 1
             if coils.came >> k & 1:
                 self.energised_at[k] = self._agenda.now
             elif since is not None and coils.bus == self._bus_of[k] and not coils.on >> k & 1:
