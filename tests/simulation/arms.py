@@ -7,12 +7,19 @@ from random import Random
 from typing import Any
 
 from controller.executor.arm import ExecutedArm
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
 from drivers.simulation.buses import board_names
 from drivers.simulation.variants import VARIANTS, Variant
 
-# Variants of boards that boot and obey each SYNC; the last one only where all outputs hold without the master.
-ORDINARY = ("standard", "many-outputs", "saves-writes", "all-bits", "no-error-behaviour")
+# Variants of boards that boot and obey each SYNC; the second only where no output has to go off on loss of the master.
+ORDINARY = (
+    *("standard", "one-supervision", "outputs-in-rpdo5", "many-outputs", "fixed-mapping", "saves-writes"),
+    *("no-output-bit", "all-bits", "hidden-error-state", "resets-outputs"),
+    *("foreign-sync", "sync-counter", "sync-period", "masked-inputs"),
+)
+HOLDING = (
+    *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
+)
 
 
 def draw_arm(random: Random) -> ExecutedArm:
@@ -90,12 +97,17 @@ def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
     return (Interlock("door", buses[node % len(buses)], node, 30, inverted),)
 
 
-def draw_variants(random: Random, wiring: Wiring) -> dict[str, Variant]:
-    """Returns what the boards of a wiring are like: half of the arms have standard boards only."""
+def draw_boards(random: Random, arm: ExecutedArm) -> tuple[ExecutedArm, dict[str, Variant]]:
+    """Returns what the boards of an arm are like, and the arm with what its file must say of them.
+
+    Half of the arms have standard boards only.
+    """
     if random.random() < 0.5:
-        return {}
-    may_hold = all(
-        level is None for level in wiring.loss_levels
-    )  # else boards that go on without the master are refused
-    names = ORDINARY if may_hold else ORDINARY[:-1]
-    return {name: VARIANTS[random.choice(names)] for name in board_names(wiring)}
+        return arm, {}
+    wiring = arm.wiring
+    names = ORDINARY if any(level is not None for level in wiring.loss_levels) else ORDINARY + HOLDING
+    chosen = {board: random.choice(names) for board in board_names(wiring)}
+    makers = (board.split("/") for board, name in chosen.items() if name == "maker-object")
+    nodes = tuple(NodeSettings(bus, int(node), object=VARIANTS["maker-object"].output_object) for bus, node in makers)
+    wiring = replace(wiring, error_state="device", nodes=nodes)
+    return replace(arm, wiring=wiring), {board: VARIANTS[name] for board, name in chosen.items()}

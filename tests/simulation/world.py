@@ -11,7 +11,7 @@ from controller.program import unpack
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Event
 from tests.simulation.agenda import Agenda
-from tests.simulation.arms import draw_arm, draw_variants
+from tests.simulation.arms import draw_arm, draw_boards
 from tests.simulation.board_side import BoardSide
 from tests.simulation.bus_model import BusModel, OnItsWay
 from tests.simulation.facts import Step
@@ -42,7 +42,8 @@ class World:
         def drawn(what: str) -> Random:
             return Random(f"{seed} {what}")
 
-        self.arm = arm = draw_arm(drawn("arm"))
+        arm, variants = draw_boards(drawn("boards"), draw_arm(drawn("arm")))
+        self.arm = arm
         self.most = len(arm.actuators) if arm.inrush is None else arm.inrush
         self.agenda = agenda = Agenda()
         self.events: deque[tuple[float, object]] = deque(maxlen=remembered)
@@ -56,7 +57,6 @@ class World:
         self.kinds = Kinds(arm.wiring, arm.timing)
         self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
         self.executor.connect(self.planner.connection.deliver, self.planner.cut_off)
-        variants = draw_variants(drawn("boards"), arm.wiring)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board)
         self.trouble = Trouble(self, drawn("trouble"))
         self.epoch_before, self.mode_before = 0, "starting"
