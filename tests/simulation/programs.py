@@ -44,6 +44,7 @@ class Author:
             strict=random.random() < 0.3,
             name=f"goal {number}",
             context=b"context %d" % number,
+            homed=pack(random.getrandbits(self._count), self._count) if random.random() < 0.2 else b"",
         )
         return Drawn(program, stages)
 

@@ -159,7 +159,9 @@ class Record:
             candidates = [(-1, self._outputs & self.locked)] if contracting else self._asked(now)
             self.commit = Commit(now, self.locked, self.locked_states, apart and asked, self.running, candidates)
             if asked:
-                self.commit.homing, self.commit.homes = core.motion.homing, core.motion.actuation.states
+                execution, states = core.motion.execution, core.motion.actuation.states
+                homed, self.commit.homes = (-1, states) if execution is None else execution.homed
+                self.commit.homing = core.motion.homing & homed
             self.commit.releases = any(core.motion.kinds.on(core._master.outputs))
         return None
 
