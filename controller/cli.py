@@ -81,6 +81,11 @@ COMMANDS = {
     "probe": Entry(
         "probe", "probe", "Find the nodes of a CAN bus and tell what each is and holds; writes nothing on them."
     ),
+    "node-id": Entry(
+        "node_id",
+        "node_id",
+        "Set a board's node id and bit rate by LSS, and store them; they count from the next power-on.",
+    ),
     "wear": Entry("health", "wear", "Say how often each actuator has switched, and how goals ended."),
     "calibrate": Entry(
         "calibrate",

@@ -69,7 +69,8 @@ class SimulatedBuses:
         boards = self._boards[bus]
         if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only; most frames of a boot are
             node = frame.id & 0x7F
-            boards = {node: boards[node]} if node in boards else {}
+            if node in boards and boards[node].node == node:  # it may have another id by LSS
+                boards = {node: boards[node]}
         for board in boards.values():
             if self._due[board] <= now:
                 board.step(now)

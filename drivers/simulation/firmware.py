@@ -12,8 +12,10 @@ from canopen.sdo.server import SdoServer
 
 from drivers.canopen import cia301
 from drivers.canopen.cia301 import Command, State
+from drivers.simulation import lss
 from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.emergencies import Emergencies
+from drivers.simulation.lss import LssSlave
 from drivers.simulation.objects import Objects
 from drivers.simulation.outputs import Outputs
 from drivers.simulation.pdos import Pdos
@@ -63,6 +65,7 @@ class SimulatedBoard:
         contacts: levels of inputs that are no end-stops, by bit; changes count at the next `step`.
         silent: cut off from the bus, neither heard nor hearing.
         ignored: frames that made no sense.
+        lss: its node id, and what it is from the next power-on on.
     """
 
     def __init__(
@@ -78,17 +81,24 @@ class SimulatedBoard:
         self.ignored = 0
         self.emergencies = Emergencies(self.objects, self._send_emergency)
         self._bus = send
-        self._sdo = SdoServer(  # type: ignore[no-untyped-call]
-            cia301.SDO_REQUEST + node, cia301.SDO_ANSWER + node, self.objects
-        )
-        self._sdo.network = self  # type: ignore[assignment]  # of a network, the server uses nothing but send_message
+        identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
+        self.lss = LssSlave(identity, node, self.send_message)
         self._outputs = Outputs(self.objects, variant)
         self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message)
-        self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
+        self._take_node()
         self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests and when they are answered
         self._boots_at = math.inf
         self._now = 0.0
         self._inputs = 0
+
+    def _take_node(self) -> None:
+        """Takes the node id that LSS has stored."""
+        self.node = node = self.objects.node = self.lss.node
+        self._sdo = SdoServer(  # type: ignore[no-untyped-call]
+            cia301.SDO_REQUEST + node, cia301.SDO_ANSWER + node, self.objects
+        )
+        self._sdo.network = self  # type: ignore[assignment]  # of a network, the server uses nothing but send_message
+        self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
 
     def power_on(self, now: float) -> None:
         """Starts with all outputs off."""
@@ -150,6 +160,8 @@ class SimulatedBoard:
                 self._drive()
         elif cob_id == cia301.SDO_REQUEST + self.node:
             self._request(data)
+        elif cob_id == lss.REQUEST:
+            self.lss.receive(data)
         elif cob_id & ~0x7F in (cia301.HEARTBEAT, cia301.HEARTBEAT | cia301.REMOTE):
             self._supervision.hear(cob_id, data, now, self.state)
         elif self.state is State.OPERATIONAL and self._pdos.receive(cob_id, data):
@@ -164,6 +176,9 @@ class SimulatedBoard:
 
     def _start(self) -> None:
         """Starts anew, as after power-on: outputs are off from now on, and the boot-up message comes with time."""
+        self.lss.reset()
+        if self.lss.node != self.node:
+            self._take_node()
         self._forget()
         self.state = None
         self.objects.reset()

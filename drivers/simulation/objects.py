@@ -35,6 +35,7 @@ class Objects:
 
     Attributes:
         refused: abort codes with which single objects refuse every SDO; a board's faults and gaps.
+        node: node id.
         flash_writes: writes to the memory that keeps values without power.
     """
 
@@ -43,7 +44,7 @@ class Objects:
     def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
         self.refused: dict[tuple[int, int], int] = {}
         self.flash_writes = 0
-        self._node = node
+        self.node = node
         self._variant = variant
         self._described = variant.objects
         self._on_write = on_write
@@ -161,7 +162,7 @@ class Objects:
         entry = self._find(index, sub)
         if not entry.relative:
             return entry.default
-        return (int.from_bytes(entry.default, "little") + self._node).to_bytes(entry.size, "little")
+        return (int.from_bytes(entry.default, "little") + self.node).to_bytes(entry.size, "little")
 
     def _find(self, index: int, sub: int) -> Object:
         if index not in self._described:

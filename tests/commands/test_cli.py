@@ -42,7 +42,7 @@ def imported(*words: str) -> set[str]:
 def test_the_table_agrees_with_the_commands():
     for name, entry in cli.COMMANDS.items():
         function = getattr(importlib.import_module(f"controller.commands.{entry.module}"), entry.function)
-        assert (name, entry.function) == (function.__name__.rstrip("_"), function.__name__)
+        assert (name, entry.function) == (function.__name__.rstrip("_").replace("_", "-"), function.__name__)
         assert entry.summary == inspect.getdoc(function).splitlines()[0]
 
 

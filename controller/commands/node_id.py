@@ -1,0 +1,131 @@
+"""The command that sets a board's node id and bit rate by LSS: node-id."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from controller.commands.common import AsJson, Failed, print_json
+from controller.commands.probe import Bitrate, Channel, Interface, surveyed
+from controller.strict import InputFaults
+from drivers.canopen.bus import CanBus
+from drivers.canopen.faults import BusError
+from drivers.canopen.lss import BIT_TIMINGS, Identity, Lss, Refused, over
+from drivers.canopen.survey import Survey
+from drivers.canopen.wiring import MASTER, BusSettings
+
+NEW = f"The new node id, 1 to {MASTER - 1}."
+RATE = "The new bit rate [bit/s]."
+BOARD = "VENDOR:PRODUCT:REVISION:SERIAL of 1018h, as --list and `probe` tell; without, the only board on the bus."
+UNCONFIGURED = "Only list the boards that have no node id yet."
+
+
+def node_id(
+    channel: Channel,
+    new: Annotated[int | None, typer.Argument(metavar="[NODE]", help=NEW, show_default=False)] = None,
+    new_bitrate: Annotated[int | None, typer.Option(help=RATE, show_default=False)] = None,
+    board: Annotated[str | None, typer.Option(help=BOARD, show_default=False)] = None,
+    list_: Annotated[bool, typer.Option("--list", help=UNCONFIGURED)] = False,
+    interface: Interface = "socketcan",
+    bitrate: Bitrate = 1_000_000,
+    as_json: AsJson = False,
+) -> None:
+    """Set a board's node id and bit rate by LSS, and store them; they count from the next power-on.
+
+    Connect one board alone, or name one by --board. No executor may use the bus.
+
+    Example: hyperbit node-id can0 5 --board 0x21:0x2f1:0x10000:0x1a2b
+    """
+    if list_ == (new is not None or new_bitrate is not None):
+        raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
+    if new is not None and not 1 <= new < MASTER:
+        raise InputFaults(
+            Path("node-id"), [f"{new} is no node id of a board: 1 to {MASTER - 1} are ({MASTER}: master)"]
+        )
+    if new_bitrate is not None and new_bitrate not in BIT_TIMINGS:
+        rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
+        raise InputFaults(Path("--new-bitrate"), [f"{new_bitrate} is not one of {rates}"])
+    identity = None if board is None else parse_identity(board)
+    present = surveyed(channel, interface, bitrate, in_full=False)
+    if present.master_heard:
+        raise Failed(f"a master sends its heartbeat on {channel} (node {MASTER}): stop its executor first")
+    with opened(BusSettings(channel, interface, channel, bitrate)) as lss:
+        if list_:
+            show(lss.unconfigured(), channel, as_json)
+            return
+        if identity is None and len(present.found) > 1:
+            nodes = ", ".join(str(node.node) for node in present.found)
+            raise Failed(f"nodes {nodes} are on {channel}: connect one board alone, or name one by --board")
+        try:
+            told, old = lss.select(identity)
+            if new is not None and new != old:
+                refuse_taken(present, new, channel)
+            lss.configure(new, new_bitrate)
+        finally:
+            lss.release()
+    node, rate = new or old, new_bitrate or bitrate
+    if as_json:
+        print_json({"identity": str(told), "before": old, "node": node, "bitrate": rate})
+        return
+    before = "none" if old > MASTER else str(old)
+    typer.echo(f"board {told}: node id {node} (before: {before}) and {rate} bit/s are stored")
+    hint = f"switch its supply off and on, then: hyperbit probe {channel} --bitrate {rate}"
+    typer.echo(hint + (f" --interface {interface}" if interface != "socketcan" else ""))
+
+
+def parse_identity(text: str) -> Identity:
+    """Returns the identity in "VENDOR:PRODUCT:REVISION:SERIAL".
+
+    Raises:
+        InputFaults: it is not written so.
+    """
+    try:
+        numbers = [int(part, 0) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or not all(0 <= number < 1 << 32 for number in numbers):
+        form = "four numbers are needed, VENDOR:PRODUCT:REVISION:SERIAL, as in 0x21:0x2f1:0x10000:0x1a2b"
+        raise InputFaults(Path("--board"), [f"{text!r}: {form}"])
+    return Identity(*numbers)
+
+
+def refuse_taken(present: Survey, new: int, channel: str) -> None:
+    """Refuses a node id that another board has.
+
+    Raises:
+        Failed: it has.
+    """
+    if new in [node.node for node in present.found]:
+        raise Failed(f"node id {new} is taken on {channel}: hyperbit probe {channel} tells by which board")
+
+
+def show(found: list[Identity], channel: str, as_json: bool) -> None:
+    """Prints the boards without a node id."""
+    for one in found:
+        if as_json:
+            print_json(one._asdict())
+        else:
+            typer.echo(f"{one}  hyperbit node-id {channel} NODE --board {one}")
+    if not found and not as_json:
+        typer.echo(f"no board on {channel} lacks a node id; `hyperbit probe {channel}` finds those that have one")
+
+
+@contextlib.contextmanager
+def opened(settings: BusSettings) -> Iterator[Lss]:
+    """Opens a bus for LSS.
+
+    Raises:
+        Failed: the bus cannot be opened, or a board does not do as it is asked.
+    """
+    bus = CanBus(settings)
+    try:
+        bus.open()
+        yield Lss(over(bus))
+    except (BusError, Refused) as error:
+        raise Failed(f"{settings.name}: {error}") from None
+    finally:
+        bus.close()
