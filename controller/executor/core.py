@@ -105,7 +105,8 @@ class Executor:
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
-        self._guarded(self._conclude, on_bus(event, now), now)
+        if not (isinstance(event, Echoed) and self._master.collecting):  # one echo of many, with no news
+            self._guarded(self._conclude, on_bus(event, now), now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out:
             self._guarded(self._show, now)
         actions, self._actions = self._actions, []

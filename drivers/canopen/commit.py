@@ -48,6 +48,11 @@ class Commit:
         return bool(self._waiting or self._syncs)
 
     @property
+    def collecting(self) -> bool:
+        """Whether RPDOs are still on their way on each bus of the commit: nothing has switched by it."""
+        return bool(self._waiting) and not self._syncs
+
+    @property
     def unknown(self) -> bool:
         """Whether a SYNC is on its way."""
         return bool(self._syncs)

@@ -213,6 +213,11 @@ class Master:
         return self._commit.under_way or bool(self._verification.blocking)
 
     @property
+    def collecting(self) -> bool:
+        """Whether the commit waits for RPDOs to leave: the next that leaves brings no news but the last."""
+        return self._commit.collecting
+
+    @property
     def commit_failed(self) -> str | None:
         """Why the last commit failed, as a sentence; None if it did not. Nothing of it is sent later."""
         return self._commit.failed or self._verification.failed

@@ -26,7 +26,7 @@ class FakeMaster:
         self.up = self.answers = True
         self.back = False
         self.known = 0
-        self.booting = self.committing = False
+        self.booting = self.committing = self.collecting = False
         self.boots = (0,) * len(nodes)
         self.booted = 0
         self.boot_faults: list[Fault] = []
