@@ -152,6 +152,8 @@ class Modes:
         for fault in (*self._master.boot_faults, *self._motion.interlocks()):
             if self.faults.add(fault):
                 self._act(Log(logging.ERROR, f"{fault.code}: {fault.message}"))
+        for warning in self._master.warnings():
+            self._act(Log(logging.WARNING, f"{warning.code}: {warning.message}"))
         if self.faults:
             self._enter_fault(self.faults.sentence(), now)
         else:

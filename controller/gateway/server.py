@@ -98,7 +98,7 @@ class Server:
         self._prefix = f"hyperbit/{arm}"
         self._second, self._refusals, self._brake = 0, 0, FloodBrake()
         self._declared: list[Declared] = []
-        described = {**requests.description(), "daemon": {"host": socket.gethostname(), "pid": os.getpid()}}
+        daemon = {"host": socket.gethostname(), "pid": os.getpid()}
         self._command("stop", lambda _, reply: requests.stop(reply), everywhere=True)
         self._command("cancel", lambda _, reply: requests.cancel(reply), everywhere=True)
         self._command("reset", lambda _, reply: requests.reset(reply))
@@ -107,7 +107,7 @@ class Server:
         self._command("degrade", requests.degrade)
         self._command("obstacles", requests.obstacles)
         self._query("plan", self._well_formed(requests.plan))
-        self._query("arm", lambda _, reply: reply(described))
+        self._query("arm", lambda _, reply: reply({**requests.description(), "daemon": daemon}))
         requests.setpoints(self._latest("setpoint"))
         if tracker:
             requests.measured_tips(self._latest("measured_tip"))

@@ -201,8 +201,10 @@ class Planning:
         return self._diagnostics.diagnostics()
 
     def description(self) -> Payload:
-        """Returns the payload of `arm`."""
-        return self._description
+        """Returns the payload of `arm`; `limits` are sentences on what its boards cannot do."""
+        state = self._monitor.state
+        faults = () if state is None else state.snapshot.faults
+        return {**self._description, "limits": [fault.message for fault in faults if fault.code == "board-limits"]}
 
     def _queues(self) -> dict[str, int]:
         waiting = self._link.waiting + self._clearance.waiting()

@@ -41,7 +41,7 @@ class Board:
         emergency: code of its last emergency; None if there is none or it is over.
         guarded: whether it is supervised by node guarding.
         ignored_errors: bits of its error register that stand for no fault.
-        warnings: what a person should know of it, as of its last boot.
+        warnings: what a person should know of it, as of its last boot, without its name.
         expected: what its objects hold since then.
 
     Args:

@@ -28,7 +28,7 @@ class Inspection:
     Attributes:
         layout: its wiring.
         quirk: what is special about it.
-        warnings: what a person should know; a sentence each.
+        warnings: what a person should know of the board; a sentence each, without its name.
         held: values read or written, by index and sub-index.
         needs: that must be met, in the order of writing; PDOs and error mode are apart.
         error_mode: needs that must be met once the board is operational.
@@ -66,8 +66,8 @@ class Inspection:
 
     def warn(self, text: str) -> None:
         """Adds a warning."""
-        if (sentence := f"board {self.name}: {text}") not in self.warnings:
-            self.warnings.append(sentence)
+        if text not in self.warnings:
+            self.warnings.append(text)
 
 
 Reading = Generator[Step, Outcome, None]

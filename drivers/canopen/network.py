@@ -95,9 +95,9 @@ class Network:
         return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
 
     def warnings(self) -> tuple[Fault, ...]:
-        """Returns what is to be known of boards that are up."""
-        boards = [station.board for station in self.stations if station.board.ready]
-        return tuple(Fault("board-limits", board.name, text) for board in boards for text in board.warnings)
+        """Returns what is to be known of boards that are up, a fault for each."""
+        boards = [station.board for station in self.stations if station.board.ready and station.board.warnings]
+        return tuple(Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards)
 
     def rearm(self) -> dict[str, Fault]:
         """Arms all buses; returns a fault for each that is not usable, by its name."""

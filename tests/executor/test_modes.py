@@ -1,5 +1,7 @@
 """Modes: cancel, halt, reset, faults, recovery, locks and the end."""
 
+import logging
+
 import pytest
 
 from controller.executor.actuation import BUSY_FOR
@@ -115,6 +117,15 @@ def test_one_that_fails_again_is_tried_once_a_second(rig: Rig) -> None:
     rig.go(10 * RETRY)
     assert rig.mode == "fault"
     assert 5 <= rig.master.booted - boots <= 10
+
+
+def test_what_boards_cannot_do_is_in_the_journal_after_each_boot(rig: Rig) -> None:
+    limit = Fault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
+    rig.master.warnings = lambda: (limit,)
+    rig.send(Halt(1))
+    rig.send(Reset(2))
+    rig.go(3 * PERIOD)
+    assert (rig.mode, (logging.WARNING, f"board-limits: {limit.message}") in rig.logged) == ("ready", True)
 
 
 def test_faults_of_a_boot_are_told_at_its_end(rig: Rig) -> None:

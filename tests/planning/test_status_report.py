@@ -2,6 +2,7 @@
 
 import pytest
 
+from controller.program import Fault
 from tests.planning.conftest import Desk
 from tests.planning.executor import Inbox
 from tests.waiting import eventually
@@ -20,6 +21,14 @@ def test_state_and_diagnostics_tell_what_they_did(desk: Desk) -> None:
     assert keys <= told.keys()
     assert (told["ledger"], told["queues"]) == ("ok", {"inbox": 0, "planning": 0})
     assert desk.planning.description()["name"] == "small"
+
+
+def test_the_description_tells_what_boards_cannot_do(desk: Desk) -> None:
+    assert desk.planning.description()["limits"] == []
+    limit = Fault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
+    desk.executor.show(faults=(limit, Fault("bus-passive", "can0", "can0 is error-passive")))
+    eventually(lambda: desk.planning.description()["limits"])
+    assert desk.planning.description()["limits"] == [limit.message]
 
 
 def test_a_lost_executor_is_told(desk: Desk) -> None:

@@ -50,8 +50,8 @@ def test_it_boots_and_switches_or_is_refused_in_words(case):
         assert world.switches() == at_rest
         return
     warnings = [warning.message for warning in world.master.warnings()]
-    assert len(warnings) == len(case.warned), warnings
-    assert all(words in text for words, text in zip(case.warned, warnings, strict=True)), warnings
+    assert len(warnings) == bool(case.warned), warnings  # one for a board
+    assert all(words in warnings[0] for words in case.warned), warnings
     assert world.switches() == at_rest, "a boot switches nothing"
     for states in ((1, 1), (0, 1), (1, 0), (0, 0)):
         world.commit(*states)
