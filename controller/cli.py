@@ -86,6 +86,7 @@ COMMANDS = {
         "node_id",
         "Set a board's node id and bit rate by LSS, and store them; they count from the next power-on.",
     ),
+    "board": Entry("board", "board", "Read the errors of one board, or reset it, while the arm's executor is stopped."),
     "wear": Entry("health", "wear", "Say how often each actuator has switched, and how goals ended."),
     "calibrate": Entry(
         "calibrate",

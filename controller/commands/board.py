@@ -1,0 +1,124 @@
+"""The command that looks after one board of an arm without its executor: board."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from controller.actuators import read_wired
+from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.probe import errors
+from controller.program import VERSION, Hello, encode
+from controller.settings import ArmSettings
+from controller.sockets import found_sockets, socket_path
+from controller.strict import InputFaults
+from drivers.canopen.faults import BusError
+from drivers.canopen.node_reset import reset_node
+from drivers.canopen.survey import Survey, survey
+from drivers.canopen.wiring import MASTER, BusSettings
+
+ANSWER_WITHIN = 1.0  # [s]
+BOARD = "As in can0/5."
+ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; the outputs go off, actuators may move."
+SOCKET = "Of the arm's executor, or its folder: where to look whether it runs."
+
+
+def board(
+    file: ArmFile,
+    name: Annotated[str, typer.Argument(metavar="BOARD", help=BOARD, show_default=False)],
+    action: Annotated[Literal["errors", "reset"], typer.Argument(help=ACTION, show_default=False)],
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a reset.")] = False,
+    socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Read the errors of one board, or reset it, while the arm's executor is stopped.
+
+    Example: hyperbit board my-arm.yaml can0/5 errors
+    """
+    settings, _, wired = read_wired(file)
+    places = {f"{entry.bus}/{entry.node}" for entry in wired}
+    places |= {f"{lock.bus}/{lock.node}" for lock in settings.interlocks.values()}
+    if name not in places:
+        known = ", ".join(sorted(places, key=lambda place: (place.partition("/")[0], int(place.partition("/")[2]))))
+        raise InputFaults(Path("board"), [f"{name!r} is no board of {file}, which has {known}"])
+    refuse_running(settings.name, socket)
+    bus_name, _, node = name.partition("/")
+    [bus] = [BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses if b.name == bus_name]
+    try:
+        found = survey(bus, [int(node)])
+        if found.fault is not None:
+            raise Failed(found.fault.message)
+        if found.master_heard:
+            raise Failed(f"a master sends its heartbeat on {bus_name} (node {MASTER}): stop its executor first")
+        if action == "errors":
+            show_errors(found, name, as_json)
+        else:
+            reset(settings, bus, name, yes, as_json)
+    except BusError as error:
+        raise Failed(str(error)) from None
+
+
+def show_errors(found: Survey, name: str, as_json: bool) -> None:
+    """Prints error register and error history of the one board that was asked.
+
+    Raises:
+        Failed: it does not answer.
+    """
+    if not found.found or not found.found[0].answers:
+        raise Failed(f"board {name} does not answer: is it powered, and is its node id right?")
+    it = found.found[0]
+    if as_json:
+        history = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
+        print_json({"board": name, "register": it.numbers.get((0x1001, 0)), "history": history})
+        return
+    for line in errors(it):
+        typer.echo(line)
+
+
+def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json: bool) -> None:
+    """Resets a board and prints when it has booted.
+
+    Raises:
+        Failed: it does not boot, or nobody wants it to.
+    """
+    question = f"Board {name} switches its outputs off when it is reset: its actuators may move. Go on?"
+    if not yes and not typer.confirm(question, err=True):
+        raise Failed("nothing was reset")
+    patience = settings.boards.boot_timeout
+    it = reset_node(bus, int(name.rpartition("/")[2]), patience)
+    if it.fault is not None:
+        raise Failed(it.fault.message)
+    if it.booted_after is None:
+        raise Failed(f"board {name} sent no boot-up message within {patience:g} s (boards.boot_timeout)")
+    if as_json:
+        print_json({"board": name, "booted_after": it.booted_after})
+    else:
+        typer.echo(f"board {name} has booted after {it.booted_after:.2f} s; it is pre-operational")
+
+
+def refuse_running(arm: str, path: Path | None) -> None:
+    """Refuses while an executor runs on an arm: it would be disturbed.
+
+    Raises:
+        Failed: one does.
+    """
+    for own in dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]):
+        if answers(own, arm):
+            raise Failed(f"the executor of {arm} runs (it answers at {own}): stop it first, it would be disturbed")
+
+
+def answers(path: Path, arm: str) -> bool:
+    """Returns whether the executor of an arm answers at a socket."""
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+            connection.settimeout(ANSWER_WITHIN)
+            connection.connect(str(path))
+            connection.send(encode(Hello(VERSION, "operator", arm)))
+            return bool(connection.recv(1))
+    except TimeoutError:
+        return True  # it has the connection, and is slow
+    except OSError:
+        return False

@@ -1,0 +1,121 @@
+"""The command board on simulated boards, over python-can's virtual bus."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+import yaml
+
+from controller.executor.arm import read_arm
+from controller.program import Goodbye, Welcome, encode
+from drivers.simulation.simulation import Simulation
+from tests.commands.conftest import ARM
+
+
+@pytest.fixture
+def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """An arm's file whose bus is virtual."""
+    document = yaml.safe_load(ARM.read_text())
+    document["buses"][0] |= {"interface": "virtual", "channel": request.node.name}
+    document["boards"]["boot_timeout"] = 60
+    path = tmp_path / "arm.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+@pytest.fixture
+def boards(arm: Path) -> Iterator[Simulation]:
+    read = read_arm(arm)
+    simulation = Simulation(read.wiring, read.timing)
+    simulation.start()
+    yield simulation
+    simulation.stop()
+
+
+@pytest.fixture
+def board(hyperbit, arm, tmp_path):
+    """Runs the command on an arm without an executor."""
+    return lambda *words: hyperbit("board", str(arm), *words, "--socket", str(tmp_path))
+
+
+def test_errors_are_read(board, boards):
+    boards.fault("error", "can0/5", "2320")
+    code, out, err = board("can0/5", "errors")
+    assert (code, err) == (0, "")
+    first, second, third = out.splitlines()
+    assert (first[:9], second) == ("1001h = 0", "1003h: 1 entries")
+    assert third.endswith("2320h output short circuit (2320h)")
+    code, out, _ = board("can0/5", "errors", "--json")
+    told = json.loads(out)
+    assert (code, told["board"], told["history"][0] & 0xFFFF) == (0, "can0/5", 0x2320)
+
+
+def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, monkeypatch):
+    with boards.board("can0/5") as it:
+        it.objects.put(0x1017, 0, 777)
+    monkeypatch.setattr("typer.confirm", lambda question, err: "its actuators may move" in question and False)
+    code, _, err = board("can0/5", "reset")
+    assert (code, "nothing was reset" in err) == (1, True)
+    with boards.board("can0/5") as it:
+        assert it.objects.number(0x1017) == 777
+    code, out, _ = board("can0/5", "reset", "--yes")
+    assert (code, out.startswith("board can0/5 has booted after ")) == (0, True)
+    with boards.board("can0/5") as it, boards.board("can0/6") as other:
+        assert it.objects.number(0x1017) == 0
+        assert other.objects.number(0x1000)
+
+
+def test_a_board_that_is_not_there_is_told(board, arm):
+    arm.write_text(arm.read_text().replace("boot_timeout: 60", "boot_timeout: 0.2"))
+    code, _, err = board("can0/5", "errors")
+    assert (code, "board can0/5 does not answer" in err) == (1, True)
+    code, _, err = board("can0/5", "reset", "--yes")
+    assert (code, "no boot-up message within 0.2 s (boards.boot_timeout)" in err) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [(("can0/99", "errors"), "'can0/99' is no board of"), (("can0/5", "restart"), "'restart' is not one of")],
+)
+def test_what_is_not_there_is_unusable_input(board, words, sentence):
+    code, _, err = board(*words)
+    assert (code, sentence in err) == (2, True), err
+
+
+@pytest.mark.parametrize("action", ["errors", "reset"])
+@pytest.mark.parametrize("answer", [Welcome(1, "planar16", "", 1, (), 0), Goodbye("of another version")])
+def test_nothing_is_done_while_the_executor_runs(board, arm, tmp_path, action, answer):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as server:
+        server.bind(str(tmp_path / "planar16.sock"))
+        server.listen()
+
+        def serve() -> None:
+            client, _ = server.accept()
+            with client:
+                client.recv(65_536)
+                client.send(encode(answer))
+
+        threading.Thread(target=serve, daemon=True).start()
+        code, _, err = board("can0/5", action, "--yes")
+    assert (code, "the executor of planar16 runs" in err) == (1, True)
+
+
+def test_a_socket_that_nobody_serves_does_not_count(board, boards, tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as old:
+        old.bind(str(tmp_path / "planar16.sock"))
+    assert board("can0/5", "errors")[0] == 0
+
+
+def test_nothing_is_done_while_a_master_is_on_the_bus(board, boards, request):
+    with can.Bus(interface="virtual", channel=request.node.name) as bus:
+        message = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
+        task = bus.send_periodic(message, 0.05)
+        code, _, err = board("can0/5", "reset", "--yes")
+        task.stop()
+    assert (code, "stop its executor first" in err) == (1, True)
