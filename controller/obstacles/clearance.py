@@ -63,6 +63,23 @@ class Clearance:
             return f"module {module + 1} is in {self.regions.names[region]}"
         return f"modules {other + 1} and {module + 1} touch"
 
+    def buried(self, point: Array, tolerance: float) -> bool:
+        """Returns whether a tip within a distance of a point (3,) in the world is inside an obstacle for certain.
+
+        That is certain only of last modules whose bodies contain the tip in every state.
+        """
+        if (self.regions.depths(point) > self.radius - tolerance).all():
+            return False
+        last = self.manipulator.modules[-1]
+        for frame, lines in zip(last.frames, last.body, strict=True):
+            along = lines[:, 1] - lines[:, 0]
+            length = np.maximum((along**2).sum(axis=1), 1e-300)
+            share = np.clip(((frame[:3, 3] - lines[:, 0]) * along).sum(axis=1) / length, 0.0, 1.0)
+            away = np.linalg.norm(lines[:, 0] + share[:, None] * along - frame[:3, 3], axis=1)
+            if away.min() > ROUNDING * self.manipulator.length / 2:
+                return False
+        return True
+
     def touching(self, configurations: Index) -> Index:
         """Returns module, region and other module that touch first in configurations (n, B), or -1 each; (n, 3)."""
         arm, regions = self.manipulator, self.regions

@@ -9,10 +9,10 @@ point: the sine of the angle in the plane, three elsewhere.
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int32, int64, njit, uint8
+from numba import float64, int32, njit, uint8
 from numpy.typing import NDArray
 
-from controller.search.frame_rows import SIDE, Side, named
+from controller.search.frame_rows import F1, F2, I1, SIDE, Side, named
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
@@ -59,22 +59,7 @@ class Index(NamedTuple):
     side: Side
 
 
-INDEX = named(
-    Index,
-    float64[:, ::1],
-    float64[::1],
-    int32[::1],
-    int32[::1],
-    uint8[::1],
-    float64[::1],
-    float64[::1],
-    float64[::1],
-    int64[::1],
-    float64,
-    float64,
-    float64,
-    SIDE,
-)
+INDEX = named(Index, F2, F1, int32[::1], int32[::1], uint8[::1], F1, F1, F1, I1, float64, float64, float64, SIDE)
 
 
 class Cells:
@@ -124,10 +109,8 @@ class Cells:
         if most_cost > least:
             bounds += np.arange(256) * ((most_cost - least) / (NOTHING - 1))
         bounds[NOTHING] = np.inf
-        count = sort_into_cells(
-            points, side.costs, size, radius, most, self._starts, self._cells, near, bounds, grid, strides
-        )
-        put_into_cells(points, side.costs, self._starts, self._cells, self._order, own, costs)
+        given, table = (points, side.costs, size, radius, most, bounds), (self._starts, near, grid, strides)
+        count = sort_into_cells(*given, self._cells, *table, self._order, own, costs)
         starts, order = self._starts[: count + 2], self._order[:n]
         return Index(
             own, costs, starts, order, near, bounds, grid[:6], grid[6:12], strides, float(grid[12]), turns, least, side
@@ -154,7 +137,8 @@ def write_points(frames: Array, turns: float, points: Array) -> None:
 
 
 @njit(
-    "i8(f8[:,::1], f8[::1], i8, f8, f8, i4[::1], i4[::1], u1[::1], f8[::1], f8[::1], i8[::1])",
+    "i8(f8[:,::1], f8[::1], i8, f8, f8, f8[::1],"
+    " i4[::1], i4[::1], u1[::1], f8[::1], i8[::1], i4[::1], f8[:,::1], f8[::1])",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -165,14 +149,17 @@ def sort_into_cells(
     size: int,
     radius: float,
     most: float,
-    starts: Index32,
-    cells: Index32,
-    near: NDArray[np.uint8],
     bounds: Array,
+    cells: Index32,
+    starts: Index32,
+    near: NDArray[np.uint8],
     grid: Array,
     strides: NDArray[np.int64],
+    order: Index32,
+    points: Array,
+    prices: Array,
 ) -> int:
-    """Counts points into cells at least two radii wide; returns the number of cells.
+    """Sorts points into cells at least two radii wide; returns the number of cells.
 
     Args:
         rows: each begins with a point's coordinates, shape (n, ...).
@@ -180,12 +167,15 @@ def sort_into_cells(
         size: how many coordinates a point has, at most 6.
         radius: of the distances to be asked for.
         most: most cells.
-        starts: written: where each cell's points end, shape (cells + 2,).
-        cells: written: the cell of each point, shape (n,).
-        near: written unless of shape (1,), see Index.
         bounds: of the levels, see Index.
-        grid: written: the least corner (6,), cells along each coordinate but for one (6,), cells per unit of length.
-        strides: written, see Index.
+        cells: room, shape (n,).
+        starts: written, shape (cells + 2,); this and the rest: see Index.
+        near: written unless of shape (1,).
+        grid: written: origin (6,), shape (6,), per.
+        strides: written.
+        order: written.
+        points: written.
+        prices: costs, written.
     """
     low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
     for a in range(size):
@@ -234,33 +224,10 @@ def sort_into_cells(
                 near[other] = min(near[other], level)
     for c in range(count + 1):
         starts[c + 1] += starts[c]
-    return count
-
-
-@njit(
-    "void(f8[:,::1], f8[::1], i4[::1], i4[::1], i4[::1], f8[:,::1], f8[::1])",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def put_into_cells(
-    rows: Array, costs: Array, starts: Index32, cells: Index32, order: Index32, points: Array, prices: Array
-) -> None:
-    """Copies points and costs in the order of their cells, after sort_into_cells; `starts` are then starts.
-
-    Args:
-        rows: see sort_into_cells.
-        costs: of the rows, shape (n,).
-        starts: see sort_into_cells.
-        cells: see sort_into_cells.
-        order: written: the row of each point, shape (n,).
-        points: written, as many coordinates as were sorted by, shape (n, ...).
-        prices: written, shape (n,).
-    """
     for n in range(len(rows) - 1, -1, -1):
-        c = cells[n]
-        starts[c] -= 1
-        at = starts[c]
+        starts[cells[n]] -= 1
+        at = starts[cells[n]]
         order[at], prices[at] = n, costs[n]
-        for a in range(points.shape[1]):
+        for a in range(size):
             points[at, a] = rows[n, a]
+    return count

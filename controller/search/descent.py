@@ -7,7 +7,7 @@ from numba import float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Manipulator
-from controller.search.frame_rows import named
+from controller.search.frame_rows import F1, F2, F3, F4, I1, I2, named
 from controller.search.scene import Scene, for_scenes, hits, stand
 from controller.workspace.densities import Densities
 
@@ -40,8 +40,8 @@ class Levels(NamedTuple):
 
 
 POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
-TABLES = named(Tables, float64[:, :, :, ::1], float64[:, :, ::1], int64[::1])
-LEVELS = named(Levels, float32[::1], int64[::1], int64[:, ::1], float64[:, ::1], float64[::1])
+TABLES = named(Tables, F4, F3, I1)
+LEVELS = named(Levels, float32[::1], I1, I2, F2, F1)
 
 
 def tables_of(manipulator: Manipulator) -> Tables:
@@ -76,9 +76,7 @@ def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
 
 
 @njit(
-    for_scenes(
-        lambda scene: POINT(float64[::1], TABLES, LEVELS, float64[:, ::1], float64[::1], int64, int64[::1], scene)
-    ),
+    for_scenes(lambda scene: POINT(F1, TABLES, LEVELS, F2, F1, int64, I1, scene)),
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -147,20 +145,7 @@ def descend(
 
 
 @njit(
-    for_scenes(
-        lambda scene: int64(
-            float64[::1],
-            TABLES,
-            LEVELS,
-            float64[:, ::1],
-            float64,
-            int64,
-            int64[:, ::1],
-            float64[:, ::1],
-            float64[::1],
-            scene,
-        )
-    ),
+    for_scenes(lambda scene: int64(F1, TABLES, LEVELS, F2, float64, int64, I2, F2, F1, scene)),
     cache=True,
     nogil=True,
     error_model="numpy",

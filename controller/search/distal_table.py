@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.descent import TABLES, Tables
-from controller.search.frame_rows import named
+from controller.search.frame_rows import F1, F2, F3, I1, named
 from controller.search.scene import Scene, blocked, for_scenes, stand
 
 Array = NDArray[np.float64]
@@ -64,21 +64,10 @@ class Wanted(NamedTuple):
     weight: float
 
 
-DISTAL = named(
-    DistalTable,
-    int64,
-    int64,
-    float64[:, ::1],
-    float64[:, :, ::1],
-    float64,
-    float64[::1],
-    int64[::1],
-    int64[::1],
-    int64[::1],
-)
+DISTAL = named(DistalTable, int64, int64, F2, F3, float64, F1, I1, I1, I1)
 TRIPLE: Any = types.Tuple((int64, float64, float64))  # type: ignore[no-untyped-call]
 PAIR: Any = types.Tuple((float64, boolean))  # type: ignore[no-untyped-call]
-WANTED = named(Wanted, float64[:, ::1], float64, float64, float64)
+WANTED = named(Wanted, F2, float64, float64, float64)
 
 
 @lru_cache(maxsize=2)  # planning and following share it
@@ -127,9 +116,7 @@ def lowest(states: Index, top: int, most: int) -> int:
 
 
 @njit(
-    for_scenes(
-        lambda scene: TRIPLE(float64[::1], WANTED, float64, float64, DISTAL, float64[:, ::1], int64[::1], scene)
-    ),
+    for_scenes(lambda scene: TRIPLE(F1, WANTED, float64, float64, DISTAL, F2, I1, scene)),
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -219,7 +206,7 @@ def carried_back(rotation: Array, other: Array) -> Array:
 
 
 @njit(
-    for_scenes(lambda scene: PAIR(float64[::1], WANTED, float64, DISTAL, float64[:, ::1], TABLES, int64[::1], scene)),
+    for_scenes(lambda scene: PAIR(F1, WANTED, float64, DISTAL, F2, TABLES, I1, scene)),
     cache=True,
     nogil=True,
     error_model="numpy",

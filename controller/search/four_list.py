@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells, Index
 from controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
-from controller.search.incumbent import Incumbent
 from controller.search.matching import Span
-from controller.search.segment import Segment, Storage, build_segment, step
+from controller.search.segment import Segment, Sets, build_segment, room, step
+from controller.search.solution import Incumbent
 from controller.search.target import Target
 from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
 
@@ -54,8 +54,8 @@ class FourList:
         count, size = len(self._states), coordinates(self._motions)
         first, second = middle(manipulator, 0, cut), middle(manipulator, cut, count)
         self._ends = ((0, first), (first, cut), (cut, second), (second, count))
-        self._storages = [Storage(rows(manipulator, *ends, ROWS), self._motions.shape[1]) for ends in self._ends]
-        self._above, self.below = (Cells(self._storages[k].rows, size) for k in (3, 0))
+        self._rows = [room(rows(manipulator, *ends, ROWS), self._motions.shape[1]) for ends in self._ends]
+        self._above, self.below = (Cells(len(self._rows[k].costs), size) for k in (3, 0))
         self._key: tuple[NDArray[np.generic], ...] = ()
         self._sorted: tuple[float, ...] = ()
         self.a: Side  # of the first quarter; frames lead back
@@ -66,8 +66,8 @@ class FourList:
 
     def claim(self) -> None:
         """Has the system hand out all memory now, not in the middle of a search with a deadline."""
-        for storage in self._storages:
-            storage.claim()
+        for quarter in self._rows:
+            quarter.claim()
         self._above.claim()
         self.below.claim()
         self._key = self._sorted = ()
@@ -83,8 +83,8 @@ class FourList:
             return
         self._key, self._sorted = (), ()  # until it is done
         parts = [
-            build_segment(self._motions, self._states, storage, seed, costs, costs, *ends)
-            for storage, ends in zip(self._storages, self._ends, strict=True)
+            build_segment(Sets(self._motions, self._states, seed, costs, costs), quarter, *ends)
+            for quarter, ends in zip(self._rows, self._ends, strict=True)
         ]
         a, b, c, self.d = (by_cost(part) for part in parts)
         self.a, self.b, self.c = back(a), (b, back(b)), (c, back(c))

@@ -11,6 +11,10 @@ from controller.manipulator.manipulator import Manipulator
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
 
+# numba's names of arrays, by kind and dimensions, C-contiguous.
+F1, F2, F3, F4, F5 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1]
+I1, I2 = int64[::1], int64[:, ::1]
+
 
 def named(kind: type, *parts: Any) -> Any:
     """Returns numba's type of a NamedTuple with fields of these types."""
@@ -41,7 +45,7 @@ class Side(NamedTuple):
     choices: Index32
 
 
-SIDE = named(Side, float64[:, ::1], float64[::1], int64[::1], int64, int64, int32[::1], int32[::1], int32[::1])
+SIDE = named(Side, F2, F1, I1, int64, int64, int32[::1], int32[::1], int32[::1])
 NO_ROWS = np.zeros(1, dtype=np.int32)
 
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.search.cells import INDEX, Index, write_point
-from controller.search.frame_rows import SIDE, Side, compose, named
-from controller.search.incumbent import EPSILON
+from controller.search.frame_rows import F1, F2, I1, I2, SIDE, Side, compose, named
 from controller.search.scene import Scene, collides, for_scenes
+from controller.search.solution import EPSILON
 from controller.search.target import QUERY, Query, reaches
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Found(NamedTuple):
     squares: Array
 
 
-FOUND = named(Found, int64[:, ::1], float64[::1], float64[::1])
+FOUND = named(Found, I2, F1, F1)
 
 
 class Span(NamedTuple):
@@ -64,12 +64,7 @@ class Span(NamedTuple):
 SPAN = named(Span, int64, int64, int64, int64, float64, float64)
 
 
-def whole(outer: Side, inner: Side) -> Span:
-    """Returns the span of everything."""
-    return Span(0, len(outer.costs), 0, len(inner.costs), -np.inf, np.inf)
-
-
-@njit(types.void(int64[::1], int64[::1], SIDE, int64), cache=True, nogil=True)
+@njit(types.void(I1, I1, SIDE, int64), cache=True, nogil=True)
 def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
     """Puts the states of a side's row `n` among those of the arm (B,); the side continues the seed (B,)."""
     for i in range(side.first, side.last):
@@ -80,7 +75,7 @@ def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
         row = side.parents[row]
 
 
-@njit(float64(float64[:, ::1], int64, float64[:, ::1], int64), cache=True, nogil=True, inline="always")
+@njit(float64(F2, int64, F2, int64), cache=True, nogil=True, inline="always")
 def chord(a: Array, i: int, b: Array, j: int) -> float:
     """Returns the squared chord between the rotations of frames a[i] and b[j]: half the sum of squared differences."""
     total = 0.0
@@ -103,7 +98,7 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     size = (3 if planar else 6) if posed else place
 
     @njit(
-        for_scenes(lambda scene: types.void(SIDE, SIDE, INDEX, SPAN, QUERY, int64[::1], scene, FOUND)),
+        for_scenes(lambda scene: types.void(SIDE, SIDE, INDEX, SPAN, QUERY, I1, scene, FOUND)),
         cache=True,
         nogil=True,
         error_model="numpy",
@@ -228,15 +223,6 @@ KERNELS: dict[tuple[bool, bool], Any] = {
 }
 
 
-def match(
-    outer: Side,
-    inner: Side,
-    index: Index,
-    span: Span,
-    query: Query,
-    seed: Configuration,
-    scene: Scene | None,
-    found: Found,
-) -> None:
-    """Writes the cheapest matches of a span to `found`, see kernel; the index decides between positions and poses."""
-    KERNELS[outer.frames.shape[1] == 4, index.turns > 0.0](outer, inner, index, span, query, seed, scene, found)
+def match(outer: Side, inner: Side, index: Index, *rest: Any) -> None:
+    """Calls the kernel for these sides; the index decides between positions and poses."""
+    KERNELS[outer.frames.shape[1] == 4, index.turns > 0.0](outer, inner, index, *rest)

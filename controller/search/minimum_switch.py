@@ -5,31 +5,33 @@ answer, if the lists yield no proof; four lists, which prove what two lists leav
 around the incumbent, while time is left.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.criteria import distances
 from controller.search.four_list import FourList, Proof
-from controller.search.hull import Hull
-from controller.search.incumbent import Incumbent
-from controller.search.nearest import Nearest
+from controller.search.frame_rows import motions
+from controller.search.method import distances
 from controller.search.paths import Paths
 from controller.search.scene import collides
-from controller.search.target import Target, search_radius
-from controller.search.two_list import TwoList
+from controller.search.segment import Sets, build_segment, room
+from controller.search.solution import Incumbent
+from controller.search.target import Hull, Target, search_radius
+from controller.search.two_list import TwoList, rows
 
 Array = NDArray[np.float64]
 
 NEAR = 1 << 14  # rows of a half, for a beginning
-WIDE = 1 << 16  # for what the near lists leave out
+WIDE = 1 << 16  # for what the near lists leave out, if the incumbent costs not much more
 LADDER = (NEAR, WIDE, 1 << 18)  # rows of lists around the incumbent
+GRID = {2: 256, 3: 32}  # near pairs are looked for within the points' extent over so many
 BEAMS = (32, 128, 512)  # widths, the next if there is time
-FAR = 1.0, 1.2  # of what near lists leave out in both halves: beams come before the proof of what costs more
+FAR = 1.0, 1.2  # times what the near lists leave out in both halves: beam searches precede a proof of what costs more
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,8 @@ class MinimumSwitch:
             proof.add(near, (0.0, 0.0), starts, incumbent.cost)
         proof.run(incumbent)
         if not incumbent.over and proof.rest == sum(starts) and incumbent.bound >= proof.rest:
-            self._list(problem.seed, problem.costs, problem.costs, WIDE)
+            most = WIDE if incumbent.cost <= FAR[1] * proof.rest else LADDER[-1]
+            self._list(problem.seed, problem.costs, problem.costs, most)
             proof.add(wide, starts, (starts[0], wide.upper.beyond), incumbent.cost)
             proof.run(incumbent)
 
@@ -197,7 +200,7 @@ class MinimumSwitch:
 
     def _beams(self, problem: Problem, incumbent: Incumbent) -> None:
         """Offers what wider beam searches find, and halves around it."""
-        began, seconds = time.perf_counter(), 0.0
+        seconds = 0.0
         for width in BEAMS[1:]:
             if incumbent.settled or incumbent.left() < seconds:
                 break
@@ -215,8 +218,8 @@ class MinimumSwitch:
         """Lists the wide halves, and notes how long a row takes, with room."""
         began = time.perf_counter()
         self._wide.list(seed, distances, costs, most)
-        rows = len(self._wide.lower.costs) + len(self._wide.upper.costs)
-        self._row_time = 4.0 * (time.perf_counter() - began) / rows
+        count = len(self._wide.lower.costs) + len(self._wide.upper.costs)
+        self._row_time = 4.0 * (time.perf_counter() - began) / count
 
     def _wander(self, problem: Problem, incumbent: Incumbent, most: int) -> None:
         """Matches halves around the incumbent again and again, until it is the best near itself."""
@@ -227,3 +230,61 @@ class MinimumSwitch:
             self._wide.match(problem.target, incumbent)
             if incumbent.cost >= cost:
                 break
+
+
+class Nearest:
+    """Brings the tip nearer from a configuration on, by changes of few actuators at a time.
+
+    Args:
+        manipulator: the arm.
+        two: memory that may be overwritten.
+    """
+
+    def __init__(self, manipulator: Manipulator, two: TwoList) -> None:
+        self._m, self._motions, self._two = manipulator, motions(manipulator), two
+        self._free = np.zeros(manipulator.bits.shape[:2])
+        self._rows = room(rows(manipulator, 0, len(manipulator.modules), NEAR), self._motions.shape[1])
+
+    def claim(self) -> None:
+        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+        self._rows.claim()
+
+    def improve(self, target: Target, incumbent: Incumbent) -> None:
+        """Offers nearer configurations to an incumbent of infinite cost until its time is over, nearly."""
+        seconds = 0.0
+        while incumbent.left() > 1.5 * seconds:
+            began, before = time.perf_counter(), incumbent.square
+            self._change(target, incumbent)
+            self._pair(target, incumbent)
+            seconds = time.perf_counter() - began
+            if incumbent.square >= before * (1 - 1e-9):
+                break
+
+    def _change(self, target: Target, incumbent: Incumbent) -> None:
+        """Offers the nearest of all that differ in few actuators, wherever they are."""
+        seed = incumbent.configuration
+        away = distances(self._m, seed)
+        count = len(self._m.modules)
+        sets = Sets(self._motions, self._m.states, seed, away, self._free)
+        segment = build_segment(sets, self._rows, 0, count)
+        squares = target.squares(segment.frames)
+        nearer = np.flatnonzero(squares < incumbent.square)
+        for row in nearer[np.argsort(squares[nearer])].tolist():
+            configuration = seed.copy()
+            segment.write(row, configuration)
+            if target.scene is None or not collides(target.scene, configuration):
+                incumbent.offer(configuration, np.inf, float(squares[row]))
+                return
+
+    def _pair(self, target: Target, incumbent: Incumbent) -> None:
+        """Offers the nearest of all that differ in few actuators of either half, if it is very near."""
+        two, size = self._two, self._m.dimension
+        two.list(incumbent.configuration, distances(self._m, incumbent.configuration), self._free, NEAR)
+        extent = float(np.ptp(two.upper.frames[:, :size], axis=0).max())
+        within = min(float(np.sqrt(incumbent.square)), extent / GRID[size])
+        if within == 0.0:
+            return
+        near = Incumbent(incumbent.configuration, incumbent.until)
+        near.offer(incumbent.configuration, 0.0, incumbent.square)
+        two.match(replace(target, tolerance=within, turn=math.inf), near)
+        incumbent.offer(near.configuration, np.inf, near.square)

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search import criteria
 from controller.search.descent import beam_search, descend, levels_of, tables_of
 from controller.search.distal_table import Wanted, build_distal_table, finish
-from controller.search.incumbent import Incumbent
-from controller.search.method import PaperMethod
+from controller.search.method import PaperMethod, Penalties, contraction, indifferent, mean_cost, similarity
 from controller.search.scene import Scene
+from controller.search.solution import Incumbent
 from controller.search.target import Target
 from controller.workspace.densities import Densities
 
@@ -37,7 +36,7 @@ class Paths:
         self.densities = densities
         self.table = build_distal_table(manipulator)
         self._arm, self._levels = tables_of(manipulator), levels_of(densities)
-        self._edge = edge(densities)
+        self._edge = densities.edge()
 
     def follow(self, target: Target, previous: Configuration, method: PaperMethod) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, else the nearest seen.
@@ -54,11 +53,11 @@ class Paths:
         most = least = np.inf if target.scene is None else within_squares(target)
         if method == "pop":
             aim, ladder = replace(target, tolerance=0.0), (np.inf,)  # the nearest
-            penalties = criteria.indifferent(self.manipulator)
+            penalties = indifferent(self.manipulator)
         elif method == "ipop-previous":
-            penalties = criteria.similarity(self.manipulator, previous)
+            penalties = similarity(self.manipulator, previous)
         else:
-            penalties = criteria.contraction(self.manipulator)
+            penalties = contraction(self.manipulator)
         for enough in ladder:
             configuration, square, within = self._descend(aim, penalties, enough, most)
             if square < least or within:
@@ -72,7 +71,7 @@ class Paths:
             best = configuration if square < np.inf else self._around(aim, penalties, best, np.inf)[0]
         return best
 
-    def widen(self, target: Target, costs: criteria.Penalties, width: int, incumbent: Incumbent) -> None:
+    def widen(self, target: Target, costs: Penalties, width: int, incumbent: Incumbent) -> None:
         """Offers the configurations of a beam search.
 
         Args:
@@ -82,7 +81,7 @@ class Paths:
             incumbent: the best so far.
         """
         modules = np.arange(len(self.manipulator.modules))
-        most, worth = within_squares(target), criteria.mean_cost(self.manipulator, costs)
+        most, worth = within_squares(target), mean_cost(self.manipulator, costs)
         for configuration, wanted, price in self._beam(target.position, target.scene, costs, worth, width):
             if price < incumbent.cost:
                 square, within = self.finish(wanted, target, costs, configuration, most)
@@ -94,7 +93,7 @@ class Paths:
         self,
         wanted: Vector,
         target: Target,
-        penalties: criteria.Penalties,
+        penalties: Penalties,
         configuration: Configuration,
         most: float = np.inf,
     ) -> tuple[float, bool]:
@@ -106,7 +105,7 @@ class Paths:
         return found
 
     def _around(
-        self, target: Target, penalties: criteria.Penalties, best: Configuration, most: float
+        self, target: Target, penalties: Penalties, best: Configuration, most: float
     ) -> tuple[Configuration, float]:
         """Returns the first of a beam's configurations that is nearer than `most`, and the square, or `best`.
 
@@ -126,7 +125,7 @@ class Paths:
         return best, most
 
     def _beam(
-        self, goal: Vector, scene: Scene | None, costs: criteria.Penalties, worth: float, width: int
+        self, goal: Vector, scene: Scene | None, costs: Penalties, worth: float, width: int
     ) -> Iterator[tuple[Configuration, Vector, float]]:
         """Gives the configurations of a beam up to the table, the goal in the frame there, and their costs so far.
 
@@ -164,7 +163,7 @@ class Paths:
         return np.asarray(self._edge[np.argmin(((self._edge - goal) ** 2).sum(axis=1))])
 
     def _descend(
-        self, target: Target, penalties: criteria.Penalties, enough: float, most: float
+        self, target: Target, penalties: Penalties, enough: float, most: float
     ) -> tuple[Configuration, float, bool]:
         """Returns the configuration of one descent, the square by which it misses, and whether it is within.
 
@@ -203,14 +202,3 @@ class Paths:
 def within_squares(target: Target) -> float:
     """Returns what is more than any square, see Target, of what is within the tolerances, by little."""
     return target.tolerance**2 * 1.001 + (target.weight**2 * target.chord if target.oriented else 0.0)
-
-
-def edge(densities: Densities) -> NDArray[np.float64]:
-    """Returns the centres (n, 3) of the pixels of W_0 that have points but not all around."""
-    some = np.pad(densities.level(0) >= 0, 1)
-    inside = some.copy()
-    for axis in range(3):
-        if densities.level(0).shape[axis] > 1:
-            inside &= np.roll(some, 1, axis) & np.roll(some, -1, axis)
-    z, y, x = np.nonzero((some & ~inside)[1:-1, 1:-1, 1:-1])
-    return np.asarray(densities.references[0] + densities.pixels[0] * np.column_stack((x, y, z)))

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from controller.manipulator.frames import compose
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import ROUNDING, Clearance
+from controller.obstacles.clearance import Clearance
 from controller.obstacles.gaps import placed, touches
 from controller.obstacles.touching import first_near
-from controller.search.frame_rows import named
+from controller.search.frame_rows import F2, F3, F4, F5, I1, named
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -63,26 +63,7 @@ class Scene(NamedTuple):
     checks: Integers
 
 
-SCENE = named(
-    Scene,
-    float64[:, :, :, ::1],
-    float64[:, :, ::1],
-    float64[:, :, :, :, ::1],
-    float64[:, :, ::1],
-    int64[::1],
-    int64[::1],
-    float64[:, :, ::1],
-    float64[:, ::1],
-    float64[:, ::1],
-    float64,
-    float64,
-    int64[::1],
-    float64[:, :, ::1],
-    float64[:, ::1],
-    float64[:, :, :, ::1],
-    float64[:, ::1],
-    int64[::1],
-)
+SCENE = named(Scene, F4, F3, F5, F3, I1, I1, F3, F2, F2, float64, float64, I1, F3, F2, F4, F2, I1)
 
 
 def for_scenes(signature: Callable[[Any], Any]) -> list[Any]:
@@ -116,24 +97,6 @@ def scene_of(manipulator: Manipulator, clearance: Clearance | None) -> Scene | N
         np.empty((modules, 4)),
         np.zeros(1, dtype=np.int64),
     )
-
-
-def buried(clearance: Clearance | None, point: Array, tolerance: float) -> bool:
-    """Returns whether a tip within a distance of a point (3,) in the world is inside an obstacle for certain.
-
-    That is certain only of last modules whose bodies contain the tip in every state.
-    """
-    if clearance is None or (clearance.regions.depths(point) > clearance.radius - tolerance).all():
-        return False
-    last = clearance.manipulator.modules[-1]
-    for frame, lines in zip(last.frames, last.body, strict=True):
-        along = lines[:, 1] - lines[:, 0]
-        length = np.maximum((along**2).sum(axis=1), 1e-300)
-        share = np.clip(((frame[:3, 3] - lines[:, 0]) * along).sum(axis=1) / length, 0.0, 1.0)
-        away = np.linalg.norm(lines[:, 0] + share[:, None] * along - frame[:3, 3], axis=1)
-        if away.min() > ROUNDING * clearance.manipulator.length / 2:
-            return False
-    return True
 
 
 @njit(types.boolean(SCENE, int64), cache=True, nogil=True, error_model="numpy")
@@ -174,7 +137,7 @@ def blocked(scene: Scene, first: int, last: int) -> bool:
     return False
 
 
-@njit(types.boolean(SCENE, int64[::1]), cache=True, nogil=True)
+@njit(types.boolean(SCENE, I1), cache=True, nogil=True)
 def collides(scene: Scene, configuration: Configuration) -> bool:
     """Returns whether the arm touches anything in a configuration (B,)."""
     for i in range(len(configuration)):

@@ -1,13 +1,14 @@
 """Configurations of one segment of the arm near a given one, the nearest first to be counted in, with their frames."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
-from controller.search.frame_rows import Side, compose, invert
+from controller.search.frame_rows import F1, F2, I1, Side, compose, invert, named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -18,9 +19,9 @@ BINS = 512
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """All configurations of modules first+1 to last that are within a distance of the centre.
+    """All configurations of modules first+1 to last that are within a distance of the seed.
 
-    A row differs from its parent row in one module, higher than all that differ in the parent; row 0 is the centre.
+    A row differs from its parent row in one module, higher than all that differ in the parent; row 0 is the seed.
 
     Attributes:
         first: modules below the segment.
@@ -44,109 +45,93 @@ class Segment:
 
     def side(self, rows: Index | None = None) -> Side:
         """Returns the segment, or some of its rows (n,), as kernels take it."""
-        chosen = np.arange(len(self.costs)) if rows is None else rows
-        costs = self.costs if rows is None else self.costs.take(rows)
-        own = self.frames if rows is None else self.frames.take(rows, axis=0)
-        return Side(own, costs, chosen, self.first, self.last, self.parents, self.modules, self.choices)
+        segment = self.first, self.last, self.parents, self.modules, self.choices
+        if rows is None:
+            return Side(self.frames, self.costs, np.arange(len(self.costs)), *segment)
+        return Side(self.frames.take(rows, axis=0), self.costs.take(rows), rows, *segment)
 
     def write(self, row: int, configuration: Configuration) -> None:
-        """Puts a row's states in a configuration (B,) that has the centre's."""
+        """Puts a row's states in a configuration (B,) that has the seed's."""
         while row > 0:
             configuration[self.modules[row]] = self.choices[row]
             row = int(self.parents[row])
 
 
-class Storage:
-    """Memory for segments' rows, used again for each: fresh pages would cost more time than what is written to them.
+class Rows(NamedTuple):
+    """Memory for a segment's rows, used again for each: fresh pages would cost more time than what is written to them.
 
-    Args:
-        rows: most rows.
-        width: numbers of a frame, 4 or 12.
+    Attributes:
+        parents: and the next four: see Segment, shape (n,).
+        modules: see Segment.
+        choices: see Segment.
+        lengths: distances from the seed, shape (n,).
+        costs: see Segment.
+        frames: see Segment, shape (n, 4) or (n, 12).
     """
 
-    def __init__(self, rows: int, width: int) -> None:
-        self.rows = rows
-        self.parents, self.modules, self.choices = (np.empty(rows, dtype=np.int32) for _ in range(3))
-        self.lengths, self.costs = np.empty(rows), np.empty(rows)
-        self.frames = np.empty((rows, width))
+    parents: Index32
+    modules: Index32
+    choices: Index32
+    lengths: Array
+    costs: Array
+    frames: Array
 
     def claim(self, rows: int | None = None) -> None:
         """Has the system hand out the memory of so many rows, or of all, now, not in the middle of a search."""
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array[:rows].fill(0)
+        for array in self:
+            array[:rows].fill(0)
 
 
-def build_segment(
-    motions: Array,
-    states: Index,
-    storage: Storage,
-    centre: Configuration,
-    distances: Array,
-    costs: Array,
-    first: int,
-    last: int,
-    most: int | None = None,
-) -> Segment:
-    """Returns the configurations nearest to the centre, whole distances at a time.
+class Sets(NamedTuple):
+    """What the rows are made from.
 
-    Args:
+    Attributes:
         motions: frames of every module's states as rows, shape (B * Kmax, 4) or (B * Kmax, 12).
         states: K_i, shape (B,).
-        storage: overwritten; the segment lives in it.
-        centre: configuration, shape (B,).
-        distances: of each module's states from the centre's, which is at 0; shape (B, Kmax).
+        seed: configuration, shape (B,).
+        distances: of each module's states from the seed's, which is at 0; shape (B, Kmax).
         costs: of each module's states, shape (B, Kmax).
+    """
+
+    motions: Array
+    states: Index
+    seed: Configuration
+    distances: Array
+    costs: Array
+
+
+ROWS = named(Rows, int32[::1], int32[::1], int32[::1], F1, F1, F2)
+SETS = named(Sets, F2, I1, I1, F2, F2)
+GROWN: Any = types.Tuple((int64, float64))  # type: ignore[no-untyped-call]
+
+
+def room(rows: int, width: int) -> Rows:
+    """Returns memory for so many rows with frames of 4 or 12 numbers."""
+    parents, modules, choices = (np.empty(rows, dtype=np.int32) for _ in range(3))
+    return Rows(parents, modules, choices, np.empty(rows), np.empty(rows), np.empty((rows, width)))
+
+
+def build_segment(sets: Sets, rows: Rows, first: int, last: int, most: int | None = None) -> Segment:
+    """Returns the configurations nearest to the seed, whole distances at a time.
+
+    Args:
+        sets: what they are made from.
+        rows: overwritten; the segment lives in them.
         first: modules below the segment.
         last: modules up to its end.
-        most: configurations besides the centre, at most; as many as the storage holds if absent.
+        most: configurations besides the seed, at most; as many as there is room for if absent.
     """
-    s = storage
-    rows = s.rows if most is None else min(most + 1, s.rows)
+    size = len(rows.costs) if most is None else min(most + 1, len(rows.costs))
     # Distances are counted in eighths of the least, which serves equal weights exactly and others well.
-    unit = min(step(distances, states, first, last), 1e300) / 8
-    budget = reach(distances, states, first, last, unit, rows - 1)
+    unit = min(step(sets.distances, sets.states, first, last), 1e300) / 8
+    budget = reach(sets.distances, sets.states, first, last, unit, size - 1)
     while True:
-        count, beyond = grow(
-            motions,
-            states,
-            centre,
-            distances,
-            costs,
-            first,
-            last,
-            budget + 1e-9 * unit,
-            rows,
-            s.parents,
-            s.modules,
-            s.choices,
-            s.lengths,
-            s.costs,
-            s.frames,
-        )
-        if count < rows:
+        count, beyond = grow(sets, first, last, budget + 1e-9 * unit, size, rows)
+        if count < size:
             break
         budget -= unit  # distances that are no multiples of the unit were counted too low
-    return Segment(
-        first,
-        last,
-        s.parents[:count],
-        s.modules[:count],
-        s.choices[:count],
-        s.costs[:count],
-        s.frames[:count],
-        beyond,
-    )
-
-
-@njit("void(i8[::1], i4[::1], i4[::1], i4[::1], i8[:,::1])", cache=True, nogil=True)
-def write_rows(rows: Index, parents: Index32, modules: Index32, choices: Index32, configurations: Index) -> None:
-    """Puts the states of rows (n,) in configurations (n, B) that have the centre's."""
-    for n in range(len(rows)):
-        row = rows[n]
-        while row > 0:
-            configurations[n, modules[row]] = choices[row]
-            row = parents[row]
+    parents, modules, choices = rows.parents[:count], rows.modules[:count], rows.choices[:count]
+    return Segment(first, last, parents, modules, choices, rows.costs[:count], rows.frames[:count], beyond)
 
 
 @njit("f8(f8[:,::1], i8[::1], i8, i8)", cache=True, nogil=True)
@@ -181,39 +166,24 @@ def reach(distances: Array, states: Index, first: int, last: int, unit: float, m
 
 
 @njit(
-    "Tuple((i8, f8))(f8[:,::1], i8[::1], i8[::1], f8[:,::1], f8[:,::1], i8, i8, f8, i8,"
-    " i4[::1], i4[::1], i4[::1], f8[::1], f8[::1], f8[:,::1])",
+    [GROWN(SETS, int64, int64, float64, int64, ROWS)],
     cache=True,
     nogil=True,
     error_model="numpy",
     fastmath={"contract"},
 )
-def grow(
-    motions: Array,
-    states: Index,
-    centre: Index,
-    distances: Array,
-    costs: Array,
-    first: int,
-    last: int,
-    budget: float,
-    rows: int,
-    parents: Index32,
-    modules: Index32,
-    choices: Index32,
-    lengths: Array,
-    prices: Array,
-    frames: Array,
-) -> tuple[int, float]:
+def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows: Rows) -> tuple[int, float]:
     """Fills the rows; returns their number (all that fit if there are more) and the least distance left out."""
+    motions, states, seed, distances, costs = sets
+    parents, modules, choices, lengths, prices, frames = rows
     size, most, width = last - first, distances.shape[1], frames.shape[1]
-    # From each module's bottom to the segment's end and back, while the modules between stay at the centre.
+    # From each module's bottom to the segment's end and back, while the modules between stay at the seed.
     rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
     if width == 4:
         rest[size, 2] = 1.0
     else:
         rest[size, 3] = rest[size, 7] = rest[size, 11] = 1.0
-    # Each module's states but the centre's, the nearest first: how far, what more they cost, and on to the end.
+    # Each module's states but the seed's, the nearest first: how far, what more they cost, and on to the end.
     ranked, away = np.empty((size, most), dtype=np.int32), np.full((size, most), np.inf)
     dearer, via = np.empty((size, most)), np.empty((size * most, width))
     nearest = np.full(size + 1, np.inf)  # least distance of a change in this module or one after it
@@ -221,7 +191,7 @@ def grow(
     for k in range(size - 1, -1, -1):
         i, count = first + k, 0
         for j in range(states[i]):
-            if j == centre[i]:
+            if j == seed[i]:
                 continue
             at = count
             while at > 0 and away[k, at - 1] > distances[i, j]:
@@ -231,11 +201,11 @@ def grow(
             count += 1
         for a in range(count):
             j = ranked[k, a]
-            dearer[k, a] = costs[i, j] - costs[i, centre[i]]
+            dearer[k, a] = costs[i, j] - costs[i, seed[i]]
             compose(motions, i * most + j, rest, k + 1, via, k * most + a)
-        compose(motions, i * most + centre[i], rest, k + 1, rest, k)
+        compose(motions, i * most + seed[i], rest, k + 1, rest, k)
         nearest[k] = min(nearest[k + 1], away[k, 0])
-        price += costs[i, centre[i]]
+        price += costs[i, seed[i]]
     for k in range(size + 1):
         invert(rest, k, back, k)
     parents[0], modules[0], choices[0], lengths[0], prices[0] = 0, first - 1, 0, 0.0, price
@@ -257,13 +227,13 @@ def grow(
                 if total > budget:
                     beyond = min(beyond, total)
                     break
-                if count == rows:
-                    return rows, 0.0
+                if count == most_rows:
+                    return count, 0.0
                 compose(run, now, via, k * most + a, frames, count)
                 parents[count], modules[count], choices[count], lengths[count] = row, i, ranked[k, a], total
                 prices[count] = prices[row] + dearer[k, a]
                 count += 1
-            compose(run, now, motions, i * most + centre[i], run, 1 - now)
+            compose(run, now, motions, i * most + seed[i], run, 1 - now)
             now = 1 - now
         row += 1
     return count, beyond

@@ -12,16 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.search import criteria
-from controller.search.candidates import Candidates
-from controller.search.hull import build_hull
-from controller.search.incumbent import Incumbent
-from controller.search.method import Method
+from controller.search.method import Method, switching
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
-from controller.search.scene import buried, scene_of
-from controller.search.solution import Solution
-from controller.search.target import Target, distance
+from controller.search.scene import scene_of
+from controller.search.solution import Incumbent, Solution
+from controller.search.target import Target, build_hull, distance
+from controller.search.two_list import Candidates
 from controller.workspace.densities import Densities
 
 Vector = NDArray[np.float64]
@@ -93,7 +90,7 @@ class Solver:
             tolerance: that the goal is likely to have.
         """
         seed = np.asarray(previous, dtype=np.int64)
-        costs = criteria.switching(self.manipulator, seed, self._weights)
+        costs = switching(self.manipulator, seed, self._weights)
         return self._minimum.expect(seed, costs, tolerance)
 
     def solve(
@@ -125,7 +122,7 @@ class Solver:
         if method in ("minimum-switch", "ipop-previous") and self._served(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == "minimum-switch":
-            costs = criteria.switching(self.manipulator, seed, self._weights)
+            costs = switching(self.manipulator, seed, self._weights)
             patience = began + (max(deadline, patience) if target.hard else deadline)
             self._minimum.improve(Problem(target, seed, costs, patience, self._hopeless(target)), incumbent)
         else:
@@ -158,7 +155,7 @@ class Solver:
         """
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
-        costs = criteria.switching(self.manipulator, previous, self._weights)
+        costs = switching(self.manipulator, previous, self._weights)
         return self._candidates[1].find(
             self._target(goal, tolerance, turn), np.asarray(previous, dtype=np.int64), costs
         )
@@ -193,7 +190,7 @@ class Solver:
 
     def _hopeless(self, target: Target) -> bool:
         """Returns whether the goal lies so deep in obstacles that no clear tip can come within the tolerance."""
-        return buried(self.clearance, target.goal[:3, 3], target.tolerance)
+        return self.clearance is not None and self.clearance.buried(target.goal[:3, 3], target.tolerance)
 
     def _clear(self, configuration: Configuration) -> bool:
         return self.clearance is None or not self.clearance.blocked(configuration[None])[0]

@@ -6,13 +6,14 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells, Index
 from controller.search.frame_rows import Side, coordinates, fixed, invert_all, motions
-from controller.search.incumbent import Incumbent
 from controller.search.matching import Found, Span, match
-from controller.search.segment import Segment, Storage, build_segment
+from controller.search.segment import Segment, Sets, build_segment, room
+from controller.search.solution import Incumbent
 from controller.search.target import Target
 
 Array = NDArray[np.float64]
 
+CANDIDATE_ROWS = 1 << 12  # of each half, for those who choose among many configurations
 BAND_CELLS = 1 << 16  # of an index of few rows that many others are looked up in
 AT_ONCE = 1 << 15  # lower rows matched between two looks at the clock
 
@@ -39,18 +40,18 @@ class TwoList:
         count = len(self._states)
         self.cut = middle(manipulator, 0, count)
         self._ends = ((0, self.cut), (self.cut, count))
-        self._storages = [Storage(rows(manipulator, *ends, most), self._motions.shape[1]) for ends in self._ends]
-        self._cells = Cells(self._storages[1].rows, coordinates(self._motions))
+        self._rows = [room(rows(manipulator, *ends, most), self._motions.shape[1]) for ends in self._ends]
         size = coordinates(self._motions)
-        self.bands = tuple(Cells(storage.rows, size, BAND_CELLS) for storage in self._storages[::-1])
+        self._cells = Cells(len(self._rows[1].costs), size)
+        self.bands = tuple(Cells(len(half.costs), size, BAND_CELLS) for half in self._rows[::-1])
         self._key: tuple[NDArray[np.generic], ...] = ()
         self._sorted: tuple[float, ...] = ()
         self._index: Index
 
     def claim(self, most: int | None = None) -> None:
         """Has the system hand out the memory of so many rows, or of all, before a search with a deadline."""
-        for storage in self._storages:
-            storage.claim(most)
+        for half in self._rows:
+            half.claim(most)
         for cells in (self._cells, *self.bands):
             cells.claim(most)
         self._key = self._sorted = ()
@@ -69,8 +70,8 @@ class TwoList:
             return
         self._key, self._sorted = (), ()  # until it is done
         self.lower, self.upper = (
-            build_segment(self._motions, self._states, storage, seed, distances, costs, *ends, most)
-            for storage, ends in zip(self._storages, self._ends, strict=True)
+            build_segment(Sets(self._motions, self._states, seed, distances, costs), half, *ends, most)
+            for half, ends in zip(self._rows, self._ends, strict=True)
         )
         invert_all(self.lower.frames)
         self._key = tuple(np.array(part) for part in key)
@@ -136,6 +137,40 @@ def write(side: Side, n: int, configuration: Configuration) -> None:
     while row > 0:
         configuration[side.modules[row]] = side.choices[row]
         row = int(side.parents[row])
+
+
+class Candidates:
+    """The cheapest configurations near a given one, with the memory to find them.
+
+    Args:
+        manipulator: the arm.
+        most: how many to find at most.
+    """
+
+    def __init__(self, manipulator: Manipulator, most: int) -> None:
+        self._two, self._most = TwoList(manipulator, CANDIDATE_ROWS), most
+
+    def find(self, target: Target, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
+        """Returns configurations (n, B) whose tips are within the tolerances and clear, and what they cost (n,).
+
+        Args:
+            target: in frame F_0.
+            seed: the configuration that costs nothing, shape (B,).
+            costs: of every state of every module, shape (B, Kmax).
+        """
+        two = self._two
+        two.list(seed, costs, costs)
+        lower, goal, index = two.lower.side(), fixed(target.row), two.index(target.radius, target.chord)
+        room = self._most
+        found = Found(np.full((room, 3), -1), np.full(room, np.inf), np.full(room, np.inf))
+        span = Span(0, len(lower.costs), 0, 1, -np.inf, np.inf)
+        match(lower, goal, index, span, target.query, seed, target.scene, found)
+        chosen = np.flatnonzero(found.rows[:, 0] >= 0)
+        configurations = np.tile(seed, (len(chosen), 1))
+        for configuration, row in zip(configurations, found.rows[chosen].tolist(), strict=True):
+            for side, n in zip((lower, goal, index.side), row, strict=True):
+                write(side, n, configuration)
+        return configurations, found.costs[chosen]
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:

@@ -41,3 +41,13 @@ class Densities:
     def volume(self, i: int, *, planar: bool) -> float:
         """Returns the area (planar) or volume of one pixel of level i."""
         return float(self.pixels[i] ** (2 if planar else 3))
+
+    def edge(self) -> NDArray[np.float64]:
+        """Returns the centres (n, 3) of the pixels of W_0 that have points but not all around."""
+        some = np.pad(self.level(0) >= 0, 1)
+        inside = some.copy()
+        for axis in range(3):
+            if self.level(0).shape[axis] > 1:
+                inside &= np.roll(some, 1, axis) & np.roll(some, -1, axis)
+        z, y, x = np.nonzero((some & ~inside)[1:-1, 1:-1, 1:-1])
+        return np.asarray(self.references[0] + self.pixels[0] * np.column_stack((x, y, z)))

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
-from controller.search import criteria
 from controller.search.descent import Levels, descend, levels_of, measure, tables_of
+from controller.search.method import contraction, indifferent, similarity
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm, spatial_arm
@@ -96,7 +96,7 @@ def test_each_module_takes_the_branch_that_the_two_criteria_order_first(name, se
 def test_similarity_counts_switches_and_the_base_most(manipulator):
     rng = np.random.default_rng(0)
     previous, other = rng.integers(0, 8, (2, 16))
-    penalties = criteria.similarity(manipulator, previous)
+    penalties = similarity(manipulator, previous)
     module = np.arange(16)
     assert (penalties[module, previous] == 0).all()
     own = penalties[module, other] / np.linspace(2, 1, 16)
@@ -105,8 +105,8 @@ def test_similarity_counts_switches_and_the_base_most(manipulator):
 
 
 def test_contraction_counts_extended_actuators(manipulator):
-    penalties = criteria.contraction(manipulator)
+    penalties = contraction(manipulator)
     assert (penalties[:, 0] == 0).all()
     assert penalties[0].tolist() == [0, 2, 2, 4, 2, 4, 4, 6]
     assert penalties[15].tolist() == [0, 1, 1, 2, 1, 2, 2, 3]
-    assert not criteria.indifferent(manipulator).any()
+    assert not indifferent(manipulator).any()

@@ -12,7 +12,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.vgt import vgt
 from controller.search.frame_rows import motions
-from controller.search.segment import Storage, build_segment
+from controller.search.segment import Sets, build_segment, room
 from controller.search.solver import Solver
 from controller.search.two_list import middle
 from controller.workspace.mapping import map_densities
@@ -176,8 +176,8 @@ def test_a_segment_lists_all_that_is_nearer_than_what_it_leaves_out(chain, seed,
     own = arm.bits[np.arange(len(chain)), centre]
     distances = ((arm.bits != own[:, None]) * weights[:, None]).sum(axis=2).astype(float)
     frames = motions(arm)
-    storage = Storage(rows + 1, frames.shape[1])
-    segment = build_segment(frames, arm.states, storage, centre, distances, distances, 0, len(chain))
+    sets = Sets(frames, arm.states, centre, distances, distances)
+    segment = build_segment(sets, room(rows + 1, frames.shape[1]), 0, len(chain))
     listed = np.tile(centre, (len(segment.costs), 1))
     for row, configuration in enumerate(listed):
         segment.write(row, configuration)
