@@ -20,6 +20,7 @@ ORDINARY = (
 HOLDING = (
     *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
 )
+UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object")  # they take no dummy bytes, so no shared RPDO
 
 
 def draw_arm(random: Random) -> ExecutedArm:
@@ -109,5 +110,6 @@ def draw_boards(random: Random, arm: ExecutedArm) -> tuple[ExecutedArm, dict[str
     chosen = {board: random.choice(names) for board in board_names(wiring)}
     makers = (board.split("/") for board, name in chosen.items() if name == "maker-object")
     nodes = tuple(NodeSettings(bus, int(node), object=VARIANTS["maker-object"].output_object) for bus, node in makers)
-    wiring = replace(wiring, error_state="device", nodes=nodes)
+    shared = wiring.shared_rpdo and set(UNSHARED).isdisjoint(chosen.values())
+    wiring = replace(wiring, error_state="device", nodes=nodes, shared_rpdo=shared)
     return replace(arm, wiring=wiring), {board: VARIANTS[name] for board, name in chosen.items()}
