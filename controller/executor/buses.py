@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
 POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
 INPUT = 0  # file descriptor of the standard input
+MOST_STEPS = 100  # of the boards in one poll
 LONGEST = 0.02  # [s] that pass on simulated boards between two calls: a stall of the process stalls them as well
 
 
@@ -100,16 +101,19 @@ class CanBuses:
 
 
 class EmbeddedBoards:
-    """Simulated boards, and their faults from the standard input. See `Buses`."""
+    """Simulated boards, and their faults from the standard input. See `Buses`.
+
+    The times of frames are the boards' own, which do not go on while the process stalls.
+    """
 
     def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
         """Takes the wiring and the times of the arm, and the variants of its boards by name."""
         self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
         self._boards = SimulatedBuses(
-            wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame)), variants
+            wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame, self._at)), variants
         )
         self._lines = FaultLines(self._boards)
-        self._clock = self._last = -math.inf
+        self._clock = self._last = self._at = -math.inf
 
     def filenos(self) -> list[int]:
         """See `Buses`."""
@@ -122,15 +126,24 @@ class EmbeddedBoards:
     def poll(self, now: float) -> Sequence[Event]:
         """See `Buses`."""
         self._lines.read()
-        self._boards.step(self._time(now))
+        begun = self._last > -math.inf
+        until = self._time(now)
+        for _ in range(MOST_STEPS if begun else 0):  # so that each frame has the time at which it was caused
+            if (due := self._boards.next_due()) >= until:
+                break
+            self._at = max(due, self._at)
+            self._boards.step(self._at)
+        self._at = until
+        self._boards.step(until)
         events = list(self._events)
         self._events.clear()
         return events
 
     def send(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
-        self._events.append(Echoed(bus, frame))
-        self._boards.receive(bus, frame, self._time(now))
+        self._at = self._time(now)
+        self._events.append(Echoed(bus, frame, self._at))
+        self._boards.receive(bus, frame, self._at)
 
     def close(self) -> None:
         """See `Buses`."""

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from controller.executor.buses import EmbeddedBoards
+from controller.executor.core import Executor
+from controller.executor.events import FromClient, Send, Tick, ToClient
 from controller.executor.kinds import Ends
+from controller.executor.switch_journal import MemoryJournal
 from controller.executor.travel_times import TravelTimes
-from controller.program import Ended, Travel
+from controller.program import Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from drivers.canopen.events import Received
 from drivers.simulation.buses import _LEAST_PULSE
 from drivers.simulation.fault_commands import perform
-from tests.executor.test_on_boards import World
+from tests.executor.rig import SIZE, small_arm
+from tests.executor.test_on_boards import PLANNER, World
 
 BOTH = {"input_contracted": True}
 
@@ -57,6 +64,36 @@ def test_frames_that_are_read_late_give_the_same_times() -> None:
     made.stall(0.07)
     made.go(0.5)
     assert travels(made) == [(0, 1, pytest.approx(0.04, rel=0.1))]
+
+
+@pytest.mark.parametrize("lateness", [0.0, 0.017, 0.15])
+def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: float) -> None:
+    now = 50.0
+    arm = small_arm(channel={**BOTH, "travel": (0.16, 0.24)})
+    core, boards = Executor(arm, MemoryJournal(SIZE), instance=1), EmbeddedBoards(arm.wiring, arm.timing)
+    heard: list[Any] = []
+
+    def do(event: Any) -> None:
+        for action in core.step(event, now):
+            if isinstance(action, Send):
+                boards.send(action.bus, action.frame, now)
+            elif isinstance(action, ToClient):
+                heard.append(action.message)
+
+    do(FromClient(PLANNER, Hello(1, "planner", "small")))
+    for k in range(1000):
+        now += 0.003 if k % 10 else 0.003 + lateness
+        for event in boards.poll(now):
+            do(event)
+        do(FromClient(PLANNER, Alive()))
+        do(Tick())
+        snapshot = next(message for message in reversed(heard) if isinstance(message, Snapshot))
+        if k == 500:
+            assert snapshot.mode == "ready", snapshot.reason
+            stages = (Stage(pack(1, SIZE), at=0.0, mark=0),)
+            do(FromClient(PLANNER, Program(1, snapshot.epoch, snapshot.outputs, 0.0, stages, True, False, "goal")))
+    [ended] = [message for message in heard if isinstance(message, Ended)]
+    assert [(t.actuator, t.state, t.seconds) for t in ended.travels] == [(0, 1, pytest.approx(0.12, rel=0.1))]
 
 
 def test_a_way_to_an_end_without_an_end_stop_is_not_measured() -> None:
