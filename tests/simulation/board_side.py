@@ -15,6 +15,8 @@ from tests.simulation.bus_model import OnItsWay
 from tests.simulation.facts import Commit, Energised, Switch
 from tests.simulation.record import Record
 
+LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
+
 
 class BoardSide:
     """All boards of an arm.
@@ -112,6 +114,10 @@ class BoardSide:
         if verb == "power_on" and self._buses.board(name).state is not None:
             return
         perform(self._buses, verb, name, *numbers)
+        if verb in LIES:
+            self._record.lying |= 1 << self._buses.labels.index(name)
+        elif verb == "restore_sensor":
+            self._record.lying &= ~(1 << self._buses.labels.index(name))
         self._see("fault")
         self._set_timer()
         self.silent = any(self._buses.board(board).silent for board in self.names)

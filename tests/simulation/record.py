@@ -45,6 +45,7 @@ class Record:
         acknowledged: results by instance and number.
         synced: how often SYNCs switched each actuator.
         slack: by how much the journal may differ from that: a frame was lost, or a board fell before it was asked.
+        lying: mask of the actuators whose end-stops are frozen or have broken wires.
         fallen: mask of the actuators whose outputs changed without a SYNC, which the executor may not know yet.
         floor: cancels, halts and faults of this instance: as often its epoch has grown at least.
         suspect: mask of the actuators whose boards lost a frame since the boards were booted.
@@ -72,6 +73,7 @@ class Record:
         self.acknowledged: set[tuple[int, int]] = set()
         self.synced, self.slack = [0] * count, [0] * count
         self.suspect = self.fallen = 0
+        self.lying = self._lied = 0
         self.floor = 0
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
@@ -208,10 +210,15 @@ class Record:
         self.open_since = min(self.open_since, self._agenda.now) if are_open else math.inf
 
     def doubt(self, intended: int) -> None:
-        """Of actuators that fell unnoticed, nobody can tell whether the SYNC that was intended has switched them."""
+        """Of actuators that fell unnoticed, nobody can tell whether the SYNC that was intended has switched them.
+
+        Nor of pairs that are off, whose end-stops are asked, if their wires are broken.
+        """
+        lied = intended & self.lying
         for k in range(len(self.slack)):
-            self.slack[k] += (self.fallen & intended) >> k & 1
+            self.slack[k] += ((self.fallen & intended) | (lied & ~self._lied)) >> k & 1
         self.fallen &= ~intended
+        self._lied = lied
 
     # ---
 
