@@ -55,8 +55,8 @@ def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error
         yield from step(boot)
 
 
-def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, int]:
-    """Asks for the device type until the board answers; returns it.
+def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, tuple[int, bool]]:
+    """Asks for the device type until the board answers; returns it, and whether the board was stopped before.
 
     Args:
         layout: of the board.
@@ -78,7 +78,7 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
             yield from _order(layout, Command.PRE_OPERATIONAL)
             ordered = True
     if kind is not None:
-        return kind
+        return kind, ordered
     text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
     if board is not None and board.frames > before:
         text = f"board {name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
@@ -86,19 +86,17 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
 
 
 def _find(boot: Boot) -> Procedure:
-    board = boot.board
-    stopped = board.state is State.STOPPED
-    boot.kind = yield from find(board.layout, boot.timing.boot_timeout, board)
-    boot.found = State.STOPPED if stopped else board.state
+    boot.kind, stopped = yield from find(boot.board.layout, boot.timing.boot_timeout, boot.board)
+    boot.found = State.STOPPED if stopped else None
 
 
 def _inspect(boot: Boot) -> Procedure:
     """Reads what the board is and holds."""
     it = boot.it
     yield from inspection.inspect(it, boot.kind, boot.timing, boot.error_state)
-    board, stopped = boot.board, boot.found is State.STOPPED
+    board = boot.board
     yield from _learn_state(boot)
-    boot.found = State.STOPPED if stopped else board.state
+    boot.found = boot.found or board.state
     yield from pdo_search.read_pdos(it, in_full=board.state is State.OPERATIONAL)
 
 
@@ -161,12 +159,13 @@ def _release(boot: Boot) -> Procedure:
     them again when it is started.
     """
     board, it, layout = boot.board, boot.it, boot.board.layout
-    if boot.found not in (State.STOPPED, State.PRE_OPERATIONAL):
-        return
-    loss, levels = layout.loss
-    bits = union(b.place for b in layout.outputs if loss & b.place and b.inverted == bool(levels & b.place))
-    if not it.has_error_mode and (layout.settings.error_state or boot.error_state) != "hold":
+    if it.has_error_mode:  # boards with a loss level stop when they lose the master, by 1029h
+        loss, levels = layout.loss if boot.found is State.STOPPED else (0, 0)
+        bits = union(b.place for b in layout.outputs if loss & b.place and b.inverted == bool(levels & b.place))
+    else:
         bits = layout.output_bits
+        if (layout.settings.error_state or boot.error_state) == "hold" or not (yield from _lost_master(boot)):
+            bits = 0
     off = union(b.place for b in layout.outputs if b.inverted)
     for sub in subs_of(bits):
         mask, value = (number >> 8 * (sub - 1) & 0xFF for number in (bits, off))
@@ -174,6 +173,14 @@ def _release(boot: Boot) -> Procedure:
         held = yield from objects.read(board.name, need.index, sub)
         if not need.met(held):
             yield from objects.settle(board.name, need, held)
+
+
+def _lost_master(boot: Boot) -> Generator[Step, Outcome, bool]:
+    """Returns whether a board is out of operational because it lost the master, and not by an order."""
+    if boot.found not in (State.STOPPED, State.PRE_OPERATIONAL):
+        return False
+    newest = yield from objects.find(boot.board.name, 0x1003, 1, 4)
+    return (newest or 0) & 0xFFFF == inspection.MASTER_LOST
 
 
 def _await_operational(boot: Boot) -> Procedure:

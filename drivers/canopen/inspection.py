@@ -18,7 +18,7 @@ from drivers.canopen.sdo import Outcome
 from drivers.canopen.wiring import ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
-_MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # emergency, and the bits of 1001h that it sets
+MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # emergency, and the bits of 1001h that it sets
 
 
 @dataclass
@@ -113,7 +113,7 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     history = yield from objects.find(it.name, 0x1003, 1, 4)
     if history:
         text += f"; 1003h sub 1 holds {history:08X}h, {cia301.emergency_words(history & 0xFFFF)}"
-        lost = history & 0xFFFF == _MASTER_LOST and not register & ~_COMMUNICATION
+        lost = history & 0xFFFF == MASTER_LOST and not register & ~_COMMUNICATION
     if board is not None and board.emergency is not None:
         text += f"; it reported {cia301.emergency_words(board.emergency)}"
     return register, text, lost

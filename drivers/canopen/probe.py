@@ -106,7 +106,7 @@ class Probe:
             runner.tick(now)
 
     def _ask(self, board: BoardLayout) -> Procedure:
-        kind = yield from find(board, _PATIENCE, None)
+        kind, _ = yield from find(board, _PATIENCE, None)
         it = Inspection(board)
         yield from inspection.inspect(it, kind, self._timing, self._error_state)
         yield from pdo_search.read_pdos(it, in_full=True)
