@@ -6,6 +6,7 @@ import pytest
 
 from drivers.canopen.cia301 import State
 from drivers.canopen.wiring import Channel, Timing
+from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
@@ -270,3 +271,38 @@ def test_sixteen_boards_are_ready_within_a_second():
     world.after(0.5, lambda: [board.power_on(world.now) for board in world.boards.values()])
     world.up()
     assert world.now - 0.5 < 1.0
+
+
+def test_a_boot_after_an_interrupted_one_switches_nothing():
+    """The board is pre-operational by an order, not because it lost its master: its outputs are on."""
+    world = World(on_loss="contract").up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.timing = Timing(heartbeat=0.09)  # so that the next master has something to write
+    world.master = world.new_master()
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: world.boards["can0", 5].state is State.PRE_OPERATIONAL)
+    world.run(0.02)
+    world.master = world.new_master()  # the one before was killed
+    world.boot()
+    assert world.master.boot_faults == []
+    assert world.measured() == [1, 1]
+    assert world.switches() == [1, 1]
+
+
+def test_a_start_energises_nothing_that_the_error_state_has_switched_off():
+    """Some boards keep in 6200h what was commanded."""
+    world = World(on_loss="contract", variants={"can0/5": VARIANTS["hidden-error-state"]}).up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.stalled = True
+    world.run(1.0)  # the board loses its master, stops, and its actuators contract
+    world.stalled = False
+    assert world.switches() == [2, 2]
+    world.run(0.2)
+    world.boot()
+    assert world.master.boot_faults == []
+    world.run(0.3)
+    assert world.measured() == [0, 0]
+    assert world.switches() == [2, 2]
