@@ -211,7 +211,7 @@ def test_the_beam_saves_a_long_arm_most_of_ipops_switches():
     for _ in range(5):
         goal = arm.tip(rng.integers(0, arm.states))[:2, 3]
         ipop = solver.solve(goal, previous, 0.005, "ipop-previous")
-        found = solver.solve(goal, previous, 0.005)
+        found = solver.solve(goal, previous, 0.005, deadline=10.0)
         assert found.within_tolerance
         saved.append(found.switches / ipop.switches)
         previous = found.configuration
