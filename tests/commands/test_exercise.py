@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
+import yaml
 
 from controller.commands import exercise
 from controller.commands.exercise import Way, proposal
+from tests.commands.conftest import ARM
 
 LABELS = ["1.left", "1.right"]
 
@@ -157,6 +159,7 @@ def test_a_daemon_moves_and_measures(hyperbit, endpoint):
     code, out, err = hyperbit("exercise", "planar16", "5.left", "--yes", "--json", "--connect", endpoint)
     assert code == 0, err
     extended, contracted, last = (json.loads(line) for line in out.splitlines())
-    assert (extended["actuator"], extended["state"], extended["seconds"] > 0) == ("5.left", "extended", True)
+    assert (extended["actuator"], extended["state"]) == ("5.left", "extended")
+    assert extended["seconds"] == pytest.approx(0.5 * yaml.safe_load(ARM.read_text())["travel_time"], rel=0.1)
     assert (contracted["state"], contracted["seconds"]) == ("contracted", None)  # which has no end-stop there
     assert last["proposal"].startswith("travel_time: 0.")
