@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from drivers.canopen.cia301 import State
@@ -306,3 +308,21 @@ def test_a_start_energises_nothing_that_the_error_state_has_switched_off():
     world.run(0.3)
     assert world.measured() == [0, 0]
     assert world.switches() == [2, 2]
+
+
+def test_the_heartbeat_of_the_master_keeps_its_time_on_a_slow_bus_while_many_boards_boot():
+    world = World(many(60), bitrate=125_000)
+    beats: list[float] = []
+    echoed = world.master.echoed
+
+    def note(bus, frame, now):
+        if frame.id == 0x77F:
+            beats.append(now)
+        echoed(bus, frame, now)
+
+    world.master.echoed = note
+    world.up()
+    world.run(1.0)
+    assert world.faults == []
+    gaps = [after - before for before, after in itertools.pairwise(beats)]
+    assert max(gaps) < world.timing.heartbeat_timeout
