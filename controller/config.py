@@ -106,6 +106,20 @@ def load(path: Path) -> Arm:
         InputFaults: the file is missing or wrong; one line per fault, each with the path of its field.
     """
     settings, faults = read_settings(path)
+    return build(settings, path, faults)
+
+
+def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
+    """Returns the arm that a file's fields describe.
+
+    Args:
+        settings: the fields.
+        path: of the file, for messages; tables are looked for beside it.
+        faults: found so far.
+
+    Raises:
+        InputFaults: the fields are wrong; one line per fault, each with the path of its field.
+    """
     modules = build_modules(settings.modules, path.parent, faults)
     base = build_frame(settings.base, "base", faults)
     if faults or not modules or base is None:

@@ -1,0 +1,71 @@
+"""Inverse kinematics of arms made of many two-state actuators, as a Python library.
+
+    import hyperbit as hb
+
+    arm = hb.load("planar16.yaml")
+    ik = hb.Solver(arm, obstacles=[hb.Disc((1.2, 2.0), 0.3)])
+    solution = ik.solve(hb.Goal((0.55, 2.9), tolerance=2e-3), start=arm.home)
+    print(solution.configuration, solution.switches, solution.certificate)
+    path = ik.follow([hb.Goal((0.4, 2.9)), hb.Goal((0.5, 2.8))], start=solution)
+    hb.plot(arm, path).savefig("path.png")
+
+Lengths have the unit of the arm's description, angles are in radians, counter-clockwise, times in seconds.
+Configurations are one integer a module, base first, shape (B,). Every error is a subclass of `hyperbit.Error`.
+"""
+
+from controller.library.arm import Arm, load
+from controller.library.calibration import Fitted, calibrate
+from controller.library.density import Density
+from controller.library.errors import (
+    ArmError,
+    CalibrationError,
+    ConfigurationError,
+    Error,
+    GoalError,
+    LockError,
+    ObstacleError,
+    PathError,
+)
+from controller.library.goals import Goal
+from controller.library.modules import Module, platform, prismatic, revolute, transforms, vgt
+from controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
+from controller.library.plot import plot
+from controller.library.solver import Path, Solver
+from controller.search.method import METHODS, Method
+from controller.search.solution import Certificate, Solution
+
+__all__ = [
+    "METHODS",
+    "Arm",
+    "ArmError",
+    "Box",
+    "CalibrationError",
+    "Certificate",
+    "ConfigurationError",
+    "Density",
+    "Disc",
+    "Error",
+    "Fitted",
+    "Goal",
+    "GoalError",
+    "HalfPlane",
+    "HalfSpace",
+    "LockError",
+    "Method",
+    "Module",
+    "Obstacle",
+    "ObstacleError",
+    "Path",
+    "PathError",
+    "Solution",
+    "Solver",
+    "Sphere",
+    "calibrate",
+    "load",
+    "platform",
+    "plot",
+    "prismatic",
+    "revolute",
+    "transforms",
+    "vgt",
+]

@@ -1,0 +1,289 @@
+"""Arms: loaded from a file or built in code, with actuators locked or free."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller import config
+from controller.library.density import Density
+from controller.library.errors import ArmError, ConfigurationError, LockError
+from controller.library.modules import Module, base_settings, checked
+from controller.library.obstacles import Obstacle, obstacle_settings
+from controller.manipulator.held import STATES, Held, carried, hold
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.manipulator.notation import format_configuration, parse_configuration
+from controller.settings import ArmSettings
+from controller.strict import InputFaults
+from controller.workspace.cache import default_directory, load_or_map
+from controller.workspace.densities import Densities
+
+Array = NDArray[np.float64]
+LockState = Literal["contracted", "extended"] | None
+
+
+class Arm:
+    """An arm made of modules with two-state actuators.
+
+    A configuration is one integer a module, base first, shape (B,). Lengths have the unit of the arm's description.
+    Configurations keep their numbers if actuators are locked.
+
+    Args:
+        modules: entries of the chain, base first, see `vgt`, `revolute`, `prismatic`, `platform` and `transforms`.
+        name: letters, digits, "_" and "-".
+        base: position (2,) or (3,), or frame (4, 4), of the first module in the world; the origin if None.
+        tolerance: greatest distance of the tip from goals that have no tolerance.
+        angle_tolerance: greatest angle of the tip from goals that have an orientation and no tolerance [rad].
+        obstacles: regions in the world that no module may touch.
+        body_radius: half the thickness of the modules' bars, for obstacles and self-collision.
+        self_collision: whether modules that are not neighbours must not touch each other.
+        pixel: side of the densities' pixels; 1/400 of the arm's length if None.
+
+    Raises:
+        ArmError: a module, or another value, is wrong.
+    """
+
+    def __init__(
+        self,
+        modules: Sequence[Module],
+        *,
+        name: str = "arm",
+        base: ArrayLike | None = None,
+        tolerance: float = 2e-3,
+        angle_tolerance: float = 0.05,
+        obstacles: Sequence[Obstacle] = (),
+        body_radius: float = 0.0,
+        self_collision: bool = False,
+        pixel: float | None = None,
+    ) -> None:
+        faults: list[str] = []
+        regions = [obstacle_settings(obstacle, faults) for obstacle in obstacles]
+        if faults:
+            raise ArmError(faults, name)
+        fields = {
+            "name": name,
+            "modules": list(modules),
+            "base": base_settings(base),
+            "tolerance": {"position": tolerance, "orientation": angle_tolerance},
+            "obstacles": regions,
+            "body_radius": body_radius,
+            "self_collision": self_collision,
+            "workspace": {} if pixel is None else {"pixel": pixel},
+        }
+        settings = checked(ArmSettings, msgspec.to_builtins(fields), name)
+        self._take(build(settings, Path(name)))
+
+    @classmethod
+    def _of(cls, arm: config.Arm, held: Held | None = None) -> Arm:
+        """Returns the arm of a file, with actuators locked, shape (A,), as the file says if None."""
+        self = cls.__new__(cls)
+        self._take(arm, held)
+        return self
+
+    def _take(self, arm: config.Arm, held: Held | None = None) -> None:
+        self._arm = arm
+        self._held = arm.held if held is None else held
+        self._reduced = arm.left if held is None else hold(arm.manipulator, held)
+
+    @property
+    def name(self) -> str:
+        """Name of the arm, as in the keys of its daemon."""
+        return self._arm.settings.name
+
+    @property
+    def dimension(self) -> int:
+        """2 for a planar arm, 3 for a spatial arm."""
+        return self._whole.dimension
+
+    @property
+    def states(self) -> NDArray[np.int64]:
+        """Number of states of each module, shape (B,)."""
+        return self._whole.states.copy()
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Label of each actuator, "<module>.<name>", modules counted from 1 at the base; length A."""
+        return self._whole.actuators
+
+    @property
+    def length(self) -> float:
+        """Upper bound on the distance of the tip from the base."""
+        return self._whole.length
+
+    @property
+    def tolerance(self) -> float:
+        """Tolerance of goals that have none, a length."""
+        return self._arm.tolerance
+
+    @property
+    def angle_tolerance(self) -> float:
+        """Tolerance of the orientation of goals that have none [rad]."""
+        return self._arm.turn
+
+    @property
+    def weights(self) -> Array:
+        """Cost of a switch of each actuator, shape (A,)."""
+        return self._arm.weights()
+
+    @property
+    def locked(self) -> dict[str, str]:
+        """Locked actuators by label, each "contracted" or "extended"."""
+        return {label: STATES[s] for label, s in zip(self.actuators, self._held.tolist(), strict=True) if s >= 0}
+
+    @cached_property
+    def home(self) -> Configuration:
+        """First configuration, shape (B,): state 0 of each module, or its first state that suits locked actuators."""
+        return self._widened(np.zeros(len(self._reduced.modules), dtype=np.int64))
+
+    def lock(self, states: Mapping[str, LockState]) -> Arm:
+        """Returns the arm with actuators locked; this arm does not change.
+
+        Args:
+            states: "contracted" or "extended" by label, None to unlock; other actuators stay as they are.
+
+        Raises:
+            LockError: a label or a state is unknown, or a module has no state that suits.
+        """
+        held = self._held.copy()
+        for label, state in states.items():
+            if label not in self.actuators:
+                raise LockError(f"the arm has no actuator {label!r}; the first is {self.actuators[0]!r}")
+            if state is not None and state not in STATES:
+                raise LockError(f"{label}: 'contracted', 'extended' or None is needed, got {state!r}")
+            held[self.actuators.index(label)] = -1 if state is None else STATES.index(state)
+        try:
+            return Arm._of(self._arm, held)
+        except ValueError as error:
+            raise LockError(str(error)) from None
+
+    def frame(self, configuration: ArrayLike | str) -> Array:
+        """Returns the tip's frame in the world, shape (4, 4), of a configuration (B,).
+
+        Raises:
+            ConfigurationError: it is none of this arm.
+        """
+        return self._whole.tip(self.parse(configuration))
+
+    def frames(self, configurations: ArrayLike) -> Array:
+        """Returns the tips' frames in the world, shape (n, 4, 4), of configurations (n, B).
+
+        Raises:
+            ConfigurationError: one is none of this arm.
+        """
+        return self._whole.tips([self.parse(row) for row in np.atleast_2d(np.asarray(configurations))])
+
+    def position(self, configuration: ArrayLike | str) -> Array:
+        """Returns the tip's position in the world, shape (dimension,), of a configuration (B,).
+
+        Raises:
+            ConfigurationError: it is none of this arm.
+        """
+        return self.frame(configuration)[: self.dimension, 3]
+
+    def actuator_states(self, configuration: ArrayLike | str) -> NDArray[np.uint8]:
+        """Returns the state of each actuator, 0 contracted or 1 extended, shape (A,), of a configuration (B,).
+
+        Raises:
+            ConfigurationError: it is none of this arm.
+        """
+        return self._whole.actuator_states(self.parse(configuration))
+
+    def configuration(self, actuator_states: ArrayLike) -> Configuration:
+        """Returns the configuration (B,) of actuator states (A,), 0 contracted or 1 extended.
+
+        Raises:
+            ConfigurationError: no configuration has these states.
+        """
+        try:
+            return self._whole.configuration(actuator_states)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from None
+
+    def parse(self, configuration: ArrayLike | str) -> Configuration:
+        """Returns a configuration (B,), given as an array or as `hyperbit plan` prints it.
+
+        Raises:
+            ConfigurationError: it is none of this arm.
+        """
+        try:
+            if isinstance(configuration, str):
+                return parse_configuration(self._whole, configuration)
+            given = np.asarray(configuration)
+            if given.shape != self._whole.states.shape or not np.issubdtype(given.dtype, np.integer):
+                count = len(self._whole.states)
+                raise ValueError(f"integers of shape ({count},) are needed, got {given.dtype} of shape {given.shape}")
+            return parse_configuration(self._whole, ",".join(map(str, given.tolist())))
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from None
+
+    def format(self, configuration: ArrayLike | str) -> str:
+        """Returns a configuration (B,) as text: digits, or numbers with commas if a module has more than ten states."""
+        return format_configuration(self._whole, self.parse(configuration))
+
+    def switches(self, first: ArrayLike | str, second: ArrayLike | str) -> int:
+        """Returns the number of actuators that differ between two configurations (B,)."""
+        return self._whole.switches(self.parse(first), self.parse(second))
+
+    def sample(self, count: int, seed: int = 0) -> NDArray[np.int64]:
+        """Returns random configurations, shape (count, B), that suit the locked actuators, the same for each seed."""
+        drawn = np.random.default_rng(seed).integers(0, self._reduced.states, (count, len(self._reduced.modules)))
+        return np.array([self._widened(row) for row in drawn], dtype=np.int64).reshape(count, -1)
+
+    def density(self) -> Density:
+        """Returns the density of the tip's positions, with the locked actuators taken into account."""
+        return Density(self._densities, self._reduced)
+
+    @property
+    def _whole(self) -> Manipulator:
+        return self._arm.manipulator
+
+    @cached_property
+    def _densities(self) -> Densities:
+        """Mapped at the first need, and kept in the cache folder on disk."""
+        return load_or_map(self._reduced, self._arm.pixel, self._arm.level_pixels, default_directory())
+
+    def _narrowed(self, configuration: ArrayLike | str) -> Configuration:
+        """Returns a configuration (B,) in the numbers of the arm without the states ruled out.
+
+        Raises:
+            ConfigurationError: it is none of this arm, or a locked actuator is in another state.
+        """
+        whole = self.parse(configuration)
+        try:
+            return carried(whole, self._whole, self._reduced)
+        except ValueError as error:
+            raise ConfigurationError(f"as actuators are locked, {error}") from None
+
+    def _widened(self, configuration: Configuration) -> Configuration:
+        """Returns a configuration (B,) of the arm without the states ruled out, in the numbers of the whole arm."""
+        return carried(configuration, self._reduced, self._whole)
+
+
+def load(path: str | Path) -> Arm:
+    """Returns the arm that a YAML file describes; actuators that the file declares stuck are locked.
+
+    Raises:
+        ArmError: the file is missing or wrong.
+    """
+    try:
+        return Arm._of(config.load(Path(path)))
+    except InputFaults as error:
+        raise ArmError(error.faults, str(path)) from None
+
+
+def build(settings: ArmSettings, path: Path) -> config.Arm:
+    """Returns the arm of a file's fields.
+
+    Raises:
+        ArmError: the fields are wrong.
+    """
+    try:
+        return config.build(settings, path, [])
+    except InputFaults as error:
+        raise ArmError(error.faults, str(path)) from None

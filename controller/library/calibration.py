@@ -1,0 +1,65 @@
+"""Fitting an arm's numbers to measured tips."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import ArrayLike
+
+from controller.calibration.calibration import Calibration, calibrated
+from controller.calibration.fit import CannotFit
+from controller.calibration.samples import Samples
+from controller.library.arm import Arm, build
+from controller.library.errors import CalibrationError
+from controller.library.modules import checked
+from controller.settings import ArmSettings
+
+
+class Fitted(NamedTuple):
+    """A calibrated arm.
+
+    Attributes:
+        arm: with the numbers found; obstacles, tolerances and locked actuators stay as they are.
+        report: residuals before, after and of samples held out, and each number that changed.
+    """
+
+    arm: Arm
+    report: Calibration
+
+
+def calibrate(arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: bool = False) -> Fitted:
+    """Returns the arm whose modules and base suit measured tips best, and what the fit tells.
+
+    Args:
+        arm: as described so far.
+        configurations: in which the tip was measured, shape (n, B).
+        tips: measured in the world: positions, shape (n, dimension), or frames, shape (n, 4, 4).
+        each: fit each module by itself, and each leg of a truss.
+
+    Raises:
+        CalibrationError: there are too few samples, shapes do not suit, or no arm like this one suits them.
+        ConfigurationError: a configuration is none of the arm's.
+    """
+    rows = np.array([arm.parse(row) for row in np.atleast_2d(np.asarray(configurations))])
+    measured = np.asarray(tips, dtype=float)
+    frames = np.tile(np.eye(4), (len(rows), 1, 1))
+    oriented = measured.shape == (len(rows), 4, 4)
+    if oriented:
+        frames = measured.copy()
+    elif measured.shape == (len(rows), arm.dimension):
+        frames[:, : arm.dimension, 3] = measured
+    else:
+        raise CalibrationError(
+            f"tips of shape ({len(rows)}, {arm.dimension}) or ({len(rows)}, 4, 4) are needed, got {measured.shape}"
+        )
+    if not np.isfinite(frames).all():
+        raise CalibrationError("tips: finite numbers are needed")
+    try:
+        report = calibrated(arm._arm, Samples(rows, frames, oriented, np.arange(len(rows))), each=each)
+    except CannotFit as error:
+        raise CalibrationError(str(error)) from None
+    fields: dict[str, Any] = {"name": arm.name, "tolerance": {"position": arm.tolerance}, **report.description}
+    found = checked(ArmSettings, fields, arm.name)
+    settings = structs.replace(arm._arm.settings, base=found.base, modules=found.modules)
+    return Fitted(Arm._of(build(settings, Path(arm.name)), arm._held), report)

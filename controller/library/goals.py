@@ -1,0 +1,110 @@
+"""Goals: where the tip is to be, in the world."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.library.errors import GoalError
+from controller.manipulator import frames
+from controller.strict import UNIT
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A position of the tip, with an orientation if that matters.
+
+    Attributes:
+        position: in the world, shape (2,) for planar arms, (3,) for spatial arms, in the arm's unit of length.
+        orientation: of planar arms an angle, counter-clockwise [rad]; of spatial arms a unit quaternion x, y, z, w,
+            shape (4,); None: any orientation will do.
+        tolerance: greatest distance of the tip; None: the arm's.
+        angle_tolerance: greatest angle from `orientation` [rad]; None: the arm's.
+
+    Raises:
+        GoalError: a number is not finite, a tolerance is not positive, or shapes do not suit each other.
+    """
+
+    position: ArrayLike
+    orientation: float | Sequence[float] | Array | None = None
+    tolerance: float | None = None
+    angle_tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        """Checks the numbers."""
+        position = numbers(self.position, "position")
+        if position.shape not in ((2,), (3,)):
+            raise GoalError(f"a goal's position has shape (2,) or (3,), got {position.shape}")
+        if self.orientation is not None:
+            orientation = numbers(self.orientation, "orientation")
+            if orientation.shape != (() if position.shape == (2,) else (4,)):
+                form = "an angle [rad]" if position.shape == (2,) else "a quaternion x, y, z, w of shape (4,)"
+                raise GoalError(f"the orientation of this goal is {form}, got shape {orientation.shape}")
+            if orientation.shape == (4,) and abs(float(np.linalg.norm(orientation)) - 1.0) > UNIT:
+                raise GoalError(f"a quaternion of length 1 is needed, got {orientation.tolist()}")
+        for name in ("tolerance", "angle_tolerance"):
+            value = getattr(self, name)
+            if value is not None and not 1e-9 <= value <= 1e6:
+                raise GoalError(f"{name}: a number from 1e-9 to 1e6 is needed, got {value!r}")
+        if self.angle_tolerance is not None and self.orientation is None:
+            raise GoalError("angle_tolerance: the goal has no orientation")
+
+    @property
+    def target(self) -> Array:
+        """The position, shape (2,) or (3,), or the frame, shape (4, 4), if the orientation matters."""
+        position = np.asarray(self.position, dtype=float)
+        if self.orientation is None:
+            return position
+        if len(position) == 2:
+            return frames.planar(float(position[0]), float(position[1]), float(np.asarray(self.orientation)))
+        return frames.spatial(position, np.asarray(self.orientation))
+
+
+def numbers(values: ArrayLike, name: str) -> Array:
+    """Returns values as an array of finite floats.
+
+    Raises:
+        GoalError: they are none.
+    """
+    try:
+        result = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise GoalError(f"{name}: numbers are needed, got {values!r}") from None
+    if not np.isfinite(result).all():
+        raise GoalError(f"{name}: finite numbers are needed, got {result.tolist()}")
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A goal with the tolerances that hold for it.
+
+    Attributes:
+        goal: as given.
+        target: see Goal.target.
+        tolerance: of the distance.
+        angle_tolerance: [rad]; infinite if any orientation will do.
+    """
+
+    goal: Goal
+    target: Array
+    tolerance: float
+    angle_tolerance: float
+
+
+def request(goal: Goal | ArrayLike, dimension: int, tolerance: float, angle_tolerance: float) -> Request:
+    """Returns a goal, or a bare position, with the arm's tolerances where it has none.
+
+    Raises:
+        GoalError: the goal does not suit the arm's dimension.
+    """
+    own = goal if isinstance(goal, Goal) else Goal(goal)
+    size = len(np.asarray(own.position))
+    if size != dimension:
+        raise GoalError(f"a goal of this arm has {dimension} coordinates, got {size}")
+    angle = math.inf if own.orientation is None else own.angle_tolerance or angle_tolerance
+    return Request(own, own.target, own.tolerance or tolerance, angle)

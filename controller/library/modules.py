@@ -1,0 +1,175 @@
+"""Modules of arms that are built in code. A module is described as in an arm's file."""
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import ArrayLike
+
+from controller.library.errors import ArmError
+from controller.manipulator import frames
+from controller.settings import (
+    Diagonal,
+    FrameSettings,
+    ModuleSettings,
+    PlatformSettings,
+    PrismaticSettings,
+    RevoluteSettings,
+    TransformsSettings,
+    VgtSettings,
+)
+from controller.strict import check
+
+S = TypeVar("S", bound=Struct)
+
+Module = ModuleSettings
+
+RIGID = 1e-6  # greatest difference of R^T R from the identity
+
+
+def checked(kind: type[S], fields: dict[str, Any], where: str) -> S:
+    """Returns a struct of the arm's file with these fields, absent where None.
+
+    Raises:
+        ArmError: a field is wrong.
+    """
+    faults: list[str] = []
+    tag = {"type": kind.__struct_config__.tag} if kind.__struct_config__.tag else {}
+    given = {name: value for name, value in fields.items() if value is not None}
+    result = check({**tag, **given}, kind, faults)
+    if result is None:
+        raise ArmError(faults, where)
+    return result
+
+
+def plain(values: ArrayLike) -> Any:
+    """Returns an array as nested lists of floats."""
+    return np.asarray(values, dtype=float).tolist()
+
+
+def vgt(
+    first_diagonal: Diagonal = "BC",
+    *,
+    width: float,
+    lengths: Sequence[float] | dict[str, Sequence[float]],
+    count: int = 1,
+) -> VgtSettings:
+    """Returns `count` variable geometry truss modules (Ebert-Uphoff and Chirikjian 1996, section 4).
+
+    Args:
+        first_diagonal: diagonal of the first module, "BC" or "AD"; the diagonals of further modules alternate.
+        width: of base and top, in the arm's unit of length.
+        lengths: contracted and extended length of each leg, shape (2,), or of "left", "diagonal" and "right".
+        count: number of modules.
+
+    Raises:
+        ArmError: a value is out of its bounds.
+    """
+    legs = {name: plain(pair) for name, pair in lengths.items()} if isinstance(lengths, dict) else plain(lengths)
+    fields = {"first_diagonal": first_diagonal, "width": float(width), "lengths": legs, "count": count}
+    return checked(VgtSettings, fields, "vgt")
+
+
+def revolute(
+    angles: ArrayLike, *, link: ArrayLike = (0.0, 0.0), axis: ArrayLike = (0.0, 0.0, 1.0), count: int = 1
+) -> RevoluteSettings:
+    """Returns `count` joints that turn to one of K angles.
+
+    Args:
+        angles: shape (K,) [rad].
+        link: position of the next module in the turned frame, shape (2,) or (3,), or its frame, shape (4, 4).
+        axis: of rotation, shape (3,).
+        count: number of modules.
+
+    Raises:
+        ArmError: a value is out of its bounds.
+    """
+    fields = {"angles": plain(angles), "axis": plain(axis), "link": placement(link), "count": count}
+    return checked(RevoluteSettings, fields, "revolute")
+
+
+def prismatic(
+    axis: ArrayLike, lengths: ArrayLike, *, link: ArrayLike = (0.0, 0.0), count: int = 1
+) -> PrismaticSettings:
+    """Returns `count` joints that slide to one of K lengths.
+
+    Args:
+        axis: direction of sliding, shape (2,) or (3,).
+        lengths: shape (K,), ascending.
+        link: position of the next module in the moved frame, shape (2,) or (3,), or its frame, shape (4, 4).
+        count: number of modules.
+
+    Raises:
+        ArmError: a value is out of its bounds.
+    """
+    fields = {"axis": plain(axis), "lengths": plain(lengths), "link": placement(link), "count": count}
+    return checked(PrismaticSettings, fields, "prismatic")
+
+
+def platform(base: ArrayLike, top: ArrayLike, lengths: ArrayLike, *, count: int = 1) -> PlatformSettings:
+    """Returns `count` plates on two-state legs: planar with three legs, spatial with three or six.
+
+    Args:
+        base: joints of the legs in the frame below, shape (L, 2) or (L, 3).
+        top: joints of the legs in the frame above, same shape.
+        lengths: contracted and extended length of each leg, shape (2,).
+        count: number of modules.
+
+    Raises:
+        ArmError: a value is out of its bounds.
+    """
+    fields = {"base": plain(base), "top": plain(top), "lengths": plain(lengths), "count": count}
+    return checked(PlatformSettings, fields, "platform")
+
+
+def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
+    """Returns `count` modules whose states are any frames; binary actuators "1", "2", ... count the states.
+
+    Args:
+        states: frame of the next module in each of K states, shape (K, 4, 4). The module is planar if all frames stay
+            in the plane z = 0.
+        count: number of modules.
+
+    Raises:
+        ArmError: the frames are not rigid, or a value is out of its bounds.
+    """
+    stack = np.asarray(states, dtype=float)
+    if stack.ndim != 3 or stack.shape[1:] != (4, 4):
+        raise ArmError([f"frames of shape (K, 4, 4) are needed, got shape {stack.shape}"], "transforms")
+    planar = all(in_plane(frame) for frame in stack)
+    listed = [frame_fields(frame, planar=planar) for frame in stack]
+    return checked(TransformsSettings, {"states": listed, "count": count}, "transforms")
+
+
+def placement(given: ArrayLike) -> dict[str, Any]:
+    """Returns a position (2,) or (3,), or a frame (4, 4), as an arm's file writes it."""
+    values = np.asarray(given, dtype=float)
+    if values.shape == (4, 4):
+        return frame_fields(values, planar=in_plane(values))
+    return {"position": values.tolist()}
+
+
+def frame_fields(frame: frames.Frame, *, planar: bool) -> dict[str, Any]:
+    """Returns a frame (4, 4) as an arm's file writes it.
+
+    Raises:
+        ArmError: the frame is not a rotation and a translation.
+    """
+    rotation = frame[:3, :3]
+    rigid = np.abs(rotation.T @ rotation - np.eye(3)).max() <= RIGID and np.linalg.det(rotation) > 0
+    if not rigid or not np.array_equal(frame[3], (0.0, 0.0, 0.0, 1.0)):
+        raise ArmError(["a frame must be a rotation and a translation, with the last row 0, 0, 0, 1"], "frame")
+    if planar:
+        return {"position": frame[:2, 3].tolist(), "orientation": frames.angle(frame)}
+    return {"position": frame[:3, 3].tolist(), "orientation": frames.quaternion(frame).tolist()}
+
+
+def in_plane(frame: frames.Frame) -> bool:
+    """Returns whether a frame (4, 4) stays in the plane z = 0."""
+    return bool(np.allclose(frame[2], (0.0, 0.0, 1.0, 0.0), atol=1e-12))
+
+
+def base_settings(base: ArrayLike | None) -> FrameSettings:
+    """Returns the base of an arm: a position (2,) or (3,), or a frame (4, 4); the origin if None."""
+    return checked(FrameSettings, placement((0.0, 0.0) if base is None else base), "base")

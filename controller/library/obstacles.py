@@ -1,0 +1,131 @@
+"""Obstacles: convex regions in the world that no module may touch."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from controller.library.errors import ObstacleError
+from controller.obstacles.notation import build_regions
+from controller.obstacles.regions import Regions
+from controller.settings import RegionSettings
+from controller.strict import check
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """A disc, for planar arms.
+
+    Attributes:
+        centre: shape (2,), in the arm's unit of length.
+        radius: in the same unit.
+        name: as messages call it.
+    """
+
+    centre: ArrayLike
+    radius: float
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A sphere, for spatial arms.
+
+    Attributes:
+        centre: shape (3,), in the arm's unit of length.
+        radius: in the same unit.
+        name: as messages call it.
+    """
+
+    centre: ArrayLike
+    radius: float
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box, for planar and spatial arms.
+
+    Attributes:
+        centre: shape (2,) or (3,), in the arm's unit of length.
+        size: whole sides along the box's axes, same shape.
+        angle: of the box in the plane [rad].
+        orientation: of the box in space, a unit quaternion x, y, z, w, shape (4,).
+        name: as messages call it.
+    """
+
+    centre: ArrayLike
+    size: ArrayLike
+    angle: float | None = None
+    orientation: ArrayLike | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class HalfPlane:
+    """All that lies behind a line, for planar arms.
+
+    Attributes:
+        point: on the line, shape (2,), in the arm's unit of length.
+        normal: points away from the obstacle, shape (2,), of any length but 0.
+        name: as messages call it.
+    """
+
+    point: ArrayLike
+    normal: ArrayLike
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """All that lies behind a plane, for spatial arms.
+
+    Attributes:
+        point: on the plane, shape (3,), in the arm's unit of length.
+        normal: points away from the obstacle, shape (3,), of any length but 0.
+        name: as messages call it.
+    """
+
+    point: ArrayLike
+    normal: ArrayLike
+    name: str | None = None
+
+
+Obstacle = Disc | Sphere | Box | HalfPlane | HalfSpace
+
+KINDS: dict[type[Obstacle], str] = {
+    Disc: "disc",
+    Sphere: "sphere",
+    Box: "box",
+    HalfPlane: "half_plane",
+    HalfSpace: "half_space",
+}
+
+
+def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> RegionSettings | None:
+    """Returns an obstacle as an arm's file writes it, or None and its faults."""
+    fields: dict[str, Any] = {k: v for k, v in asdict(obstacle).items() if v is not None}
+    name = {"name": fields.pop("name")} if "name" in fields else {}
+    body = {k: np.asarray(v, dtype=float).tolist() for k, v in fields.items()}
+    return check({KINDS[type(obstacle)]: body, **name}, RegionSettings, faults)
+
+
+def build_obstacles(obstacles: Sequence[Obstacle], dimension: int) -> Regions:
+    """Returns obstacles as the collision checks take them.
+
+    Args:
+        obstacles: any number.
+        dimension: of the arm, 2 or 3.
+
+    Raises:
+        ObstacleError: an obstacle is not valid, or does not suit the dimension.
+    """
+    faults: list[str] = []
+    listed = [obstacle_settings(obstacle, faults) for obstacle in obstacles]
+    given = [entry for entry in listed if entry is not None]
+    regions = build_regions(given, dimension, "obstacles", faults)
+    if faults:
+        raise ObstacleError("\n".join(faults))
+    return regions

@@ -1,0 +1,70 @@
+"""Pictures of arms, paths and densities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from controller import plots
+from controller.library.arm import Arm
+from controller.library.obstacles import Obstacle, build_obstacles
+from controller.library.solver import Path
+from controller.obstacles.regions import together
+from controller.search.solution import Solution
+
+if TYPE_CHECKING:  # matplotlib takes half a second to import
+    from matplotlib.figure import Figure
+
+MOST_DRAWN = len(plots.COLOURS)  # configurations of a path
+
+Drawn = Path | Solution | Mapping[str, ArrayLike] | None
+
+
+def plot(
+    arm: Arm,
+    drawn: Drawn = None,
+    *,
+    obstacles: Sequence[Obstacle] = (),
+    targets: ArrayLike = (),
+    title: str | None = None,
+    unit: str = "m",
+) -> Figure:
+    """Returns a matplotlib figure: the arm in the world, over the density of its tips if it is planar.
+
+    Args:
+        arm: the arm; its own obstacles are drawn as well.
+        drawn: a path, a solution, configurations (B,) by their names in the legend, or None for the density alone. Of a
+            path at most six configurations are drawn, evenly chosen, and its goals.
+        obstacles: of the solver.
+        targets: further positions, drawn as crosses, shape (n, dimension).
+        title: above the picture; the arm's name if None.
+        unit: of length, for the axes.
+
+    Raises:
+        ObstacleError: an obstacle is not valid, or does not suit the arm's dimension.
+        ConfigurationError: a configuration is none of the arm's.
+    """
+    curve: ArrayLike = ()
+    match drawn:
+        case Path():
+            curve = drawn.positions
+            chosen = np.unique(np.linspace(0, len(drawn.solutions) - 1, MOST_DRAWN).round().astype(int))
+            given = {f"point {k + 1}": drawn.solutions[k].configuration for k in chosen.tolist()}
+        case Solution():
+            given = {"solution": drawn.configuration}
+        case None:
+            given = {}
+        case _:
+            given = {name: arm.parse(configuration) for name, configuration in drawn.items()}
+    regions = together([arm._arm.regions, build_obstacles(obstacles, arm.dimension)])
+    panel = plots.Panel(arm.name if title is None else title, given, targets, curve)
+    if arm.dimension == 2:
+        return plots.figure(arm._whole, arm._densities, [panel], unit, regions)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.6, 6.2), layout="constrained")
+    plots.draw_spatial(figure.add_subplot(projection="3d"), arm._whole, panel, unit, regions)
+    return figure

@@ -1,0 +1,214 @@
+"""The solver: configurations for goals, and paths through several goals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.library.arm import Arm
+from controller.library.errors import GoalError, PathError
+from controller.library.goals import Goal, Request, request
+from controller.library.obstacles import Obstacle, build_obstacles
+from controller.manipulator.manipulator import Configuration
+from controller.motion.codes import Refusal
+from controller.motion.pacing import Pace
+from controller.motion.plan import plan
+from controller.motion.trajectory import MOST_POINTS, Trajectory, along
+from controller.planning.improvement import Improvement
+from controller.search import solver as search
+from controller.search.method import METHODS, Method
+from controller.search.solution import Certificate, Solution, certificate
+
+DEADLINE = search.DEADLINE
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Configurations through several goals.
+
+    Attributes:
+        goals: as given.
+        positions: of the path's points in the world, shape (n, dimension): the goals, and points between them if
+            straight lines are followed.
+        solutions: one for each point; switches are counted from the point before.
+        waypoints: index of the point of each goal, shape (m,).
+        certificate: what is proven of the cost of the whole path, see Solution.certificate.
+        bound: proven: no path through the goals costs less; 0 if nothing is proven.
+    """
+
+    goals: tuple[Goal, ...]
+    positions: NDArray[np.float64]
+    solutions: tuple[Solution, ...]
+    waypoints: NDArray[np.int64]
+    certificate: Certificate
+    bound: float
+
+    @property
+    def configurations(self) -> NDArray[np.int64]:
+        """Configuration at each point, shape (n, B)."""
+        return np.array([solution.configuration for solution in self.solutions])
+
+    @property
+    def switches(self) -> int:
+        """Switches of all actuators along the path."""
+        return sum(solution.switches for solution in self.solutions)
+
+    @property
+    def cost(self) -> float:
+        """Weighted number of switches along the path."""
+        return sum(solution.cost for solution in self.solutions)
+
+
+class Solver:
+    """Inverse kinematics of one arm. Its tables are built at the first search, and kept.
+
+    One search at a time: use a solver for each thread.
+
+    Args:
+        arm: the arm; its obstacles hold as well.
+        obstacles: regions in the world that no module may touch.
+        weights: cost of a switch of each actuator, positive, shape (A,); the arm's if None.
+
+    Raises:
+        ObstacleError: an obstacle is not valid, or does not suit the arm's dimension.
+        GoalError: the weights are not A positive numbers.
+    """
+
+    def __init__(self, arm: Arm, *, obstacles: Sequence[Obstacle] = (), weights: ArrayLike | None = None) -> None:
+        self.arm = arm
+        self.obstacles = tuple(obstacles)
+        self._regions = build_obstacles(obstacles, arm.dimension)
+        self._weights = arm.weights if weights is None else np.asarray(weights, dtype=float)
+        if self._weights.shape != arm.weights.shape or not (self._weights > 0).all():
+            raise GoalError(f"weights: {len(arm.actuators)} positive numbers are needed, one an actuator")
+
+    def solve(
+        self,
+        goal: Goal | ArrayLike,
+        start: Any = None,
+        *,
+        method: Method = "minimum-switch",
+        deadline: float = DEADLINE,
+    ) -> Solution:
+        """Returns a configuration for a goal. A goal out of reach gives the nearest configuration found.
+
+        Args:
+            goal: or a bare position, shape (dimension,).
+            start: configuration (B,), solution or path to start from; the arm's `home` if None.
+            method: one of `METHODS`.
+            deadline: time for the search for fewest switches [s].
+
+        Raises:
+            GoalError: the goal does not suit the arm, or there is no such method.
+            ConfigurationError: the start is no configuration of the arm.
+        """
+        if method not in METHODS:
+            raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        asked = self._request(goal)
+        before = self._start(start)
+        found = self._search.solve(asked.target, before, asked.tolerance, method, deadline, asked.angle_tolerance)
+        return self._whole(found)
+
+    def follow(
+        self,
+        goals: Sequence[Goal | ArrayLike],
+        start: Any = None,
+        *,
+        path_tolerance: float | None = None,
+        method: Method = "minimum-switch",
+    ) -> Path:
+        """Returns a path through goals, planned as the daemon plans a trajectory with enough time.
+
+        The method minimum-switch looks ahead: it keeps the cheapest ways to each goal, and leads them on to the next.
+
+        Args:
+            goals: in their order.
+            start: configuration (B,), solution or path to start from; the arm's `home` if None.
+            path_tolerance: the tip follows the straight lines between the goals within this distance; None: any way.
+            method: one of `METHODS`.
+
+        Raises:
+            GoalError: there is no goal, or one does not suit the arm.
+            ConfigurationError: the start is no configuration of the arm.
+            PathError: a goal is out of reach, or something is in the way.
+        """
+        if method not in METHODS:
+            raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        if not 1 <= len(goals) <= MOST_POINTS:
+            raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
+        asked = [self._request(goal) for goal in goals]
+        before, pace = self._start(start), self._pace
+        try:
+            trajectory = self._trajectory(asked, path_tolerance)
+            found = plan(self._search, trajectory, before, method, pace=pace)
+            if method == "minimum-switch":
+                found = Improvement(self._search, found, pace).whole()
+        except Refusal as refusal:
+            raise PathError(str(refusal)) from None
+        solutions = tuple(self._whole(solution) for solution in found.solutions)
+        bound, cost = solutions[0].bound, sum(solution.cost for solution in solutions)
+        proven = certificate(all(solution.within_tolerance for solution in solutions), bound, cost)
+        own = tuple(one.goal for one in asked)
+        return Path(own, trajectory.positions, solutions, trajectory.waypoints, proven, bound)
+
+    def contact(self, configuration: ArrayLike | str) -> str | None:
+        """Returns what touches first in a configuration (B,), such as "module 7 is in disc 'pillar'"; None if nothing.
+
+        Raises:
+            ConfigurationError: it is none of this arm, or a locked actuator is in another state.
+        """
+        clearance = self._search.clearance
+        return None if clearance is None else clearance.where(self.arm._narrowed(configuration))
+
+    @cached_property
+    def _search(self) -> search.Solver:
+        """Built at the first search: densities are mapped or read from the cache."""
+        arm, reduced = self.arm._arm, self.arm._reduced
+        solver = search.Solver(reduced, self.arm._densities, self._weights, arm.clearance(reduced, self._regions))
+        solver.prepare()
+        return solver
+
+    @property
+    def _pace(self) -> Pace:
+        arm = self.arm._arm
+        return Pace(arm.travel_time, arm.settings.inrush, arm.settings.rest_time)
+
+    def _request(self, goal: Goal | ArrayLike) -> Request:
+        return request(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
+
+    def _start(self, start: Any) -> Configuration:
+        """Returns where to start from, in the numbers of the search."""
+        if isinstance(start, Path):
+            start = start.solutions[-1]
+        return self.arm._narrowed(
+            self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
+        )
+
+    def _trajectory(self, asked: Sequence[Request], path_tolerance: float | None) -> Trajectory:
+        """Returns the trajectory through goals, with more time than the actuators need."""
+        size = self.arm.dimension
+        step = self._pace.unhurried * MOST_POINTS
+        times = step * np.arange(len(asked), dtype=np.float64)
+        positions = np.array([np.asarray(one.goal.position, dtype=float) for one in asked])
+        if path_tolerance is not None:
+            if any(math.isfinite(one.angle_tolerance) for one in asked):
+                raise GoalError("path_tolerance: lines are followed by position only, leave out orientations")
+            if not 1e-9 <= path_tolerance <= 1e6:
+                raise GoalError(f"path_tolerance: a number from 1e-9 to 1e6 is needed, got {path_tolerance!r}")
+            tolerance = min(one.tolerance for one in asked)
+            return along(times, positions, tolerance, path_tolerance, self._pace)
+        rotations = np.array([one.target[:3, :3] if one.target.shape == (4, 4) else np.eye(3) for one in asked])
+        tolerances, turns = (
+            np.array([getattr(one, name) for one in asked]) for name in ("tolerance", "angle_tolerance")
+        )
+        return Trajectory(None, times, positions[:, :size], tolerances, rotations, turns, np.arange(len(asked)))
+
+    def _whole(self, found: Solution) -> Solution:
+        """Returns a solution with its configuration in the numbers of the whole arm."""
+        return replace(found, configuration=self.arm._widened(found.configuration))

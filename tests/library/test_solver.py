@@ -1,0 +1,128 @@
+"""Goals, paths and pictures by way of the library."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hyperbit as hb
+from tests.arms import every_configuration, paper_arm
+
+EVERY = every_configuration(paper_arm(4))
+
+
+@pytest.fixture(scope="module")
+def ik(arm: hb.Arm) -> hb.Solver:
+    return hb.Solver(arm)
+
+
+def fewest(
+    arm: hb.Arm, goal: np.ndarray, tolerance: float, start: np.ndarray, served: np.ndarray | None = None
+) -> float:
+    near = np.linalg.norm(arm.frames(EVERY)[:, :2, 3] - goal, axis=1) <= tolerance
+    chosen = EVERY[near if served is None else near & served]
+    return min((arm.switches(start, row) for row in chosen), default=math.inf)
+
+
+def test_solutions_are_optimal_where_they_say_so(arm: hb.Arm, ik: hb.Solver) -> None:
+    for configuration in arm.sample(10, seed=1):
+        goal = arm.position(configuration)
+        solution = ik.solve(goal, start=arm.home)
+        assert solution.certificate == "optimal"
+        assert solution.switches == fewest(arm, goal, arm.tolerance, arm.home)
+        assert np.linalg.norm(arm.position(solution.configuration) - goal) == pytest.approx(solution.error)
+
+
+def test_goals_have_their_own_tolerances(arm: hb.Arm, ik: hb.Solver) -> None:
+    frame = arm.frame([3, 1, 4, 1])
+    angle = math.atan2(frame[1, 0], frame[0, 0])
+    solution = ik.solve(hb.Goal(frame[:2, 3], angle, tolerance=1e-6, angle_tolerance=1e-6))
+    assert solution.within_tolerance
+    np.testing.assert_allclose(arm.frame(solution.configuration), frame, atol=1e-5)
+
+
+def test_goals_out_of_reach_are_proven_so(ik: hb.Solver) -> None:
+    solution = ik.solve((100.0, 100.0))
+    assert not solution.within_tolerance
+    assert solution.certificate == "unreachable"
+
+
+def test_locked_actuators_stay_in_solutions(arm: hb.Arm) -> None:
+    locked = arm.lock({"2.left": "extended"})
+    goal = locked.position(locked.sample(1, seed=5)[0])
+    solution = hb.Solver(locked).solve(goal)
+    assert solution.within_tolerance
+    place = arm.actuators.index("2.left")
+    assert locked.actuator_states(solution.configuration)[place] == 1
+    served = np.array([arm.actuator_states(row)[place] == 1 for row in EVERY])
+    assert solution.switches == fewest(arm, goal, arm.tolerance, locked.home, served)
+
+
+def test_obstacles_are_kept_clear_of(arm: hb.Arm) -> None:
+    goal = arm.position([7, 0, 7, 0])
+    blocked = hb.Solver(arm).solve(goal).configuration
+    inside = arm.position(blocked) / 2
+    ik = hb.Solver(arm, obstacles=[hb.Disc((inside[0] - 0.25, inside[1]), 0.12, "pillar")])
+    solution = ik.solve(goal)
+    assert ik.contact(solution.configuration) is None or not solution.clear
+    ik = hb.Solver(arm, obstacles=[hb.Disc(arm.position(arm.home), 0.05, "pillar")])
+    assert ik.contact(arm.home) == "module 4 is in disc 'pillar'"
+
+
+def test_weights_change_what_is_cheap(arm: hb.Arm) -> None:
+    weights = np.where([label.startswith("1.") for label in arm.actuators], 50.0, 1.0)
+    solution = hb.Solver(arm, weights=weights).solve(arm.position([0, 3, 3, 3]))
+    assert solution.cost < 50
+    assert solution.configuration[0] == 0
+
+
+def test_paths_begin_where_the_last_ended(arm: hb.Arm, ik: hb.Solver) -> None:
+    goals = [arm.position(row) for row in arm.sample(4, seed=2)]
+    first = ik.solve(goals[0])
+    path = ik.follow(goals[1:], start=first)
+    assert path.waypoints.tolist() == [0, 1, 2]
+    before = first.configuration
+    for goal, row, solution in zip(goals[1:], path.configurations, path.solutions, strict=True):
+        assert np.linalg.norm(arm.position(row) - goal) <= arm.tolerance
+        assert solution.switches == arm.switches(before, row)
+        before = row
+    assert path.switches == sum(solution.switches for solution in path.solutions)
+    assert path.cost >= path.bound
+    again = ik.follow([goals[0]], start=path)
+    assert again.solutions[0].switches == arm.switches(before, again.configurations[0])
+
+
+def test_lines_between_goals_are_followed(arm: hb.Arm) -> None:
+    ik = hb.Solver(arm)
+    a = arm.position([4, 4, 4, 4])
+    path = ik.follow([a, a + np.array([0.02, 0.01])], start=[4, 4, 4, 4], path_tolerance=0.05)
+    assert len(path.solutions) >= 2
+    assert path.waypoints[-1] == len(path.solutions) - 1
+
+
+def test_every_method_answers(arm: hb.Arm, ik: hb.Solver) -> None:
+    goal = arm.position([5, 2, 6, 1])
+    found = {method: ik.solve(goal, method=method) for method in hb.METHODS}
+    assert all(solution.within_tolerance for solution in found.values())
+    assert found["minimum-switch"].switches == min(solution.switches for solution in found.values())
+
+
+@pytest.mark.parametrize("drawn", ["path", "solution", "mapping", "nothing"])
+def test_pictures(arm: hb.Arm, ik: hb.Solver, drawn: str, tmp_path) -> None:
+    goals = [arm.position(row) for row in arm.sample(2, seed=2)]
+    given = {
+        "path": ik.follow(goals),
+        "solution": ik.solve(goals[0]),
+        "mapping": {"home": arm.home},
+        "nothing": None,
+    }[drawn]
+    figure = hb.plot(arm, given, obstacles=[hb.Disc((2.0, 2.0), 0.1)], targets=goals)
+    figure.savefig(tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 1000
+
+
+def test_a_spatial_arm_is_drawn_without_its_density() -> None:
+    arm = hb.Arm([hb.revolute([-0.5, 0.5], axis=(1, 0, 0), link=(0.0, 0.0, 0.2), count=3)])
+    figure = hb.plot(arm, {"home": arm.home}, obstacles=[hb.Sphere((1, 1, 1), 0.2)])
+    assert figure.axes[0].get_zlabel() == "z [m]"
+    assert "_densities" not in vars(arm)
