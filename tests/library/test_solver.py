@@ -9,6 +9,7 @@ import hyperbit as hb
 from tests.arms import every_configuration, paper_arm
 
 EVERY = every_configuration(paper_arm(4))
+DEADLINE = 30.0  # [s], so that a busy machine proves as much as an idle one
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def fewest(
 def test_solutions_are_optimal_where_they_say_so(arm: hb.Arm, ik: hb.Solver) -> None:
     for configuration in arm.sample(10, seed=1):
         goal = arm.position(configuration)
-        solution = ik.solve(goal, start=arm.home)
+        solution = ik.solve(goal, start=arm.home, deadline=DEADLINE)
         assert solution.certificate == "optimal"
         assert solution.switches == fewest(arm, goal, arm.tolerance, arm.home)
         assert np.linalg.norm(arm.position(solution.configuration) - goal) == pytest.approx(solution.error)
@@ -36,13 +37,13 @@ def test_solutions_are_optimal_where_they_say_so(arm: hb.Arm, ik: hb.Solver) -> 
 def test_goals_have_their_own_tolerances(arm: hb.Arm, ik: hb.Solver) -> None:
     frame = arm.frame([3, 1, 4, 1])
     angle = math.atan2(frame[1, 0], frame[0, 0])
-    solution = ik.solve(hb.Goal(frame[:2, 3], angle, tolerance=1e-6, angle_tolerance=1e-6))
+    solution = ik.solve(hb.Goal(frame[:2, 3], angle, tolerance=1e-6, angle_tolerance=1e-6), deadline=DEADLINE)
     assert solution.within_tolerance
     np.testing.assert_allclose(arm.frame(solution.configuration), frame, atol=1e-5)
 
 
 def test_goals_out_of_reach_are_proven_so(ik: hb.Solver) -> None:
-    solution = ik.solve((100.0, 100.0))
+    solution = ik.solve((100.0, 100.0), deadline=DEADLINE)
     assert not solution.within_tolerance
     assert solution.certificate == "unreachable"
 
@@ -50,7 +51,7 @@ def test_goals_out_of_reach_are_proven_so(ik: hb.Solver) -> None:
 def test_locked_actuators_stay_in_solutions(arm: hb.Arm) -> None:
     locked = arm.lock({"2.left": "extended"})
     goal = locked.position(locked.sample(1, seed=5)[0])
-    solution = hb.Solver(locked).solve(goal)
+    solution = hb.Solver(locked).solve(goal, deadline=DEADLINE)
     assert solution.within_tolerance
     place = arm.actuators.index("2.left")
     assert locked.actuator_states(solution.configuration)[place] == 1
@@ -59,19 +60,25 @@ def test_locked_actuators_stay_in_solutions(arm: hb.Arm) -> None:
 
 
 def test_obstacles_are_kept_clear_of(arm: hb.Arm) -> None:
-    goal = arm.position([7, 0, 7, 0])
-    blocked = hb.Solver(arm).solve(goal).configuration
-    inside = arm.position(blocked) / 2
-    ik = hb.Solver(arm, obstacles=[hb.Disc((inside[0] - 0.25, inside[1]), 0.12, "pillar")])
-    solution = ik.solve(goal)
-    assert ik.contact(solution.configuration) is None or not solution.clear
+    ik = hb.Solver(arm, obstacles=[hb.Disc((0.3, 0.6), 0.15, "pillar")])
+    clear = np.array([ik.contact(row) is None for row in EVERY])
+    assert 0 < clear.sum() < len(EVERY)
+    dearer = 0
+    for goal in arm.frames(EVERY[clear][::150])[:, :2, 3]:
+        solution = ik.solve(goal, deadline=DEADLINE)
+        assert solution.clear
+        assert ik.contact(solution.configuration) is None
+        assert solution.certificate == "optimal"
+        assert solution.switches == fewest(arm, goal, arm.tolerance, arm.home, clear)
+        dearer += solution.switches > fewest(arm, goal, arm.tolerance, arm.home)
+    assert dearer > 0, "no goal needs more switches because of the obstacle: move it"
     ik = hb.Solver(arm, obstacles=[hb.Disc(arm.position(arm.home), 0.05, "pillar")])
     assert ik.contact(arm.home) == "module 4 is in disc 'pillar'"
 
 
 def test_weights_change_what_is_cheap(arm: hb.Arm) -> None:
     weights = np.where([label.startswith("1.") for label in arm.actuators], 50.0, 1.0)
-    solution = hb.Solver(arm, weights=weights).solve(arm.position([0, 3, 3, 3]))
+    solution = hb.Solver(arm, weights=weights).solve(arm.position([0, 3, 3, 3]), deadline=DEADLINE)
     assert solution.cost < 50
     assert solution.configuration[0] == 0
 
@@ -102,7 +109,7 @@ def test_lines_between_goals_are_followed(arm: hb.Arm) -> None:
 
 def test_every_method_answers(arm: hb.Arm, ik: hb.Solver) -> None:
     goal = arm.position([5, 2, 6, 1])
-    found = {method: ik.solve(goal, method=method) for method in hb.METHODS}
+    found = {method: ik.solve(goal, method=method, deadline=DEADLINE) for method in hb.METHODS}
     assert all(solution.within_tolerance for solution in found.values())
     assert found["minimum-switch"].switches == min(solution.switches for solution in found.values())
 
