@@ -15,7 +15,12 @@ from controller.strict import check
 
 
 @dataclass(frozen=True, eq=False)
-class Disc:
+class Obstacle:
+    """Base of all obstacles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disc(Obstacle):
     """A disc, for planar arms.
 
     Attributes:
@@ -30,7 +35,7 @@ class Disc:
 
 
 @dataclass(frozen=True, eq=False)
-class Sphere:
+class Sphere(Obstacle):
     """A sphere, for spatial arms.
 
     Attributes:
@@ -45,7 +50,7 @@ class Sphere:
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class Box(Obstacle):
     """A box, for planar and spatial arms.
 
     Attributes:
@@ -64,7 +69,7 @@ class Box:
 
 
 @dataclass(frozen=True, eq=False)
-class HalfPlane:
+class HalfPlane(Obstacle):
     """All that lies behind a line, for planar arms.
 
     Attributes:
@@ -79,7 +84,7 @@ class HalfPlane:
 
 
 @dataclass(frozen=True, eq=False)
-class HalfSpace:
+class HalfSpace(Obstacle):
     """All that lies behind a plane, for spatial arms.
 
     Attributes:
@@ -93,8 +98,6 @@ class HalfSpace:
     name: str | None = None
 
 
-Obstacle = Disc | Sphere | Box | HalfPlane | HalfSpace
-
 KINDS: dict[type[Obstacle], str] = {
     Disc: "disc",
     Sphere: "sphere",
@@ -106,6 +109,9 @@ KINDS: dict[type[Obstacle], str] = {
 
 def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> RegionSettings | None:
     """Returns an obstacle as an arm's file writes it, or None and its faults."""
+    if type(obstacle) not in KINDS:
+        faults.append(f"obstacles: one of {', '.join(kind.__name__ for kind in KINDS)} is needed, got {obstacle!r}")
+        return None
     fields: dict[str, Any] = {k: v for k, v in asdict(obstacle).items() if v is not None}
     name = {"name": fields.pop("name")} if "name" in fields else {}
     body = {k: np.asarray(v, dtype=float).tolist() for k, v in fields.items()}

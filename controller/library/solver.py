@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,8 @@ from controller.search.method import METHODS, Method
 from controller.search.solution import Certificate, Solution, certificate
 
 DEADLINE = search.DEADLINE
+
+Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ class Solver:
     def solve(
         self,
         goal: Goal | ArrayLike,
-        start: Any = None,
+        start: Start = None,
         *,
         method: Method = "minimum-switch",
         deadline: float = DEADLINE,
@@ -100,7 +102,7 @@ class Solver:
 
         Args:
             goal: or a bare position, shape (dimension,).
-            start: configuration (B,), solution or path to start from; the arm's `home` if None.
+            start: configuration (B,) as an array or text, solution, or path to start from; the arm's `home` if None.
             method: one of `METHODS`.
             deadline: time for the search for fewest switches [s].
 
@@ -118,7 +120,7 @@ class Solver:
     def follow(
         self,
         goals: Sequence[Goal | ArrayLike],
-        start: Any = None,
+        start: Start = None,
         *,
         path_tolerance: float | None = None,
         method: Method = "minimum-switch",
@@ -129,7 +131,7 @@ class Solver:
 
         Args:
             goals: in their order.
-            start: configuration (B,), solution or path to start from; the arm's `home` if None.
+            start: configuration (B,) as an array or text, solution, or path to start from; the arm's `home` if None.
             path_tolerance: the tip follows the straight lines between the goals within this distance; None: any way.
             method: one of `METHODS`.
 
@@ -182,7 +184,7 @@ class Solver:
     def _request(self, goal: Goal | ArrayLike) -> Request:
         return request(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
-    def _start(self, start: Any) -> Configuration:
+    def _start(self, start: Start) -> Configuration:
         """Returns where to start from, in the numbers of the search."""
         if isinstance(start, Path):
             start = start.solutions[-1]

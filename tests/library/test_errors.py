@@ -43,6 +43,7 @@ WRONG: dict[str, tuple[type[hb.Error], str, Callable[[hb.Arm], object]]] = {
     "weights": (hb.GoalError, "12 positive", lambda arm: hb.Solver(arm, weights=[1, 2])),
     "no goals": (hb.GoalError, "1 to", lambda arm: hb.Solver(arm).follow([])),
     "sphere": (hb.ObstacleError, "planar arm", lambda arm: hb.Solver(arm, obstacles=[hb.Sphere((0, 0, 0), 1)])),
+    "no obstacle": (hb.ObstacleError, "one of Disc", lambda arm: hb.Solver(arm, obstacles=[(0, 0)])),  # type: ignore[list-item]
     "far": (hb.PathError, "out of reach", lambda arm: hb.Solver(arm).follow([(100, 100)])),
     "points": (hb.GoalError, "points", lambda arm: arm.density().at([1, 2, 3])),
     "tips": (hb.CalibrationError, "shape", lambda arm: hb.calibrate(arm, arm.sample(20), np.zeros((19, 2)))),

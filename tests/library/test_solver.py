@@ -133,3 +133,29 @@ def test_a_spatial_arm_is_drawn_without_its_density() -> None:
     figure = hb.plot(arm, {"home": arm.home}, obstacles=[hb.Sphere((1, 1, 1), 0.2)])
     assert figure.axes[0].get_zlabel() == "z [m]"
     assert "_densities" not in vars(arm)
+
+
+def test_paths_have_orientations_and_locked_actuators(arm: hb.Arm) -> None:
+    locked = arm.lock({"2.left": "extended"})
+    goals = []
+    for frame in locked.frames(locked.sample(3, seed=6)):
+        angle = math.atan2(frame[1, 0], frame[0, 0])
+        goals.append(hb.Goal(frame[:2, 3], angle, tolerance=0.02, angle_tolerance=0.1))
+    path = hb.Solver(locked).follow(goals)
+    place = arm.actuators.index("2.left")
+    for goal, row in zip(goals, path.configurations, strict=True):
+        frame = arm.frame(row)
+        assert np.linalg.norm(frame[:2, 3] - goal.position) <= 0.02
+        turned = math.atan2(frame[1, 0], frame[0, 0]) - goal.orientation
+        assert abs(math.remainder(turned, 2 * math.pi)) <= 0.1
+        assert arm.actuator_states(row)[place] == 1
+
+
+def test_calibration_with_frames_keeps_what_is_locked(arm: hb.Arm) -> None:
+    real = hb.Arm([hb.vgt("BC", width=0.202, lengths=(0.2, 0.251), count=4)], base=(0.02, 0.01))
+    rows = arm.sample(40)
+    fitted = hb.calibrate(arm.lock({"1.left": "extended"}), rows, real.frames(rows))
+    assert fitted.report.after.position.rms < fitted.report.before.position.rms
+    np.testing.assert_allclose(fitted.arm.frames(rows), real.frames(rows), atol=1e-4)
+    assert fitted.arm.locked == {"1.left": "extended"}
+    assert (fitted.arm.name, fitted.arm.tolerance) == ("short", 0.01)
