@@ -11,6 +11,10 @@
 
 Lengths have the unit of the arm's description, angles are in radians, counter-clockwise, times in seconds.
 Configurations are one integer a module, base first, shape (B,). Every error is a subclass of `hyperbit.Error`.
+
+Limits: a search proves what its deadline allows, `certificate` tells how much. Densities count configurations in pixels
+and are approximate. Between goals, obstacles are checked for the stages in which actuators switch. A solver serves one
+thread.
 """
 
 from controller.library.arm import Arm, load

@@ -87,7 +87,8 @@ class Solver:
         self.obstacles = tuple(obstacles)
         self._regions = build_obstacles(obstacles, arm.dimension)
         self._weights = arm.weights if weights is None else np.asarray(weights, dtype=float)
-        if self._weights.shape != arm.weights.shape or not (self._weights > 0).all():
+        valid = np.isfinite(self._weights) & (self._weights > 0)
+        if self._weights.shape != arm.weights.shape or not valid.all():
             raise GoalError(f"weights: {len(arm.actuators)} positive numbers are needed, one an actuator")
 
     def solve(
@@ -104,14 +105,17 @@ class Solver:
             goal: or a bare position, shape (dimension,).
             start: configuration (B,) as an array or text, solution, or path to start from; the arm's `home` if None.
             method: one of `METHODS`.
-            deadline: time for the search for fewest switches [s].
+            deadline: time for the search for fewest switches [s]. Goals with an orientation or among obstacles that
+                are not reached by then have half a second, or the deadline if that is later.
 
         Raises:
-            GoalError: the goal does not suit the arm, or there is no such method.
+            GoalError: the goal does not suit the arm, there is no such method, or the deadline is no positive number.
             ConfigurationError: the start is no configuration of the arm.
         """
         if method not in METHODS:
             raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        if not 0 < deadline < math.inf:
+            raise GoalError(f"deadline: a positive number of seconds is needed, got {deadline!r}")
         asked = self._request(goal)
         before = self._start(start)
         found = self._search.solve(asked.target, before, asked.tolerance, method, deadline, asked.angle_tolerance)
@@ -128,6 +132,8 @@ class Solver:
         """Returns a path through goals, planned as the daemon plans a trajectory with enough time.
 
         The method minimum-switch looks ahead: it keeps the cheapest ways to each goal, and leads them on to the next.
+        The first answers have the daemon's planning time of 0.03 s for the whole path, looking ahead has 2 s. Among
+        obstacles a goal that `solve` reaches may therefore be refused here.
 
         Args:
             goals: in their order.
@@ -206,9 +212,8 @@ class Solver:
             tolerance = min(one.tolerance for one in asked)
             return along(times, positions, tolerance, path_tolerance, self._pace)
         rotations = np.array([one.target[:3, :3] if one.target.shape == (4, 4) else np.eye(3) for one in asked])
-        tolerances, turns = (
-            np.array([getattr(one, name) for one in asked]) for name in ("tolerance", "angle_tolerance")
-        )
+        tolerances = np.array([one.tolerance for one in asked])
+        turns = np.array([one.angle_tolerance for one in asked])
         return Trajectory(None, times, positions[:, :size], tolerances, rotations, turns, np.arange(len(asked)))
 
     def _whole(self, found: Solution) -> Solution:

@@ -41,6 +41,8 @@ WRONG: dict[str, tuple[type[hb.Error], str, Callable[[hb.Arm], object]]] = {
     "quaternion": (hb.GoalError, "length 1", lambda arm: hb.Goal((0, 0, 0), (0, 0, 0, 2))),
     "method": (hb.GoalError, "minimum-switch", lambda arm: hb.Solver(arm).solve((0, 0), method="best")),  # type: ignore[arg-type]
     "weights": (hb.GoalError, "12 positive", lambda arm: hb.Solver(arm, weights=[1, 2])),
+    "deadline": (hb.GoalError, "positive number", lambda arm: hb.Solver(arm).solve((0, 0), deadline=np.nan)),
+    "endless weight": (hb.GoalError, "12 positive", lambda arm: hb.Solver(arm, weights=[np.inf] * 12)),
     "no goals": (hb.GoalError, "1 to", lambda arm: hb.Solver(arm).follow([])),
     "sphere": (hb.ObstacleError, "planar arm", lambda arm: hb.Solver(arm, obstacles=[hb.Sphere((0, 0, 0), 1)])),
     "no obstacle": (hb.ObstacleError, "one of Disc", lambda arm: hb.Solver(arm, obstacles=[(0, 0)])),  # type: ignore[list-item]
