@@ -44,8 +44,15 @@ def checked(kind: type[S], fields: dict[str, Any], where: str) -> S:
 
 
 def plain(values: ArrayLike) -> Any:
-    """Returns an array as nested lists of floats."""
-    return np.asarray(values, dtype=float).tolist()
+    """Returns an array as nested lists of floats.
+
+    Raises:
+        ArmError: it holds anything but numbers, or its rows differ in length.
+    """
+    try:
+        return np.asarray(values, dtype=float).tolist()
+    except (TypeError, ValueError):
+        raise ArmError([f"an array of numbers is needed, got {values!r:.80}"]) from None
 
 
 def vgt(
@@ -67,7 +74,7 @@ def vgt(
         ArmError: a value is out of its bounds.
     """
     legs = {name: plain(pair) for name, pair in lengths.items()} if isinstance(lengths, dict) else plain(lengths)
-    fields = {"first_diagonal": first_diagonal, "width": float(width), "lengths": legs, "count": count}
+    fields = {"first_diagonal": first_diagonal, "width": plain(width), "lengths": legs, "count": count}
     return checked(VgtSettings, fields, "vgt")
 
 
@@ -134,7 +141,7 @@ def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
     Raises:
         ArmError: the frames are not rigid, or a value is out of its bounds.
     """
-    stack = np.asarray(states, dtype=float)
+    stack = np.array(plain(states))
     if stack.ndim != 3 or stack.shape[1:] != (4, 4):
         raise ArmError([f"frames of shape (K, 4, 4) are needed, got shape {stack.shape}"], "transforms")
     planar = all(in_plane(frame) for frame in stack)
@@ -144,7 +151,7 @@ def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
 
 def placement(given: ArrayLike) -> dict[str, Any]:
     """Returns a position (2,) or (3,), or a frame (4, 4), as an arm's file writes it."""
-    values = np.asarray(given, dtype=float)
+    values = np.array(plain(given))
     if values.shape == (4, 4):
         return frame_fields(values, planar=in_plane(values))
     return {"position": values.tolist()}

@@ -114,7 +114,11 @@ def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> RegionSettings |
         return None
     fields: dict[str, Any] = {k: v for k, v in asdict(obstacle).items() if v is not None}
     name = {"name": fields.pop("name")} if "name" in fields else {}
-    body = {k: np.asarray(v, dtype=float).tolist() for k, v in fields.items()}
+    try:
+        body = {k: np.asarray(v, dtype=float).tolist() for k, v in fields.items()}
+    except (TypeError, ValueError):
+        faults.append(f"obstacles: numbers are needed, got {obstacle!r}")
+        return None
     return check({KINDS[type(obstacle)]: body, **name}, RegionSettings, faults)
 
 

@@ -90,3 +90,13 @@ def test_density_is_placed_with_the_base(arm: hb.Arm) -> None:
     here, there = arm.frames(rows)[:, :2, 3], other.frames(rows)[:, :2, 3]
     same = arm.density().at(here) == other.density().at(there)
     assert same.mean() > 0.95, "tips on the edge of a pixel may be rounded to its neighbour"
+
+
+def test_density_of_a_spatial_arm() -> None:
+    turns = [hb.revolute([-0.5, 0.5], axis=axis, link=(0.0, 0.0, 0.2), count=3) for axis in ((1, 0, 0), (0, 1, 0))]
+    arm = hb.Arm(turns, pixel=0.05)
+    density = arm.density()
+    assert density.log_counts.ndim == 3
+    assert density.origin.shape == (3,)
+    assert density.total == pytest.approx(np.log(2**6), rel=0.02)
+    assert (density.at(arm.frames(arm.sample(50))[:, :3, 3]) > 0).mean() > 0.8

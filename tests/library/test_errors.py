@@ -45,6 +45,11 @@ WRONG: dict[str, tuple[type[hb.Error], str, Callable[[hb.Arm], object]]] = {
     "endless weight": (hb.GoalError, "12 positive", lambda arm: hb.Solver(arm, weights=[np.inf] * 12)),
     "no goals": (hb.GoalError, "1 to", lambda arm: hb.Solver(arm).follow([])),
     "sphere": (hb.ObstacleError, "planar arm", lambda arm: hb.Solver(arm, obstacles=[hb.Sphere((0, 0, 0), 1)])),
+    "words": (hb.ArmError, "numbers", lambda arm: hb.revolute(["left", "right"])),
+    "no width": (hb.ArmError, "width", lambda arm: hb.vgt("BC", width=None, lengths=(0.2, 0.25))),  # type: ignore[arg-type]
+    "no module": (hb.ArmError, r"modules\[0\]", lambda arm: hb.Arm([7])),  # type: ignore[list-item]
+    "base": (hb.ArmError, "not a finite number", lambda arm: hb.Arm([hb.vgt("BC", **VGT)], base=(np.nan, 0))),
+    "centre": (hb.ObstacleError, "numbers", lambda arm: hb.Solver(arm, obstacles=[hb.Disc("here", 1)])),
     "no obstacle": (hb.ObstacleError, "one of Disc", lambda arm: hb.Solver(arm, obstacles=[(0, 0)])),  # type: ignore[list-item]
     "far": (hb.PathError, "out of reach", lambda arm: hb.Solver(arm).follow([(100, 100)])),
     "points": (hb.GoalError, "points", lambda arm: arm.density().at([1, 2, 3])),
