@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 
-
 class Violation(AssertionError):
     """An invariant does not hold."""
 
