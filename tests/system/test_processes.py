@@ -52,6 +52,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
     with lives.publisher().streaming():
         client.wait_now("executing", "following")
         lives.disturb(victim, number)
+    eventually(lambda: not client.diagnosed()["setpoint"]["alive"])  # a planner that stood still has caught up
     lives.ready()
     lives.motions.agree(boards)
     before = boards.switches().tolist()

@@ -34,9 +34,10 @@ def test_the_arm_is_described(client: Observer, arm: Arm, system: System) -> Non
     assert described["tolerance"]["position"] == arm.tolerance
     assert described["daemon"]["pid"] == os.getpid()
     wired = arm.wiring[arm.manipulator.actuators.index("2.diagonal")]
-    assert described["boards"][4] == {
+    told = {name: value for name, value in described["boards"][4].items() if value is not None}
+    assert told == {
         "module": 2, "actuator": "diagonal", "bus": "can0", "node": wired.node, "output": wired.output,
-        "input": wired.input, "weight": 1.0, "stuck": None,
+        "input": wired.input, "weight": 1.0,
     }  # fmt: skip
 
 
