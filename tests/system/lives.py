@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import zenoh
 
 from controller.gateway import session
-from controller.gateway.client import Client
+from controller.gateway.client import Client, Message
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.operator import Operator
@@ -41,16 +41,16 @@ class Lives:
         system.start_executor()
         system.start_planner_process(lease)
 
-    def ready(self) -> None:
-        """Waits until the arm is ready for goals, with a reset if the fault needs one."""
+    def ready(self) -> Message:
+        """Waits until the arm is ready for goals, with a reset if the fault needs one; returns that state."""
 
-        def there() -> bool:
+        def there() -> Message | None:
             state = self.client.next_state()
             if state["mode"] == "fault" and set(self.client.codes) & NEED_RESET:
                 self.client.ask("reset")
-            return bool(state["mode"] == "ready")
+            return state if state["mode"] == "ready" else None
 
-        eventually(there, told=self.system.logs)
+        return eventually(there, told=self.system.logs)
 
     def send(self, name: str, *positions: tuple[float, ...], times: list[float] | None = None) -> str:
         """Sends a goal until it is accepted; returns its id. A stall of this machine may have ended the mode ready."""
