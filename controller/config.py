@@ -1,7 +1,7 @@
 """The arm that a YAML file describes, and every fault in it by the path of the field."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -30,12 +30,14 @@ class Arm:
         manipulator: the chain.
         wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
         regions: that no module may touch.
+        path: of the file; None if the arm was not read from one.
     """
 
     settings: ArmSettings
     manipulator: Manipulator
     wiring: tuple[ActuatorSettings, ...]
     regions: Regions = NONE
+    path: Path | None = None
 
     @cached_property
     def held(self) -> Held:
@@ -106,7 +108,7 @@ def load(path: Path) -> Arm:
         InputFaults: the file is missing or wrong; one line per fault, each with the path of its field.
     """
     settings, faults = read_settings(path)
-    return build(settings, path, faults)
+    return replace(build(settings, path, faults), path=path)
 
 
 def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:

@@ -4,9 +4,10 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Protocol
 
+import msgspec
 import zenoh
 
 from controller.gateway.encoding import content
@@ -63,8 +64,8 @@ class Requests(Protocol):
     def measured_tips(self, receive: Receive) -> None:
         """Takes the function that returns the latest measured tip."""
 
-    def description(self) -> Payload:
-        """Returns the payload of `arm`."""
+    def description(self, wanted: Collection[str] = ()) -> Payload:
+        """Returns the payload of `arm`, and what is `wanted` besides, as `Planning.description` has it."""
 
 
 class Server:
@@ -107,7 +108,7 @@ class Server:
         self._command("degrade", requests.degrade)
         self._command("obstacles", requests.obstacles)
         self._query("plan", self._well_formed(requests.plan))
-        self._query("arm", lambda _, reply: reply({**requests.description(), "daemon": daemon}))
+        self._query("arm", lambda data, reply: reply({**requests.description(wanted(data)), "daemon": daemon}))
         requests.setpoints(self._latest("setpoint"))
         if tracker:
             requests.measured_tips(self._latest("measured_tip"))
@@ -221,3 +222,11 @@ def carry_out(take: Take, payload: bytes, reply: Reply) -> None:
     except Exception:
         log.exception("a request failed")
         reply(refused(codes.INVALID_GOAL, "internal error, see the journal"))
+
+
+def wanted(payload: bytes) -> Collection[str]:
+    """Returns what a query of `arm` wants besides, as in {"with": ["drawing"]}; nothing if it is written otherwise."""
+    try:
+        return msgspec.json.decode(payload, type=dict[str, list[str]]).get("with", [])
+    except msgspec.MsgspecError:
+        return []

@@ -1,9 +1,10 @@
 """The planner's room put together, as the gateway sees it."""
 
 import logging
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from controller.motion import degrade, obstacles
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
 from controller.planning.admission import Admission, Receive
 from controller.planning.clearance_worker import ClearanceWorker, RestCheck
+from controller.planning.description import density, description, drawing, file
 from controller.planning.executor_listener import ExecutorListener
 from controller.planning.follower import Follower
 from controller.planning.goal_check import Verdict
@@ -30,7 +32,7 @@ from controller.planning.requests import Requests
 from controller.planning.results import Publish
 from controller.planning.running_goal import GoalLedger
 from controller.planning.sending import ProgramNumbers, ProgramSender
-from controller.planning.status_report import DiagnosticsReport, StatusReport, description
+from controller.planning.status_report import DiagnosticsReport, StatusReport
 from controller.planning.tip_bias import TipBiasWorker
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
@@ -113,6 +115,7 @@ class Planning:
             link, lambda: self._listener.counted, self._queues, self._follower.status, lambda: ledger.fault, tracker
         )
         self._description = description(arm)
+        self._densities, self._sent = densities, list[Any]()
         self._on_change = on_change
 
     def start(self) -> None:
@@ -176,6 +179,7 @@ class Planning:
             reply(refused(refusal.code, str(refusal)))
             return
         if self._keep_out.change(sent):
+            self._sent = msgspec.json.decode(payload)["regions"]
             self._rest.check()
             self._on_change()
         state = self._monitor.state
@@ -200,11 +204,29 @@ class Planning:
         """Returns the payload of `diagnostics`."""
         return self._diagnostics.diagnostics()
 
-    def description(self) -> Payload:
-        """Returns the payload of `arm`; `limits` are sentences on what its boards cannot do."""
+    def description(self, wanted: Collection[str] = ()) -> Payload:
+        """Returns the payload of `arm`; `limits` are sentences on what its boards cannot do.
+
+        Args:
+            wanted: what it is to have besides: "drawing", "file", "density", and "running", the waypoints of the goal
+                that runs.
+        """
         state = self._monitor.state
         faults = () if state is None else state.snapshot.faults
-        return {**self._description, "limits": [fault.message for fault in faults if fault.code == "board-limits"]}
+        limits = [fault.message for fault in faults if fault.code == "board-limits"]
+        made: dict[str, Callable[[], Payload | None]] = {
+            "drawing": lambda: drawing(self._arm),
+            "file": lambda: file(self._arm),
+            "density": lambda: density(self._densities, planar=self._arm.manipulator.planar),
+            "running": self._running,
+        }
+        besides = {name: make() for name, make in made.items() if name in wanted}
+        return {**self._description, "limits": limits, "sent_obstacles": self._sent, **besides}
+
+    def _running(self) -> Payload | None:
+        """Returns id and waypoints of the goal that runs; None if there is none."""
+        goal = self._goals.current
+        return None if goal is None else {"goal": goal.report.id, "waypoints": goal.report.waypoints}
 
     def _queues(self) -> dict[str, int]:
         waiting = self._link.waiting + self._clearance.waiting()

@@ -1,13 +1,11 @@
-"""What the planner tells of the arm: the payloads of `state`, `diagnostics` and `arm`."""
+"""What the planner tells while it runs: the payloads of `state` and `diagnostics`."""
 
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from controller.config import Arm
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import format_configuration, pose
 from controller.planning.arm_state import ArmState
@@ -67,6 +65,8 @@ class StatusReport:
             "tip": None if tip is None else pose(manipulator, tip),
             "goal": None if goal is None else goal.report.id,
             "waypoint": None if goal is None else goal.report.waypoint,
+            "target": None if goal is None else goal.report.target,
+            "obstacles": self._keep_out.current.generation,
             "faults": [
                 {"code": f.code, "source": f.source, "message": f.message} for f in distinct(self._faults(state))
             ],
@@ -145,6 +145,7 @@ class DiagnosticsReport:
             "queues": dict(self._queues()),
             "setpoint": self._setpoint(),
             "switches": switches,
+            "counts": [] if told is None else told.counts,
             "waits": 0 if told is None else told.waits,
             "dropped": 0 if told is None else told.dropped,
             "ledger": self._ledger() or "ok",
@@ -166,29 +167,3 @@ def distinct(faults: Iterable[Fault]) -> Iterable[Fault]:
         if (key := (fault.code, fault.source)) not in seen:
             seen.add(key)
             yield fault
-
-
-def description(arm: Arm) -> Payload:
-    """Returns the payload of `arm`."""
-    manipulator = arm.manipulator
-    return {
-        "name": arm.settings.name,
-        "dimension": manipulator.dimension,
-        "length": manipulator.length,
-        "states": manipulator.states.tolist(),
-        "frames": [module.frames.tolist() for module in manipulator.modules],
-        "base": manipulator.base.tolist(),
-        "actuators": list(manipulator.actuators),
-        "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
-        "tolerance": {"position": arm.tolerance, "orientation": arm.turn},
-        "travel_time": arm.travel_time,
-        "on_stop": arm.settings.on_stop,
-        "on_loss": arm.settings.boards.on_loss,
-        "inrush": arm.settings.inrush,
-        "rest_time": arm.settings.rest_time,
-        "method": arm.settings.method,
-        "obstacles": [msgspec.to_builtins(entry) for entry in arm.settings.obstacles],
-        "body_radius": arm.settings.body_radius,
-        "self_collision": arm.settings.self_collision,
-        "boards": [msgspec.to_builtins(entry) for entry in arm.wiring],
-    }

@@ -4,7 +4,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from typing import Any
 
@@ -92,8 +92,8 @@ class FakePlanning:
     def measured_tips(self, receive: Callable[[], bytes | None]) -> None:
         self.receive["measured_tip"] = receive
 
-    def description(self) -> Payload:
-        return {"name": ARM, "dimension": 2}
+    def description(self, wanted: Collection[str] = ()) -> Payload:
+        return {"name": ARM, "dimension": 2, **{key: {} for key in wanted}}
 
 
 class Gateway:

@@ -79,6 +79,14 @@ def test_arm_says_where_the_daemon_runs(gateway: Gateway) -> None:
     assert described["daemon"]["pid"] == os.getpid()
 
 
+def test_arm_has_besides_what_its_query_wants(gateway: Gateway) -> None:
+    (described,) = asked(gateway.other(), f"{PREFIX}/arm", b'{"with": ["drawing"]}')
+    assert "drawing" in described
+    for payload in (b"no JSON", b"[]", b'{"with": 1}', b'"drawing"', b"\xff"):
+        (described,) = asked(gateway.other(), f"{PREFIX}/arm", payload)
+        assert described.keys() == {"name", "dimension", "daemon"}
+
+
 @pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
 def test_only_the_latest_sample_waits_and_wildcards_give_none(gateway: Gateway, key: str) -> None:
     session, receive = gateway.other(), gateway.planning.receive[key]

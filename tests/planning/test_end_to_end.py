@@ -74,6 +74,7 @@ def test_goals_one_after_the_other(chain: Chain) -> None:
         assert result["error"] <= 0.002
         assert chain.ledger.known() == tuple(chain.executor.journal.counts), "the ledger waits for no diagnostics"
     assert sum(chain.executor.journal.counts) == sum(entry[3] for entry in chain.ledger.entries if entry[0] == "ended")
+    eventually(lambda: chain.planning.diagnostics()["counts"] == tuple(chain.executor.journal.counts))
 
 
 def test_a_trajectory_is_fed_back_waypoint_by_waypoint(chain: Chain) -> None:

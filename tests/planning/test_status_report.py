@@ -19,6 +19,7 @@ def test_state_and_diagnostics_tell_what_they_did(desk: Desk) -> None:
     told = desk.planning.diagnostics()
     keys = {"stamp", "loop", "buses", "boards", "queues", "setpoint", "switches", "waits", "ledger", "real_time"}
     assert keys <= told.keys()
+    assert told["counts"] == []
     assert (told["ledger"], told["queues"]) == ("ok", {"inbox": 0, "planning": 0})
     assert desk.planning.description()["name"] == "small"
 

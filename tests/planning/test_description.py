@@ -1,0 +1,56 @@
+"""The payload of `arm`, and what it has on demand."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from controller.config import Arm, load
+from controller.planning.description import drawing, file
+from tests.keys import DEPLOY
+
+
+def test_the_drawing_is_that_of_the_arm() -> None:
+    m = load(DEPLOY / "planar16.yaml").manipulator
+    told = drawing(load(DEPLOY / "planar16.yaml"))
+    configuration = np.arange(16) % 8
+    kinds = [told["kinds"][k] for k in told["modules"]]
+    states = np.concatenate([kind["bits"][state] for kind, state in zip(kinds, configuration, strict=True)])
+    np.testing.assert_array_equal(states, m.actuator_states(configuration))
+    chain = m.chain(configuration)
+    body = [
+        np.array(kind["body"][state]) @ frame[:3, :3].T + frame[:3, 3]
+        for kind, state, frame in zip(kinds, configuration, chain[:-1], strict=True)
+    ]
+    np.testing.assert_allclose(np.concatenate(body), m.body(configuration))
+
+
+def test_modules_of_one_kind_are_told_once() -> None:
+    assert len(drawing(load(DEPLOY / "planar16.yaml"))["kinds"]) <= 2
+    assert len(drawing(load(DEPLOY / "platform8.yaml"))["kinds"]) == 1
+
+
+def test_the_file_is_told_with_its_tables(tmp_path: Path) -> None:
+    (tmp_path / "bend.csv").write_text("x,y,th\n0,1,0\n0,1,0.3\n")
+    modules = [{"type": "transforms", "table": "bend.csv", "count": 2}]
+    text = yaml.safe_dump({"name": "measured", "modules": modules, "tolerance": {"position": 0.01}})
+    path = tmp_path / "measured.yaml"
+    path.write_text(text)
+    told = file(load(path))
+    assert told == {
+        "name": "measured.yaml",
+        "sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "text": text,
+        "tables": {"bend.csv": "x,y,th\n0,1,0\n0,1,0.3\n"},
+    }
+    path.unlink()
+    assert file(load_again(text, path)) is None
+
+
+def load_again(text: str, path: Path) -> Arm:
+    """The arm of a file that is gone since."""
+    path.write_text(text)
+    arm = load(path)
+    path.unlink()
+    return arm
