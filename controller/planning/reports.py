@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.notation import pose
 from controller.motion import codes
 from controller.motion.jog import STATES
 from controller.motion.trajectory import Trajectory
@@ -34,6 +35,14 @@ class Report(Protocol):
     @property
     def waypoint(self) -> int | None:
         """The waypoint that the arm moves to or is at; None before the first."""
+
+    @property
+    def target(self) -> Payload | None:
+        """Position and orientation that the arm moves to or is at, as the goal asks for them; None without such."""
+
+    @property
+    def waypoints(self) -> Sequence[Payload]:
+        """All waypoints: time, position and orientation, as the goal asks for them."""
 
     def begun(self, point: int) -> None:
         """Notes that the stages to a point have begun."""
@@ -78,6 +87,30 @@ class GoalReport:
         """The waypoint that the arm moves to or is at; None before the first."""
         last = self._trajectory.last(self._point)
         return last if last >= 0 else None
+
+    @property
+    def target(self) -> Payload:
+        """Position and orientation of the point that the arm moves to or is at; the first point before."""
+        return self._asked(max(self._point, 0))
+
+    @property
+    def waypoints(self) -> Sequence[Payload]:
+        """All waypoints: time, position and orientation; of a tip that is corrected, as it was asked for."""
+        return [{"t": self._trajectory.times[k], **self._asked(k)} for k in self._trajectory.waypoints.tolist()]
+
+    def _asked(self, point: int) -> Payload:
+        """Returns position and orientation of a point; the orientation is None if any serves."""
+        trajectory = self._trajectory
+        position = trajectory.positions[point]
+        if trajectory.bias is not None and point not in trajectory.fixed:
+            position = position + trajectory.bias
+        frame = np.eye(4)
+        frame[:3, :3] = trajectory.rotations[point]
+        turned = trajectory.turns[point] < np.inf
+        return {
+            "position": position.tolist(),
+            "orientation": pose(self._manipulator, frame)["orientation"] if turned else None,
+        }
 
     def begun(self, point: int) -> None:
         """Notes that the stages to a point have begun."""
@@ -135,7 +168,8 @@ class JogReport:
     """
 
     def __init__(self, manipulator: Manipulator, name: str, target: States, chosen: list[int]) -> None:
-        self.id, self.waypoint = name, None
+        self.id, self.waypoint, self.target = name, None, None
+        self.waypoints: Sequence[Payload] = ()
         self._manipulator, self._target, self._chosen = manipulator, target, chosen
 
     @property

@@ -1,13 +1,17 @@
 """The payload of `arm`, and what it has on demand."""
 
+import base64
 import hashlib
+import zlib
 from pathlib import Path
 
 import numpy as np
+import pytest
 import yaml
 
 from controller.config import Arm, load
-from controller.planning.description import drawing, file
+from controller.planning.description import density, drawing, file
+from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 
 
@@ -29,6 +33,17 @@ def test_the_drawing_is_that_of_the_arm() -> None:
 def test_modules_of_one_kind_are_told_once() -> None:
     assert len(drawing(load(DEPLOY / "planar16.yaml"))["kinds"]) <= 2
     assert len(drawing(load(DEPLOY / "platform8.yaml"))["kinds"]) == 1
+
+
+def test_the_density_is_told_pixel_by_pixel() -> None:
+    arm = load(DEPLOY / "planar16.yaml")
+    densities = map_densities(arm.manipulator, arm.manipulator.length / 50, 10_000)
+    told = density(densities, planar=True)
+    shades = np.frombuffer(zlib.decompress(base64.b64decode(told["values"])), np.uint8).reshape(told["shape"])
+    assert shades.shape == densities.level(0).shape
+    np.testing.assert_array_equal(shades > 0, densities.level(0) >= 0)
+    assert shades.max() == 255
+    assert told["greatest"] == pytest.approx(densities.level(0).max() - np.log(densities.volume(0, planar=True)))
 
 
 def test_the_file_is_told_with_its_tables(tmp_path: Path) -> None:

@@ -30,8 +30,11 @@ def test_obstacles_are_counted_and_the_same_again_changes_nothing(desk: Desk) ->
     generation = desk.planning._keep_out.current.generation
     assert obstacles(desk, ([5, 5], 0.1))["accepted"]
     assert desk.planning._keep_out.current.generation == generation
+    sent = [{"disc": {"centre": [5, 5], "radius": 0.1}, "name": "d0"}]
+    assert (desk.planning.state()["obstacles"], desk.planning.description()["sent_obstacles"]) == (generation, sent)
     assert obstacles(desk)["message"] == "keeping out of 0 regions, 0 of them sent"
-    assert desk.planning._keep_out.current.generation == generation + 1
+    assert desk.planning._keep_out.current.generation == desk.planning.state()["obstacles"] == generation + 1
+    assert desk.planning.description()["sent_obstacles"] == []
 
 
 def test_as_many_obstacles_fit_as_may_be_sent(desk: Desk) -> None:

@@ -5,6 +5,7 @@ import pytest
 from controller.program import Fault
 from tests.planning.conftest import Desk
 from tests.planning.executor import Inbox
+from tests.planning.test_goals import A, B, taken
 from tests.waiting import eventually
 
 HOME = (0, 0, 0, 0)
@@ -22,6 +23,18 @@ def test_state_and_diagnostics_tell_what_they_did(desk: Desk) -> None:
     assert told["counts"] == []
     assert (told["ledger"], told["queues"]) == ("ok", {"inbox": 0, "planning": 0})
     assert desk.planning.description()["name"] == "small"
+
+
+def test_target_and_waypoints_of_the_running_goal_are_told(desk: Desk) -> None:
+    assert desk.planning.description(["running"])["running"] is None
+    taken(desk, A, B, step=10)
+    told = desk.planning.description(["running"])["running"]
+    assert [waypoint["t"] for waypoint in told["waypoints"]] == [0, 10]
+    assert told["waypoints"][1]["position"] == pytest.approx(desk.tip(*B))
+    assert told["waypoints"][1]["orientation"] is None
+    state = desk.planning.state()
+    assert state["target"]["position"] == pytest.approx(desk.tip(*A))
+    assert state["goal"] == told["goal"]
 
 
 def test_the_description_tells_what_boards_cannot_do(desk: Desk) -> None:
