@@ -62,18 +62,28 @@ class Outbox:
             "feedback": session.declare_publisher(
                 f"{prefix}/feedback", encoding=JSON, congestion_control=zenoh.CongestionControl.DROP
             ),
+            "@request": session.declare_publisher(
+                f"{prefix}/@request", encoding=JSON, congestion_control=zenoh.CongestionControl.DROP
+            ),
         }
         self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
         self._thread.start()
 
     def publish(self, key: str, payload: Payload) -> None:
-        """Publishes on `key`: "result", "feedback", or "inherited" for the result of a goal of the planner before."""
+        """Publishes on `key`: "result", "feedback", "@request", or "inherited".
+
+        The last is for the result of a goal of the planner before.
+        """
         if key == "inherited":
             self._put(self._inherited, ("result", "result", payload), needed=True)
             return
         refusal = key == "result" and payload["status"] == "refused"
-        lane = self._second if refusal else self._first
+        lane = self._second if refusal or key == "@request" else self._first
         self._put(lane, (key, key, payload), needed=key == "result" and not refusal)
+
+    def heard(self, key: str) -> bool:
+        """Returns whether somebody subscribes to a key that this publishes on."""
+        return bool(self._publishers[key].matching_status.matching)
 
     def answer(self, query: zenoh.Query, key: str) -> Reply:
         """Returns the function that answers a query on `key` and ends it."""

@@ -14,6 +14,7 @@ from controller.gateway.encoding import content
 from controller.gateway.floods import FloodBrake
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
+from controller.gateway.request_notes import RequestNotes
 from controller.motion import codes
 from controller.planning.messages import Payload, Reply, refused
 
@@ -98,6 +99,7 @@ class Server:
         self._session, self._outbox, self._goals = session, outbox, goals
         self._prefix = f"hyperbit/{arm}"
         self._second, self._refusals, self._brake = 0, 0, FloodBrake()
+        self._notes = RequestNotes(lambda: outbox.heard("@request"), outbox.publish)
         self._declared: list[Declared] = []
         daemon = {"host": socket.gethostname(), "pid": os.getpid()}
         self._command("stop", lambda _, reply: requests.stop(reply), everywhere=True)
@@ -107,7 +109,7 @@ class Server:
         self._command("jog", requests.jog)
         self._command("degrade", requests.degrade)
         self._command("obstacles", requests.obstacles)
-        self._query("plan", self._well_formed(requests.plan))
+        self._query("plan", self._noted("plan", self._well_formed(requests.plan)))
         self._query("arm", lambda data, reply: reply({**requests.description(wanted(data)), "daemon": daemon}))
         requests.setpoints(self._latest("setpoint"))
         if tracker:
@@ -133,14 +135,14 @@ class Server:
         def received(
             expression: zenoh.KeyExpr, payload: zenoh.ZBytes | None, attached: zenoh.ZBytes | None, reply: Reply
         ) -> None:
-            name = str(expression)
+            name, data = str(expression), content(payload)
             if name != f"{self._prefix}/{key}" and not (everywhere and name.rpartition("/")[2] == key):
                 needed = f"{key} must be named, as in {self._prefix}/{key}"
                 reply(refused(codes.INVALID_GOAL, f"{needed}; {name[:200]} does not name it"))
             elif key == "goal":
-                self._take_goal(take, content(payload), content(attached), reply)
+                self._take_goal(take, data, content(attached), self._notes.noting(key, data, reply))
             else:
-                carry_out(take, content(payload), reply)
+                carry_out(take, data, self._notes.noting(key, data, reply))
 
         self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
         self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", on_put))
@@ -164,6 +166,10 @@ class Server:
                 reply(refusal)
 
         return take_well_formed
+
+    def _noted(self, key: str, take: Take) -> Take:
+        """Returns a function that hands on requests, whose answers are noted."""
+        return lambda payload, reply: take(payload, self._notes.noting(key, payload, reply))
 
     def _query(self, key: str, take: Take) -> None:
         """Answers queries on `key`."""

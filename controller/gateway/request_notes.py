@@ -1,0 +1,64 @@
+"""Notes on requests and their answers for who records the arm: a query reaches nobody else.
+
+The key `@request` is one that wildcards do not match: who subscribes to everything does not get the notes.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from controller.planning.messages import Payload, Reply
+
+MOST_REFUSED = 50  # notes on refused requests in one second
+MOST_TEXT = 500  # characters told of a payload that is no JSON
+
+
+class RequestNotes:
+    """Publishes a note on each request as it is answered, while somebody subscribes to the notes.
+
+    Args:
+        wanted: whether somebody does; must be quick.
+        publish: takes a key and a payload; must not wait.
+        wall: UNIX time [s].
+    """
+
+    def __init__(
+        self,
+        wanted: Callable[[], bool],
+        publish: Callable[[str, Payload], None],
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self._wanted, self._publish, self._wall = wanted, publish, wall
+        self._second, self._refused = 0, 0
+
+    def noting(self, key: str, payload: bytes, reply: Reply) -> Reply:
+        """Returns a function that answers a request on `key` and publishes the note."""
+        if not self._wanted():
+            return reply
+        stamp = self._wall()
+
+        def answer(told: Payload) -> None:
+            reply(told)
+            if told.get("accepted") is True or self._few(int(stamp)):
+                self._publish("@request", {"stamp": stamp, "key": key, **content_of(payload), "answer": told})
+
+        return answer
+
+    def _few(self, second: int) -> bool:
+        """Returns whether another note on a refused request may go out in a second."""
+        self._refused = 1 if second != self._second else self._refused + 1
+        self._second = second
+        return self._refused <= MOST_REFUSED
+
+
+def content_of(payload: bytes) -> dict[str, Any]:
+    """Returns `payload` as it came, null if there is none; `text` of one that is no JSON."""
+    if not payload:
+        return {"payload": None}
+    try:
+        msgspec.json.decode(payload)
+    except msgspec.MsgspecError:
+        return {"payload": None, "text": payload[:MOST_TEXT].decode(errors="replace")}
+    return {"payload": msgspec.Raw(payload)}

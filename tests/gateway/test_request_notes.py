@@ -1,0 +1,79 @@
+"""Notes on requests: whoever records hears of each with its answer, others of none."""
+
+import json
+from typing import Any
+
+import pytest
+
+from controller.gateway.request_notes import MOST_REFUSED, RequestNotes
+from controller.planning.messages import Payload, done, refused
+from tests.gateway.conftest import ARM, Gateway, eventually
+from tests.gateway.test_server import PREFIX, asked
+
+GOAL = b'{"id": "x", "waypoints": []}'
+
+
+def noted(gateway: Gateway, expression: str = "hyperbit/*/@request") -> list[dict[str, Any]]:
+    """What a recorder hears from now on."""
+    heard: list[dict[str, Any]] = []
+    session = gateway.other()
+    session.declare_subscriber(expression, lambda sample: heard.append(json.loads(sample.payload.to_bytes())))
+    if expression.endswith("@request"):
+        eventually(lambda: gateway.outbox.heard("@request"))
+    else:
+        gateway.reached()
+    return heard
+
+
+@pytest.mark.parametrize("key", ["goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles", "plan"])
+def test_a_request_is_noted_with_its_answer(gateway: Gateway, key: str) -> None:
+    notes = noted(gateway)
+    (answer,) = asked(gateway.other(), f"{PREFIX}/{key}")
+    (note,) = eventually(lambda: notes)
+    assert (note["key"], note["payload"], note["answer"]) == (key, json.loads(GOAL), answer)
+    assert note["stamp"] > 1e9
+
+
+def test_puts_and_repeated_goals_are_noted(gateway: Gateway) -> None:
+    notes, session = noted(gateway), gateway.other()
+    session.put(f"{PREFIX}/goal", GOAL)
+    eventually(lambda: len(notes) == 1)
+    session.put(f"{PREFIX}/goal", GOAL)
+    eventually(lambda: len(notes) == 2)
+    assert notes[0]["answer"] == notes[1]["answer"]
+
+
+def test_what_is_no_json_is_noted_as_text(gateway: Gateway) -> None:
+    notes = noted(gateway)
+    asked(gateway.other(), f"{PREFIX}/goal", b"no \xff JSON")
+    (note,) = eventually(lambda: notes)
+    assert (note["payload"], note["text"], note["answer"]["accepted"]) == (None, "no � JSON", False)
+    asked(gateway.other(), f"{PREFIX}/stop", b"")
+    assert eventually(lambda: notes[1:])[0]["payload"] is None
+
+
+def test_a_wildcard_hears_no_notes(gateway: Gateway) -> None:
+    notes = noted(gateway, f"hyperbit/{ARM}/**")
+    asked(gateway.other(), f"{PREFIX}/goal")
+    asked(gateway.other(), f"{PREFIX}/degrade")
+    gateway.reached()
+    assert not [note for note in notes if "key" in note]
+    assert not gateway.outbox.heard("@request")
+
+
+def test_a_flood_of_refused_requests_is_noted_in_part() -> None:
+    published: list[Payload] = []
+    notes = RequestNotes(lambda: True, lambda key, payload: published.append(payload), lambda: 5.0)
+    answered: list[Payload] = []
+    for _ in range(3 * MOST_REFUSED):
+        notes.noting("goal", GOAL, answered.append)(refused(-1, "no"))
+    assert (len(answered), len(published)) == (3 * MOST_REFUSED, MOST_REFUSED)
+    notes.noting("goal", GOAL, answered.append)(done("yes"))
+    assert published[-1]["answer"]["accepted"]
+
+
+def test_nothing_is_made_of_notes_that_nobody_wants() -> None:
+    def reply(payload: Payload) -> None:
+        raise AssertionError
+
+    assert RequestNotes(lambda: False, lambda key, payload: None).noting("goal", GOAL, reply) is reply
