@@ -83,7 +83,7 @@ class Outbox:
 
     def heard(self, key: str) -> bool:
         """Returns whether somebody subscribes to a key that this publishes on."""
-        return bool(self._publishers[key].matching_status.matching)
+        return bool(self._publishers[key].matching_status.matching)  # type: ignore[attr-defined]  # a struct, not bool
 
     def answer(self, query: zenoh.Query, key: str) -> Reply:
         """Returns the function that answers a query on `key` and ends it."""
