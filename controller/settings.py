@@ -261,6 +261,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     travel_time: Travel | TravelSettings = 0.05
     rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     inrush: Count | None = None
+    planner_timeout: Annotated[float, Meta(ge=0.5, le=60)] = 1.0  # of silence, after which the executor holds
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = "minimum-switch"

@@ -24,6 +24,7 @@ class ExecutedArm:
         timing: of boards and actuators.
         inrush: most actuators that may switch at once; None: no bound.
         rest: time that an actuator rests between two travels [s].
+        planner_timeout: silence after which the planner counts as hung, and the arm holds [s].
         locked: mask of the actuators that the file declares stuck.
         locked_states: their states.
         continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
@@ -39,6 +40,7 @@ class ExecutedArm:
     timing: Timing
     inrush: int | None = None
     rest: float = 0.0
+    planner_timeout: float = 1.0
     locked: int = 0
     locked_states: int = 0
     continue_on_stuck: bool = False
@@ -67,6 +69,7 @@ def read_arm(path: Path) -> ExecutedArm:
         timing=timing_of(settings),
         inrush=settings.inrush,
         rest=settings.rest_time,
+        planner_timeout=settings.planner_timeout,
         locked=sum(1 << k for k, entry in enumerate(wired) if entry.stuck is not None),
         locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == WORDS[1]),
         continue_on_stuck=settings.on_stuck == "continue",

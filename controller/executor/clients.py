@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from controller.executor.events import Client
-from controller.program import SILENT_AFTER, VERSION, Goodbye, Hello, Up
+from controller.program import VERSION, Goodbye, Hello, Up
 
 Role = Literal["planner", "operator"]
 
@@ -18,13 +18,14 @@ class Clients:
 
     Args:
         arm: name of the arm.
+        timeout: silence after which the planner counts as hung [s].
         send: sends a message to a client.
     """
 
-    def __init__(self, arm: str, send: Callable[[Client, Up], None]) -> None:
+    def __init__(self, arm: str, timeout: float, send: Callable[[Client, Up], None]) -> None:
         self.planner: Client | None = None
         self.roles: dict[Client, Role] = {}
-        self._arm, self._send = arm, send
+        self._arm, self._timeout, self._send = arm, timeout, send
         self._heard = 0.0
         self._silent = False
 
@@ -56,7 +57,7 @@ class Clients:
 
     def fell_silent(self, clock: float) -> bool:
         """Returns whether the planner is connected and has been silent for too long; once."""
-        if self.planner is None or self._silent or clock - self._heard < SILENT_AFTER:
+        if self.planner is None or self._silent or clock - self._heard < self._timeout:
             return False
         self._silent = True
         return True

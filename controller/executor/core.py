@@ -71,7 +71,7 @@ class Executor:
         self._arm, self._journal, self._instance, self._watchdog = arm, journal, instance, watchdog
         self._actions: list[Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
-        self._clients = clients = Clients(arm.name, self._to_client)
+        self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
         self._results = Results(clients.to_planner, journal)
         self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
         self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)

@@ -76,7 +76,8 @@ def running(
                 goals.ended(payload.get("id"))
             outbox.publish(key, payload)
 
-        planning = Planning(arm, densities, ExecutorLink(socket, name, digest), book, publish, changed.set)
+        link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)
+        planning = Planning(arm, densities, link, book, publish, changed.set)
         warnings = Warnings(reachable(session, config), book.faults)
         reporter = StatusReporter(
             session,

@@ -31,7 +31,6 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 RETRY = 0.5  # [s] between two attempts to connect
-SILENT_TICKS = 10  # of ALIVE_EVERY without a word from the executor, after which the connection counts as lost
 
 
 class Listener(Protocol):
@@ -60,11 +59,13 @@ class ExecutorLink:
         path: of the socket, or a function that returns it anew for each attempt.
         arm: name of the arm.
         digest: SHA-256 of the arm's file, in hexadecimal.
+        silent_after: silence of the executor after which the connection counts as lost [s].
     """
 
-    def __init__(self, path: Path | Callable[[], Path], arm: str, digest: str) -> None:
+    def __init__(self, path: Path | Callable[[], Path], arm: str, digest: str, silent_after: float = 2.0) -> None:
         self._path = path if callable(path) else lambda: path
         self._arm, self._digest = arm, digest
+        self._most_silent = round(silent_after / ALIVE_EVERY)  # turns of the thread that says alive
         self.snapshot: Snapshot | None = None
         self.diagnostics: Diagnostics | None = None
         self.welcome: Welcome | None = None
@@ -141,7 +142,7 @@ class ExecutorLink:
             with contextlib.suppress(NotConnected):
                 self.send(Alive())
             self._silent += 1
-            if self.connected and (self._silent > SILENT_TICKS or self._answers.overdue()):
+            if self.connected and (self._silent > self._most_silent or self._answers.overdue()):
                 log.warning("the executor is silent: connecting anew")
                 self._drop()
 

@@ -11,7 +11,7 @@ MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
 MOST_PROGRAM_STAGES = 100_000
 MOST_ACTUATORS = 10_000
 MOST_TRAVELS = 100  # of one program that are reported
-ALIVE_EVERY, SILENT_AFTER = 0.2, 1.0  # [s] between two messages of the planner, and when it counts as hung
+ALIVE_EVERY = 0.2  # [s] between two messages of the planner
 
 States = Annotated[bytes, Meta(max_length=(MOST_ACTUATORS + 7) // 8)]
 Number = Annotated[int, Meta(ge=0, le=2**62)]

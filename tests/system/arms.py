@@ -26,7 +26,7 @@ BITS, BOARDS = [3, 3, 3, 3, 2, 6, 1], [[1, 2], [3, 4, 5], [6], [7]]  # of the mo
 # A longer stall is a true loss. Tests of such losses have quick boards.
 PATIENT = {"heartbeat": 0.1, "heartbeat_timeout": 10.0, "boot_timeout": 6.0, "settle_margin": 5.0}
 MOST = {"heartbeat_timeout": 30.0, "settle_margin": 10.0}  # that an arm's file may say
-QUICK = {"heartbeat_timeout": 2.0, "boot_timeout": 3.0, "settle_margin": 1.0}
+QUICK = {"heartbeat_timeout": 5.0, "boot_timeout": 3.0, "settle_margin": 2.0}  # yet longer than most stalls
 
 
 def planar() -> dict[str, Any]:
@@ -77,7 +77,9 @@ def write(folder: Path, kind: str, name: str, bus: dict[str, str], fields: dict[
     document = KINDS[kind]()
     boards = {**PATIENT, **fields.get("boards", {})}
     boards = {name: min(time * SLOWNESS, MOST.get(name, time * SLOWNESS)) for name, time in boards.items()}
-    document |= {"name": name, "travel_time": 0.05 * SLOWNESS, **fields, "boards": boards}
+    silence = 5.0 if "boards" in fields else 20.0  # [s] of the planner, as it shares the machine too
+    times = {"travel_time": 0.05 * SLOWNESS, "planner_timeout": min(silence * SLOWNESS, 60.0)}
+    document |= {"name": name, **times, **fields, "boards": boards}
     document["buses"] = [{"name": "can0", **bus}]
     (folder / "gripper.csv").write_text(TABLE)
     path = folder / "arm.yaml"
