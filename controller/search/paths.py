@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.descent import beam_search, descend, levels_of, tables_of
+from controller.search.descent import beam_search, descend
 from controller.search.distal_table import Wanted, build_distal_table, finish
 from controller.search.method import PaperMethod, Penalties, contraction, indifferent, mean_cost, similarity
 from controller.search.scene import Scene
 from controller.search.solution import Incumbent
 from controller.search.target import Target
 from controller.workspace.densities import Densities
+from controller.workspace.reachability import levels_of, tables_of
 
 Vector = NDArray[np.float64]
 

@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
-from controller.search.descent import Levels, descend, levels_of, measure, tables_of
+from controller.search.descent import descend
 from controller.search.method import contraction, indifferent, similarity
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
+from controller.workspace.reachability import Levels, levels_of, measure, tables_of
 from tests.arms import paper_arm, spatial_arm
 
 LEVEL = np.array([[[0.5, 1.5, 2.5], [3.5, -0.1, 5.5]]], dtype=np.float32)  # pixel 0.1, first centre at (1, 2, 0)

@@ -12,8 +12,8 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.search import distal_table as table_module
-from controller.search.descent import tables_of
 from controller.search.distal_table import Wanted, build_distal_table, finish, lowest, nearest
+from controller.workspace.reachability import tables_of
 from tests.arms import (
     any_frames,
     coordinates,

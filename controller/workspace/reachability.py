@@ -1,0 +1,76 @@
+"""The measure of reachability (section 3.1.2): how many configurations bring the tip to a point, by the densities."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import float32, float64, int64, njit, types
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Manipulator
+from controller.workspace.densities import Densities
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class Tables(NamedTuple):
+    """Configuration sets of an arm.
+
+    Attributes:
+        rotations: shape (B, Kmax, 3, 3).
+        translations: shape (B, Kmax, 3).
+        states: K_i, shape (B,).
+    """
+
+    rotations: Array
+    translations: Array
+    states: Index
+
+
+class Levels(NamedTuple):
+    """The arrays of Densities."""
+
+    values: NDArray[np.float32]
+    offsets: Index
+    shapes: Index
+    references: Array
+    pixels: Array
+
+
+TABLES: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
+    (float64[:, :, :, ::1], float64[:, :, ::1], int64[::1]), Tables
+)
+LEVELS: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
+    (float32[::1], int64[::1], int64[:, ::1], float64[:, ::1], float64[::1]), Levels
+)
+
+
+def tables_of(manipulator: Manipulator) -> Tables:
+    """Returns the configuration sets of an arm."""
+    return Tables(manipulator.rotations, manipulator.translations, manipulator.states)
+
+
+def levels_of(densities: Densities) -> Levels:
+    """Returns the arrays of densities."""
+    return Levels(densities.values, densities.offsets, densities.shapes, densities.references, densities.pixels)
+
+
+@njit(float64(LEVELS, int64, float64, float64, float64), cache=True, nogil=True, error_model="numpy")
+def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
+    """Returns the measure of reachability of a point (x, y, z) in intermediate workspace i.
+
+    It is the value of the point's pixel (see Densities): ln of the number of configurations that end there, or minus
+    the distance to where any end. Outside the box, the distance to the box is taken off as well.
+    """
+    reference, pixel = levels.references[i], levels.pixels[i]
+    nx, ny, nz = levels.shapes[i, 2], levels.shapes[i, 1], levels.shapes[i, 0]
+    fx, fy, fz = (x - reference[0]) / pixel, (y - reference[1]) / pixel, (z - reference[2]) / pixel
+    ix = min(max(int(np.floor(fx + 0.5)), 0), nx - 1)
+    iy = min(max(int(np.floor(fy + 0.5)), 0), ny - 1)
+    iz = min(max(int(np.floor(fz + 0.5)), 0), nz - 1)
+    value = float(levels.values[levels.offsets[i] + (iz * ny + iy) * nx + ix])
+    outside = max(abs(fx - ix), abs(fy - iy), abs(fz - iz))
+    if outside > 0.51:
+        dx, dy, dz = fx - ix, fy - iy, fz - iz
+        value = min(value, 0.0) - pixel * np.sqrt(dx * dx + dy * dy + dz * dz)
+    return value
