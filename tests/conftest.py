@@ -44,8 +44,9 @@ def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for k, channel in enumerate(settings["actuators"]):
             channel["node"], channel["output"] = 1 + k // 6, k % 6
             channel["input"] = channel["output"]
-    for name in ("heartbeat", "heartbeat_timeout", "boot_timeout"):
+    for name in ("heartbeat", "boot_timeout"):
         settings["boards"][name] *= SLOWNESS
+    settings["boards"]["heartbeat_timeout"] = settings["planner_timeout"] = min(10.0 * SLOWNESS, 30.0)
     path = tmp_path_factory.mktemp("arm") / "planar16.yaml"
     path.write_text(yaml.safe_dump(settings))
     return path

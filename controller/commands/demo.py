@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
+import yaml
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
@@ -40,6 +41,7 @@ MANY = 100.0  # configurations expected within the tolerance of each point of th
 MOST = 100.0  # natural logarithm of the largest number of configurations worth telling apart
 DRAWN = 1000  # configurations among which targets are chosen
 STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half, for each stage, where that is longer
+PATIENT = 10.0  # [s] of silence until boards or executor count as lost: a computer in use stands still at times
 PATIENCE = 180.0  # [s] for the daemon to be ready, or to end; the first start compiles its kernels
 
 
@@ -144,14 +146,28 @@ def stages(arm: Arm) -> int:
     return 1 if arm.settings.inrush is None else math.ceil(len(arm.manipulator.actuators) / 3 / arm.settings.inrush)
 
 
+def patient(file: Path, folder: Path) -> Path:
+    """Writes a copy of an arm's file whose boards, executor and planner wait long for each other; returns its path."""
+    document = yaml.safe_load(file.read_text())
+    document["boards"] = {**document.get("boards", {}), "heartbeat_timeout": PATIENT}
+    document["planner_timeout"] = PATIENT
+    for module in document["modules"]:
+        if "table" in module:
+            module["table"] = str(file.resolve().parent / module["table"])
+    copy = folder / file.name
+    copy.write_text(yaml.safe_dump(document))
+    return copy
+
+
 @contextlib.contextmanager
 def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Runs the daemon with simulated boards; yields its process and its Zenoh endpoint.
+    """Runs the daemon with simulated boards that are patient; yields its process and its Zenoh endpoint.
 
     The folder has its sockets, ledger and log: another daemon of this arm may run on the computer.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    file = patient(file, folder)
     command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
     with (folder / "log").open("w+") as log:
         command += ["--ledger", str(folder / "ledger.sqlite")]

@@ -12,14 +12,17 @@ log = logging.getLogger(__name__)
 
 OnAnswer = Callable[[Answer | None], None]
 
-OVERDUE = 2.0  # [s]; an executor that has not answered by then is broken
-
 
 class Answers:
-    """Numbers requests, and gives each its answer once. For any thread."""
+    """Numbers requests, and gives each its answer once. For any thread.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._lock = clock, threading.Lock()
+    Args:
+        patience: an executor that has not answered by then is broken [s].
+        clock: [s].
+    """
+
+    def __init__(self, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._patience, self._clock, self._lock = patience, clock, threading.Lock()
         self._numbers = itertools.count(1)
         self._waiting: dict[int, tuple[OnAnswer, float]] = {}
 
@@ -31,7 +34,7 @@ class Answers:
         """Returns the number of a new request."""
         with self._lock:
             number = next(self._numbers)
-            self._waiting[number] = on_answer, self._clock() + OVERDUE
+            self._waiting[number] = on_answer, self._clock() + self._patience
             return number
 
     def withdraw(self, number: int) -> bool:

@@ -1,5 +1,6 @@
 """From a goal's message to a plan from where the arm is. Pure but for the search; each thread has its own."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from controller.config import Arm
 from controller.manipulator.manipulator import Configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import GoalMessage, schedule
+from controller.motion.goal import GoalMessage, parse, schedule
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan, plan
 from controller.motion.trajectory import Trajectory
@@ -65,10 +66,32 @@ class GoalPlanning:
     def __init__(self, arm: Arm, solver: CollisionAwareSolver, monitor: ArmMonitor, bias: Bias) -> None:
         self.arm, self.pace = arm, pace_of(arm)
         self._solver, self._monitor, self._bias = solver, monitor, bias
+        manipulator, tracker = arm.manipulator, arm.settings.tracker
+        self._base = manipulator.base[: manipulator.dimension, 3]
+        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # that a tip may be from the base
 
     def now(self) -> tuple[Solver, KeepOutSet]:
         """Returns the solver as it is now, and the obstacles that it keeps clear of."""
         return self._solver.now()
+
+    def read(self, payload: bytes) -> GoalMessage:
+        """Returns the message of a goal, in microseconds; goals beyond the arm's length need no search to be refused.
+
+        Raises:
+            Refusal: it is malformed, or has a position that no configuration comes near.
+        """
+        message = parse(payload)
+        tolerance = message.tolerance.position or self.arm.tolerance
+        for k, waypoint in enumerate(message.waypoints):
+            position = waypoint.position
+            if position is None or len(position) != len(self._base):
+                continue
+            away = math.dist(position, self._base)
+            if away > self._farthest + tolerance:
+                where = f"waypoints[{k}].position: ({', '.join(f'{x:g}' for x in position)}) is out of reach"
+                words = f"{where}: {away:g} from the base, and no tip is farther from it than {self._farthest:g}"
+                raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, words)
+        return message
 
     def trajectory(self, message: GoalMessage, received: float) -> Trajectory:
         """Returns the trajectory that a message asks for, corrected by the tip's bias.

@@ -54,25 +54,27 @@ class ExecutorLink:
         diagnostics: the latest; None while not connected.
         welcome: of this connection; None while not connected.
         problem: why there is no connection, in words; None while there is one.
+        patience: as given [s].
 
     Args:
         path: of the socket, or a function that returns it anew for each attempt.
         arm: name of the arm.
         digest: SHA-256 of the arm's file, in hexadecimal.
-        silent_after: silence of the executor after which the connection counts as lost [s].
+        patience: time for the executor to answer, and its longest silence, until the connection counts as lost [s].
     """
 
-    def __init__(self, path: Path | Callable[[], Path], arm: str, digest: str, silent_after: float = 2.0) -> None:
+    def __init__(self, path: Path | Callable[[], Path], arm: str, digest: str, patience: float = 2.0) -> None:
         self._path = path if callable(path) else lambda: path
         self._arm, self._digest = arm, digest
-        self._most_silent = round(silent_after / ALIVE_EVERY)  # turns of the thread that says alive
+        self.patience = patience
+        self._most_silent = round(patience / ALIVE_EVERY)  # turns of the thread that says alive
         self.snapshot: Snapshot | None = None
         self.diagnostics: Diagnostics | None = None
         self.welcome: Welcome | None = None
         self.problem: str | None = "waiting for the executor"
         self._listener: Listener
         self._connection: Connection | None = None
-        self._answers = Answers()
+        self._answers = Answers(patience)
         self._silent, self._closing = 0, threading.Event()
         self._threads: Sequence[threading.Thread] = ()
 

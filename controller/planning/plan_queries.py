@@ -12,7 +12,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import GoalMessage, parse
+from controller.motion.goal import GoalMessage
 from controller.motion.plan import Plan
 from controller.planning.goal_planning import GoalPlanning
 from controller.planning.improvement import Improvement
@@ -56,9 +56,9 @@ class PlanQueries:
         """Returns a query.
 
         Raises:
-            Refusal: it is malformed.
+            Refusal: it is malformed, or far out of reach.
         """
-        message = parse(payload)
+        message = self._planning.read(payload)
         return PlanQuery(reply, message, time.time(), message.id or uuid.uuid4().hex[:12])
 
     def _serve(self, query: PlanQuery) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.goal import GoalMessage, parse
+from controller.motion.goal import GoalMessage
 from controller.planning.admission import Admission, Ticket
 from controller.planning.goal_planning import GoalPlanning, Planned, stages_of
 from controller.planning.goal_programs import GoalPrograms
@@ -85,9 +85,9 @@ class Planner:
         """Returns a request.
 
         Raises:
-            Refusal: it is malformed.
+            Refusal: it is malformed, or far out of reach.
         """
-        wanted = self._jogging.decode(payload) if jog else parse(payload)
+        wanted = self._jogging.decode(payload) if jog else self._planning.read(payload)
         goal = (wanted.id or uuid.uuid4().hex[:12]) if isinstance(wanted, GoalMessage) else None
         return GoalRequest(self._admission.arrive(), reply, wanted, time.time(), goal)
 

@@ -96,7 +96,7 @@ class Planning:
             self._monitor,
             self._admission,
             self._goals,
-            ProgramSender(self._monitor, self._admission, self._goals, numbers),
+            ProgramSender(self._monitor, self._admission, self._goals, numbers, link.patience),
             Jogging(arm, self._keep_out),
         )
         queries = GoalPlanning(arm, for_queries, self._monitor, self._bias)

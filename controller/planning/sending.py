@@ -13,7 +13,6 @@ from controller.planning.monitor import ArmMonitor
 from controller.planning.running_goal import RunningGoal
 
 MOST_SENT = 10  # times that a program is sent while the arm moves on
-ANSWER_WITHIN = 2.0  # [s]; the executor answers within milliseconds
 
 
 class ProgramNumbers:
@@ -42,10 +41,19 @@ class ProgramSender:
         admission: knows which requests are barred.
         goals: that run.
         numbers: of programs.
+        patience: time for the executor to answer, which it does within milliseconds [s].
     """
 
-    def __init__(self, monitor: ArmMonitor, admission: Admission, goals: RunningGoals, numbers: ProgramNumbers) -> None:
+    def __init__(
+        self,
+        monitor: ArmMonitor,
+        admission: Admission,
+        goals: RunningGoals,
+        numbers: ProgramNumbers,
+        patience: float,
+    ) -> None:
         self._monitor, self._admission, self._goals, self._numbers = monitor, admission, goals, numbers
+        self._patience = patience
 
     def send(self, ticket: Ticket, make: Callable[[ArmState, int, int], RunningGoal]) -> RunningGoal:
         """Returns a program that the executor has taken.
@@ -58,7 +66,7 @@ class ProgramSender:
             Refusal: the executor does not take it, or `make` refuses.
         """
         for _ in range(MOST_SENT):
-            epoch = self._admission.epoch(ticket, ANSWER_WITHIN)
+            epoch = self._admission.epoch(ticket, self._patience)
             state = self._monitor.require()
             if epoch is None:
                 raise Refusal(INVALID_GOAL, "the executor does not answer a request that came before; try again")
@@ -78,8 +86,8 @@ class ProgramSender:
         Raises:
             Refusal: it does not run.
         """
-        if not goal.answered.wait(ANSWER_WITHIN) and not self._goals.withdraw(goal):
-            raise Refusal(INVALID_GOAL, f"the executor did not answer within {ANSWER_WITHIN:g} s")
+        if not goal.answered.wait(self._patience) and not self._goals.withdraw(goal):
+            raise Refusal(INVALID_GOAL, f"the executor did not answer within {self._patience:g} s")
         if goal.accepted:
             return True
         declined = goal.declined

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from controller.commands.demo import patient
 from controller.program import (
     MOST_BYTES,
     Acknowledge,
@@ -50,7 +51,7 @@ class Process:
             "-m",
             "controller.cli",
             "execute",
-            str(Path(DEPLOY) / "planar16.yaml"),
+            str(patient(Path(DEPLOY) / "planar16.yaml", folder)),
             "--simulate",
         ]
         self.process = subprocess.Popen(

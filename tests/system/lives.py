@@ -11,7 +11,7 @@ from controller.gateway.client import Client, Message
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.operator import Operator
-from tests.system.places import LEFT, MIDDLE, RIGHT
+from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.publisher import Publisher
 from tests.system.system import LEASE, System
 from tests.waiting import PATIENCE, eventually
@@ -75,8 +75,9 @@ class Lives:
             assert codes & STALLED, result
 
     def zigzag(self, name: str) -> str:
-        """Sends a goal of many waypoints, as fast as the arm may follow, that begins at once; returns its id."""
-        return self.send(name, *((LEFT, RIGHT, MIDDLE)[k % 3] for k in range(30)), times=[0.08 * k for k in range(30)])
+        """Sends a goal of many waypoints, as fast as the arm may follow, and a last one far ahead; returns its id."""
+        times = [*(0.08 * k for k in range(30)), HOUR]
+        return self.send(name, *((LEFT, RIGHT, MIDDLE)[k % 3] for k in range(31)), times=times)
 
     def begun(self) -> None:
         """Waits until a switch is on the bus."""
