@@ -42,6 +42,9 @@ COMMANDS = {
     ),
     "send": Entry("talk", "send", "Send a goal and follow it to its result; Ctrl-C cancels the goal."),
     "watch": Entry("talk", "watch", "Show a running arm until interrupted; with --json, a line for each state."),
+    "record": Entry(
+        "record", "record", "Record all that an arm publishes, and its requests, to MCAP files until SIGTERM."
+    ),
     "cancel": Entry("tell", "cancel", "End the running goal or stream of setpoints; the arm holds and takes the next."),
     "stop": Entry(
         "tell",

@@ -234,5 +234,5 @@ def wanted(payload: bytes) -> Collection[str]:
     """Returns what a query of `arm` wants besides, as in {"with": ["drawing"]}; nothing if it is written otherwise."""
     try:
         return msgspec.json.decode(payload, type=dict[str, list[str]]).get("with", [])
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, RecursionError):
         return []

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller.gateway.request_notes import MOST_REFUSED, RequestNotes
+from controller.gateway.request_notes import MOST_REFUSED, RequestNotes, content_of
 from controller.planning.messages import Payload, done, refused
 from tests.gateway.conftest import ARM, Gateway, eventually
 from tests.gateway.test_server import PREFIX, asked
@@ -50,6 +50,11 @@ def test_what_is_no_json_is_noted_as_text(gateway: Gateway) -> None:
     assert (note["payload"], note["text"], note["answer"]["accepted"]) == (None, "no � JSON", False)
     asked(gateway.other(), f"{PREFIX}/stop", b"")
     assert eventually(lambda: notes[1:])[0]["payload"] is None
+
+
+def test_what_is_nested_too_deeply_is_noted_as_text() -> None:
+    assert content_of(b"[" * 100_000)["text"] == "[" * 500
+    assert content_of(b'{"with": ' + b"[" * 100_000)["payload"] is None
 
 
 def test_a_wildcard_hears_no_notes(gateway: Gateway) -> None:

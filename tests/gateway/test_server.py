@@ -82,7 +82,7 @@ def test_arm_says_where_the_daemon_runs(gateway: Gateway) -> None:
 def test_arm_has_besides_what_its_query_wants(gateway: Gateway) -> None:
     (described,) = asked(gateway.other(), f"{PREFIX}/arm", b'{"with": ["drawing"]}')
     assert "drawing" in described
-    for payload in (b"no JSON", b"[]", b'{"with": 1}', b'"drawing"', b"\xff"):
+    for payload in (b"no JSON", b"[]", b'{"with": 1}', b'"drawing"', b"\xff", b"[" * 100_000):
         (described,) = asked(gateway.other(), f"{PREFIX}/arm", payload)
         assert described.keys() == {"name", "dimension", "daemon"}
 

@@ -1,0 +1,176 @@
+"""The command that records an arm: record."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.commands.common import ENDPOINT, ArmName, Connect, Failed, ZenohFile, arm_name
+from controller.strict import InputFaults
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from controller.recorder.can_log import CanLog
+
+RETRY = 1.0  # [s] between attempts to reach the daemon
+UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
+SMALLEST = 100_000  # bytes of a recording, and of all
+
+FOLDER = "Where recordings are written; made if it is missing."
+SIZE = "A new recording begins after so many bytes: 100M, 2G."
+MINUTES = "A new recording begins after so many minutes."
+KEEP = "The oldest recordings of this arm are deleted when all together have more bytes: 2G."
+FSYNC = "Each second wait until the disk has the data: a cut power supply, too, then costs a second at most."
+CAN = "Write the frames of the arm's buses as candump text beside; ARM must be the arm's file."
+
+
+def record(
+    arm: ArmName,
+    folder: Annotated[Path, typer.Option(help=FOLDER)] = Path("recordings"),
+    size: Annotated[str, typer.Option(metavar="BYTES", help=SIZE)] = "200M",
+    minutes: Annotated[float, typer.Option(help=MINUTES)] = 60.0,
+    keep: Annotated[str | None, typer.Option(metavar="BYTES", help=KEEP, show_default=False)] = None,
+    fsync: Annotated[bool, typer.Option("--fsync", help=FSYNC)] = False,
+    can: Annotated[bool, typer.Option("--can", help=CAN)] = False,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+) -> None:
+    """Record all that an arm publishes, and its requests, to MCAP files until SIGTERM."""
+    name = arm_name(arm)
+    most, kept = parse_size(size, "--size"), None if keep is None else parse_size(keep, "--keep")
+    if not 0.0 < minutes < 1e6:
+        raise InputFaults(Path("--minutes"), [f"a number above 0 is needed, got {minutes:g}"])
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    require("mcap")
+
+    from controller.notify import Notifier
+    from controller.recorder.folder import CAN_LOG, Folder, FolderInUse
+    from controller.recorder.heard import Ear
+    from controller.recorder.recorder import Limits, Recorder
+
+    ending, notifier = threading.Event(), Notifier()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ending.set())
+    with contextlib.ExitStack() as stack:
+        try:
+            where = Folder(folder, name, kept)
+        except FolderInUse as error:
+            raise Failed(str(error)) from None
+        except OSError as error:
+            raise Failed(f"{folder}: recordings cannot be written: {error.strerror}") from None
+        stack.callback(where.close)
+        frames = can_log(Path(arm)) if can else None
+        if frames is not None:
+            stack.callback(frames.close)
+
+        def began(path: Path) -> None:
+            if frames is not None:
+                frames.begin(path.with_suffix(CAN_LOG))
+
+        notifier.send("READY=1")
+        session = stack.enter_context(opened(connect, zenoh_file, ending.wait, lambda: notifier.send("WATCHDOG=1")))
+        if session is None:
+            return
+        recorder = Recorder(name, where, Limits(most, minutes * 60.0), fsync=fsync, began=began)
+        stack.callback(recorder.close)
+        ear = Ear(session, name)
+        stack.callback(ear.close)
+        flushed = time.monotonic()
+
+        def beat() -> None:
+            nonlocal flushed
+            notifier.send("WATCHDOG=1")
+            if frames is not None and time.monotonic() >= flushed + 1.0:
+                flushed = time.monotonic()
+                frames.flush()
+
+        recorder.run(ear, ending.is_set, beat)
+        notifier.send("STOPPING=1")
+
+
+@contextlib.contextmanager
+def opened(
+    connect: str, zenoh_file: Path | None, wait: Callable[[float], bool], beat: Callable[[], None]
+) -> Iterator[zenoh.Session | None]:
+    """Opens a session with a daemon as soon as there is one; None if `wait` ends before.
+
+    Raises:
+        InputFaults: the Zenoh file is wrong.
+    """
+    import zenoh
+
+    from controller.gateway import session
+
+    zenoh.init_log_from_env_or("error")
+    told = False
+    while True:
+        try:
+            config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
+        except ValueError as error:
+            raise InputFaults(Path("--zenoh"), [str(error)]) from None
+        try:
+            live = zenoh.open(config)
+            break
+        except zenoh.ZError as error:
+            if not told:
+                told = True
+                where, why = zenoh_file or connect, session.reason(error)
+                logging.getLogger(__name__).warning("no daemon at %s yet, waiting for one: %s", where, why)
+        beat()
+        if wait(RETRY):
+            yield None
+            return
+    with live:
+        yield live
+
+
+def can_log(file: Path) -> CanLog:
+    """Begins to read the buses of an arm's file.
+
+    Raises:
+        InputFaults: it is no arm's file, or wrong.
+    """
+    if not file.is_file():
+        raise InputFaults(Path("--can"), [f"{file}: no such file; --can needs the arm's file, which names its buses"])
+    from controller.actuators import read_wired
+    from controller.recorder.can_log import CanLog
+
+    settings, _, _ = read_wired(file)
+    return CanLog(settings.buses)
+
+
+def parse_size(text: str, option: str) -> int:
+    """Returns the bytes that a text such as "200M" stands for.
+
+    Raises:
+        InputFaults: it is not written so, or too small for a recording.
+    """
+    unit = text[-1:].upper()
+    number, factor = (text[:-1], UNITS[unit]) if unit in UNITS and unit else (text, 1)
+    if not number.isascii() or not number.isdigit():
+        raise InputFaults(Path(option), [f"{text!r}: a number of bytes is needed, such as 200M or 2G"])
+    if (size := int(number) * factor) < SMALLEST:
+        raise InputFaults(Path(option), [f"{text!r} is less than {SMALLEST} bytes"])
+    return size
+
+
+def require(package: str) -> None:
+    """Looks whether what recording needs is installed.
+
+    Raises:
+        Failed: it is not.
+    """
+    from importlib.util import find_spec
+
+    if find_spec(package) is None:
+        raise Failed(f"{package} is missing: install hyperbit with recorder, as by pip install '.[recorder]'")

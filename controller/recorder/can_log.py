@@ -1,0 +1,109 @@
+"""Frames of the arm's buses as candump writes them, beside a recording: for can-utils and for decoders."""
+
+import logging
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+import can
+
+from controller.settings import BusSettings
+
+log = logging.getLogger(__name__)
+
+POLL = 0.2  # [s] that a thread waits for a frame, before it looks whether it is to end
+REOPEN = 1.0  # [s] between attempts to open a bus
+MOST_WAITING = 200_000  # frames between two flushes
+ERROR = 1 << 29  # flag of error frames in what candump writes
+
+
+class CanLog:
+    """Reads all buses of an arm, each in a thread; sends nothing.
+
+    Args:
+        buses: of the arm.
+    """
+
+    def __init__(self, buses: Sequence[BusSettings]) -> None:
+        self._waiting: list[tuple[float, str]] = []
+        self._lock, self._ending = threading.Lock(), threading.Event()
+        self._file: IO[str] | None = None
+        self._dropped = 0
+        self._threads = [
+            threading.Thread(target=self._read, args=(bus,), name=f"frames of {bus.name}", daemon=True) for bus in buses
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def begin(self, path: Path) -> None:
+        """Goes on in another file."""
+        self.flush()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        try:
+            self._file = path.open("a", encoding="ascii")
+        except OSError as error:
+            log.error("%s: frames are not written: %s", path, error.strerror)
+
+    def flush(self) -> None:
+        """Writes what was read since the last call, in the order of time."""
+        with self._lock:
+            lines, self._waiting = self._waiting, []
+            dropped, self._dropped = self._dropped, 0
+        if dropped:
+            log.warning("%d frames were dropped: the disk is too slow", dropped)
+        if self._file is None:
+            return
+        try:
+            self._file.writelines(line for _, line in sorted(lines))
+            self._file.flush()
+        except OSError as error:
+            log.error("frames are not written: %s", error.strerror)
+
+    def close(self) -> None:
+        """Ends the threads, and the file."""
+        self._ending.set()
+        for thread in self._threads:
+            thread.join()
+        self.flush()
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+
+    def _read(self, settings: BusSettings) -> None:
+        told = ""
+        while not self._ending.is_set():
+            try:
+                with can.Bus(
+                    interface=settings.interface,
+                    channel=settings.channel,
+                    bitrate=settings.bitrate,
+                    ignore_config=True,
+                ) as bus:
+                    told = ""
+                    while not self._ending.is_set():
+                        if (message := bus.recv(POLL)) is not None:
+                            self._put(message.timestamp, candump(message, settings.channel))
+            except Exception as error:  # python-can passes on whatever the interface raises
+                if str(error) != told:
+                    told = str(error)
+                    log.warning("%s is not read: %s; trying again every %g s", settings.name, error, REOPEN)
+                self._ending.wait(REOPEN)
+
+    def _put(self, stamp: float, line: str) -> None:
+        with self._lock:
+            if len(self._waiting) < MOST_WAITING:
+                self._waiting.append((stamp, line))
+            else:
+                self._dropped += 1
+
+
+def candump(message: can.Message, channel: str) -> str:
+    """Returns a frame as candump writes it into a log."""
+    number = message.arbitration_id | (ERROR if message.is_error_frame else 0)
+    name = f"{number:08X}" if message.is_extended_id or message.is_error_frame else f"{number:03X}"
+    data = "R" if message.is_remote_frame else bytes(message.data or b"").hex().upper()
+    return f"({message.timestamp:.6f}) {channel} {name}#{data}\n"

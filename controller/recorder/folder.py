@@ -1,0 +1,94 @@
+"""The folder of an arm's recordings: names, one recorder at a time, repair at the start, deletion of the oldest."""
+
+import fcntl
+import logging
+import os
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from controller.recorder.repair import repair, unfinished
+
+log = logging.getLogger(__name__)
+
+CAN_LOG = ".candump"  # suffix of the frames beside a recording
+
+
+class FolderInUse(Exception):
+    """Another recorder writes this arm's recordings into the folder."""
+
+
+class Folder:
+    """Where the recordings of one arm are. They are complete but for those written since.
+
+    Args:
+        path: of the folder; made if it is missing.
+        arm: name of the arm.
+        keep: most bytes of all recordings, beyond which the oldest are deleted; None: no bound.
+
+    Raises:
+        FolderInUse: see there.
+        OSError: the folder cannot be written.
+    """
+
+    def __init__(self, path: Path, arm: str, keep: int | None = None) -> None:
+        self._path, self._arm, self._keep = path, arm, keep
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock = os.open(path / f".{arm}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._lock)
+            raise FolderInUse(f"another recorder writes the arm {arm!r} into {path}: end it, or use --folder") from None
+        self._repair()
+
+    def close(self) -> None:
+        """Lets another recorder in."""
+        os.close(self._lock)
+
+    def new(self, now: float) -> Path:
+        """Returns the path of a recording that begins at a UNIX time [s]; makes room before."""
+        self.make_room()
+        stem = f"{self._arm}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}"
+        for k in range(1, 10_000):
+            path = self._path / (f"{stem}.mcap" if k == 1 else f"{stem}-{k}.mcap")
+            if not path.exists():
+                return path
+        raise FileExistsError(f"{self._path}: too many recordings begin at {stem}")
+
+    def make_room(self, current: Path | None = None) -> None:
+        """Deletes the oldest recordings beyond `keep`, with their frames, but not the current one."""
+        if self._keep is None:
+            return
+        recordings = sorted(self._recordings(), key=lambda path: path.stat().st_mtime_ns)
+        sizes = {path: sum(part.stat().st_size for part in parts(path)) for path in recordings}
+        total = sum(sizes.values())
+        for path in recordings:
+            if total <= self._keep:
+                return
+            if path != current:
+                total -= sizes[path]
+                for part in parts(path):
+                    part.unlink()
+                log.info("%s deleted: recordings are more than %d bytes", path, self._keep)
+
+    def _repair(self) -> None:
+        for path in sorted(self._recordings()):
+            try:
+                if unfinished(path):
+                    done = repair(path)
+                    what = "deleted, it held nothing" if done.messages is None else f"has {done.messages} messages"
+                    log.warning("%s was not completed: repaired, %s", path, what)
+            except OSError as error:
+                log.error("%s was not completed, and cannot be repaired: %s", path, error.strerror)
+
+    def _recordings(self) -> Iterator[Path]:
+        """Yields the arm's recordings; those of an arm whose name only begins like this one's are none."""
+        for path in self._path.glob(f"{self._arm}-*.mcap"):
+            if path.stem[len(self._arm) + 1 :][:8].isdecimal():
+                yield path
+
+
+def parts(path: Path) -> list[Path]:
+    """Returns the files of a recording that are there: itself, and the frames beside it."""
+    return [part for part in (path, path.with_suffix(CAN_LOG)) if part.exists()]

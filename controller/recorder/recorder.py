@@ -1,0 +1,256 @@
+"""The recorder's one thread: takes what is heard of an arm, and writes it into one recording after the other."""
+
+import contextlib
+import logging
+import platform
+import time
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from controller.recorder.folder import Folder
+from controller.recorder.heard import Ear, Heard, LogClock
+from controller.recorder.recording import Recording
+from controller.recorder.scene import Scene
+from controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
+from controller.recorder.story import Line, Story
+
+log = logging.getLogger(__name__)
+
+TURN = 0.2  # [s] between two looks at the clock
+ASK_EVERY = 5.0  # [s] between two questions for the arm's description, while there is no answer
+RETRY = 10.0  # [s] after the disk failed
+MOST_TOPICS = 100  # of keys that the interface does not have; others are recorded as "other"
+OTHERWISE = (LookupError, TypeError, ValueError, AttributeError)  # of messages that are written otherwise than ours
+HELD = 0.001  # [s] before a change, at which the frames are still as before
+SCENE_FIELDS = ("commanded", "measured", "target")
+
+
+class Limits(NamedTuple):
+    """When a recording ends and the next begins: after so many bytes, or so many seconds."""
+
+    size: int
+    seconds: float
+
+
+class Recorder:
+    """Writes all that is heard of one arm. A new recording begins with what is needed to understand it alone.
+
+    Args:
+        arm: name of the arm.
+        folder: of its recordings.
+        limits: of one recording.
+        fsync: whether each flush waits for the disk.
+        began: called with the path of each new recording.
+    """
+
+    def __init__(
+        self,
+        arm: str,
+        folder: Folder,
+        limits: Limits,
+        *,
+        fsync: bool = False,
+        began: Callable[[Path], None] = lambda path: None,
+    ) -> None:
+        self._arm, self._folder, self._limits, self._fsync, self._began = arm, folder, limits, fsync, began
+        self._clock, self._story = LogClock(), Story()
+        self._recording: Recording | None = None
+        self._retry_at = 0.0
+        self._arm_told: bytes | None = None
+        self._scene: Scene | None = None
+        self._drawn: tuple[Any, ...] | None = None
+        self._state: tuple[int, Mapping[str, Any], bytes] | None = None  # the latest: log time, decoded, as it came
+        self._topics: set[str] = set()
+        self._obstacles: Any = None
+        self._asked_at = -ASK_EVERY
+        self._wanting = False  # the daemon is there, and its description is not known
+
+    def run(self, ear: Ear, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
+        """Records until `ending`; calls `beat` several times a second."""
+        while not ending():
+            for item in ear.take(TURN):
+                self.take(item)
+            if dropped := ear.dropped():
+                self._say(Line(4, f"{dropped} messages were dropped: the disk is too slow"))
+            if self._wanting and time.monotonic() >= self._asked_at + ASK_EVERY:
+                self._asked_at = time.monotonic()
+                ear.ask()
+            self._turn()
+            beat()
+
+    def close(self) -> None:
+        """Completes the recording."""
+        if self._recording is not None:
+            self._guarded(self._recording.close)
+            self._recording = None
+
+    def take(self, item: Heard) -> None:
+        """Writes a message, and what it means for the drawing and the log."""
+        at = self._clock.at(item.at)
+        if item.key == "arm":
+            self._take_arm(item.data, at)
+            return
+        if item.key in ("alive", "gone"):
+            self._wanting = item.key == "alive"
+            key, data = "alive", msgspec.json.encode({"alive": item.key == "alive"})
+        else:
+            key, data = self._plain(item.key, item.data)
+        message = msgspec.json.decode(data)
+        self._write(key, key, data, at, published(message, at))
+        with contextlib.suppress(*OTHERWISE):
+            for line in self._story.lines(key, message):
+                self._say(line, at)
+        if key == "state":
+            self._state = at, message, data
+            if message.get("obstacles") != self._obstacles:  # the regions sent are others: `arm` has them
+                self._obstacles, self._wanting = message.get("obstacles"), True
+            self._draw()
+
+    def _take_arm(self, data: bytes, at: int) -> None:
+        """Writes the arm's description if it is new."""
+        self._wanting = False
+        if data == self._arm_told:
+            return
+        try:
+            arm = msgspec.json.decode(data)
+            self._scene = Scene(arm)
+        except (msgspec.MsgspecError, RecursionError, *OTHERWISE) as error:
+            self._say(Line(3, f"the daemon's description of the arm cannot be drawn: {error}"), at)
+            self._scene = None
+        else:
+            self._arm_told, self._drawn = data, None
+            self._tell_arm(at)
+            self._draw()
+
+    def _tell_arm(self, at: int) -> None:
+        """Writes the arm's description: a message, the versions as metadata, and the arm's file."""
+        if self._arm_told is None:
+            return
+        arm = msgspec.json.decode(self._arm_told)
+        file = arm.get("file") or {}
+        values = {
+            "arm": self._arm,
+            "version": str(arm.get("version", "")),
+            "recorder_version": version("hyperbit"),
+            "recorder_host": platform.node(),
+            "daemon_host": str((arm.get("daemon") or {}).get("host", "")),
+            "file": str(file.get("name", "")),
+            "file_sha256": str(file.get("sha256", "")),
+        }
+
+        def tell(recording: Recording) -> None:
+            recording.add_metadata("hyperbit", values)
+            if file:
+                recording.attach(file["name"], "application/yaml", file["text"].encode(), at)
+            for name, text in file.get("tables", {}).items():
+                recording.attach(name, "text/csv", text.encode(), at)
+
+        if self._recording is None:
+            self._open(at)  # a recording begins with the description
+            return
+        recording = self._recording
+        self._guarded(lambda: tell(recording))
+        self._write("arm", "arm", self._arm_told, at, at)
+
+    def _draw(self) -> None:
+        """Writes scene and frames if the arm looks otherwise than at the last state."""
+        if self._scene is None or self._state is None:
+            return
+        at, state, _ = self._state
+        looks = (id(self._scene), *(state.get(field) for field in SCENE_FIELDS))
+        if looks == self._drawn:
+            return
+        before, self._drawn, stamp = self._drawn, looks, published(state, at)
+        try:
+            scene = msgspec.json.encode(self._scene.update(state, stamp / 1e9))
+            frames = self._scene.transforms(state, stamp / 1e9)
+            if before is not None:  # else a viewer would move the frames evenly since the last change
+                held = self._scene.transforms(dict(zip(SCENE_FIELDS, before[1:], strict=True)), stamp / 1e9 - HELD)
+                frames["transforms"][:0] = held["transforms"]
+        except OTHERWISE as error:  # a state of another arm or version
+            self._say(Line(3, f"a state cannot be drawn: {error}"), at)
+            return
+        self._write("scene", SCENE, scene, at, stamp)
+        self._write("frames", TRANSFORMS, msgspec.json.encode(frames), at, stamp)
+
+    def _plain(self, key: str, data: bytes) -> tuple[str, bytes]:
+        """Returns topic and JSON object of a message, whatever it is."""
+        known = key in TOPICS or key in self._topics or len(self._topics) < MOST_TOPICS
+        try:
+            value = msgspec.json.decode(data)
+        except (msgspec.MsgspecError, RecursionError):
+            return "other", msgspec.json.encode({"key": key, "text": data[:1000].decode(errors="replace")})
+        if not known or not isinstance(value, dict):
+            return "other", msgspec.json.encode({"key": key, "value": value})
+        if key not in TOPICS:
+            self._topics.add(key)
+        return key, data
+
+    def _say(self, line: Line, at: int | None = None) -> None:
+        """Writes a line of the log."""
+        at = self._clock.now() if at is None else at
+        seconds, nanoseconds = divmod(at, 1_000_000_000)
+        told = {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "level": line.level, "message": line.text}
+        told |= {"name": self._arm, "file": "", "line": 0}
+        self._write("log", LOG, msgspec.json.encode(told), at, at)
+
+    def _write(self, key: str, kind: str, data: bytes, at: int, sent: int) -> None:
+        if (recording := self._open(at)) is not None:
+            self._guarded(lambda: recording.write(f"hyperbit/{self._arm}/{key}", kind, data, at, sent))
+
+    def _turn(self) -> None:
+        """Flushes what is due, and ends a recording that is full."""
+        recording, now = self._recording, self._clock.now()
+        if recording is None or recording.begun is None:
+            return
+        if recording.size >= self._limits.size or now - recording.begun >= self._limits.seconds * 1e9:
+            self.close()
+            self._open(now)
+        elif recording.due(now):
+            self._guarded(recording.flush)
+            self._guarded(lambda: self._folder.make_room(recording.path))
+
+    def _open(self, at: int) -> Recording | None:
+        """Returns the recording; begins a new one if there is none, and the disk did not fail a moment ago."""
+        if self._recording is not None or time.monotonic() < self._retry_at:
+            return self._recording
+        try:
+            self._recording = Recording(self._folder.new(time.time()), fsync=self._fsync)
+        except OSError as error:
+            self._failed(error)
+            return None
+        log.info("recording to %s", self._recording.path)
+        self._began(self._recording.path)
+        self._drawn = None
+        self._tell_arm(at)
+        if self._state is not None and self._arm_told is not None:
+            heard_at, state, data = self._state
+            self._write("state", "state", data, max(at, heard_at), published(state, at))
+            self._draw()
+        return self._recording
+
+    def _guarded(self, act: Callable[[], None]) -> None:
+        """Does something with the recording; gives the recording up if the disk fails."""
+        try:
+            act()
+        except OSError as error:
+            self._failed(error)
+
+    def _failed(self, error: OSError) -> None:
+        recording, self._recording = self._recording, None
+        where = "" if recording is None else f"{recording.path}: "
+        log.error("%snot written: %s. The next attempt is in %g s", where, error.strerror or error, RETRY)
+        self._retry_at = time.monotonic() + RETRY
+        if recording is not None:
+            recording.abandon()
+
+
+def published(message: Any, at: int) -> int:
+    """Returns the time that a message says it is of [ns], or else when it was heard."""
+    stamp = message.get("stamp") if isinstance(message, dict) else None
+    plausible = isinstance(stamp, int | float) and 0 < stamp < 2**63 / 1e9
+    return int(stamp * 1e9) if plausible and stamp is not None else at

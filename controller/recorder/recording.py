@@ -1,0 +1,106 @@
+"""One recording: an MCAP file of JSON messages, flushed so that a kill loses a second at most."""
+
+import contextlib
+import os
+from pathlib import Path
+
+from mcap.writer import CompressionType, Writer
+
+from controller.recorder.schemas import schema_of
+
+FLUSH_EVERY = 1_000_000_000  # [ns] of the messages' log time
+LIBRARY = "hyperbit"
+
+
+class Recording:
+    """An open file.
+
+    Attributes:
+        path: of the file.
+        begun: log time of the first message [ns]; None before it.
+
+    Args:
+        path: of the file, which must not exist.
+        fsync: whether each flush waits until the disk has the data.
+
+    Raises:
+        OSError: the file cannot be written; so do all methods.
+    """
+
+    def __init__(self, path: Path, *, fsync: bool = False) -> None:
+        self.path, self._fsync = path, fsync
+        self.begun: int | None = None
+        self._file = path.open("xb")
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library=LIBRARY)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequences: dict[int, int] = {}
+        self._unflushed: int | None = None  # log time of the first message that is not flushed
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far, without what waits to be flushed."""
+        return self._file.tell()
+
+    def write(self, topic: str, kind: str, data: bytes, log_time: int, publish_time: int) -> None:
+        """Writes a message; flushes if the first one not flushed is a second older.
+
+        Args:
+            topic: of the channel.
+            kind: of the schema, see `schema_of`.
+            data: JSON.
+            log_time: when it was heard, on the recorder's clock [ns].
+            publish_time: when it was sent, on the sender's clock [ns].
+        """
+        if self._unflushed is not None and log_time - self._unflushed >= FLUSH_EVERY:
+            self.flush()
+        channel = self._channel(topic, kind)
+        self._sequences[channel] = sequence = self._sequences.get(channel, -1) + 1
+        self._writer.add_message(channel, log_time, data, publish_time, sequence)
+        self.begun = log_time if self.begun is None else self.begun
+        self._unflushed = log_time if self._unflushed is None else self._unflushed
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Writes named texts."""
+        self._writer.add_metadata(name, values)
+
+    def attach(self, name: str, kind: str, data: bytes, log_time: int) -> None:
+        """Writes a file into this one; `kind` is its media type."""
+        self._writer.add_attachment(log_time, log_time, name, kind, data)
+
+    def due(self, log_time: int) -> bool:
+        """Returns whether what was written is to be flushed at a log time [ns]."""
+        return self._unflushed is not None and log_time - self._unflushed >= FLUSH_EVERY
+
+    def flush(self) -> None:
+        """Has the kernel take all that was written, and with `fsync` the disk."""
+        self._unflushed = None
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        if self._fsync:
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Completes the file."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Closes a file that cannot be written any more, as it is; repair completes it later."""
+        with contextlib.suppress(OSError, ValueError):
+            self._file.raw.close()
+        with contextlib.suppress(OSError, ValueError):
+            self._file.close()
+
+    def _channel(self, topic: str, kind: str) -> int:
+        channel = self._channels.get(topic)
+        if channel is None:
+            name, text = schema_of(kind)
+            if name not in self._schemas:
+                self._schemas[name] = self._writer.register_schema(name, "jsonschema", text)
+            channel = self._writer.register_channel(topic, "json", self._schemas[name])
+            self._channels[topic] = channel
+        return channel

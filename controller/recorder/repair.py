@@ -1,0 +1,121 @@
+"""Recordings that were not completed, as after a kill or a power cut: what was flushed is kept, the rest cut off."""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+
+from controller.recorder.recording import LIBRARY
+
+MOST = 1 << 30  # bytes of one record; a damaged length must not be tried
+HEAD = len(MCAP0_MAGIC)
+# What mcap and the libraries below it raise on damaged data.
+DAMAGE = (
+    McapError,
+    CRCValidationError,
+    EOFError,
+    ValueError,
+    KeyError,
+    struct.error,
+    zlib.error,
+    zstandard.ZstdError,
+    RuntimeError,
+    MemoryError,
+)
+
+
+class Repaired(NamedTuple):
+    """What became of an unfinished file.
+
+    Attributes:
+        path: of the file.
+        messages: that it holds now; None if it held nothing, and was deleted.
+    """
+
+    path: Path
+    messages: int | None
+
+
+def unfinished(path: Path) -> bool:
+    """Returns whether a file is a recording without an end; what does not begin as one is none."""
+    with path.open("rb") as file:
+        if not MCAP0_MAGIC.startswith(file.read(HEAD)):
+            return False
+        if os.fstat(file.fileno()).st_size < 2 * HEAD:
+            return True
+        file.seek(-HEAD, os.SEEK_END)
+        return file.read() != MCAP0_MAGIC
+
+
+def repair(path: Path) -> Repaired:
+    """Completes an unfinished file with all whole records that it has; deletes one that has none.
+
+    The completed file takes the place of the other at once: a kill meanwhile leaves the unfinished one.
+
+    Raises:
+        OSError: it cannot be read or written.
+    """
+    temporary = path.with_suffix(".repairing")
+    try:
+        with path.open("rb") as damaged, temporary.open("wb") as completed:
+            count, records = rewrite(damaged, completed)
+            completed.flush()
+            os.fsync(completed.fileno())
+        if records == 0:
+            path.unlink()
+            return Repaired(path, None)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return Repaired(path, count)
+
+
+def rewrite(damaged: IO[bytes], completed: IO[Any]) -> tuple[int, int]:
+    """Writes all whole records of a stream as a complete file; returns how many messages and records there are."""
+    writer = Writer(completed, compression=CompressionType.ZSTD)
+    writer.start(profile="", library=LIBRARY)
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    messages = records = 0
+    for record in whole_records(damaged):
+        records += 1
+        match record:
+            case Schema():
+                if record.id not in schemas:
+                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            case Channel():
+                if record.id not in channels and record.schema_id in schemas:
+                    channels[record.id] = writer.register_channel(
+                        record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
+                    )
+            case Message():
+                if record.channel_id in channels:
+                    channel = channels[record.channel_id]
+                    writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+                    messages += 1
+            case Metadata():
+                writer.add_metadata(record.name, record.metadata)
+            case Attachment():
+                times = record.create_time, record.log_time
+                writer.add_attachment(*times, record.name, record.media_type, record.data)
+            case _:
+                records -= 1
+    writer.finish()  # type: ignore[no-untyped-call]
+    return messages, records
+
+
+def whole_records(stream: IO[bytes]) -> Iterator[McapRecord]:
+    """Yields the records of a stream up to the first that is cut off or damaged."""
+    reader = StreamReader(stream, validate_crcs=True, record_size_limit=MOST)
+    try:
+        yield from reader.records
+    except DAMAGE:
+        return

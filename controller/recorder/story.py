@@ -1,0 +1,53 @@
+"""What recorded messages say in sentences: Foxglove's log of modes, faults, goals and results."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+Message = Mapping[str, Any]
+
+INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
+
+
+class Line(NamedTuple):
+    """A line of the log, with a level of foxglove.Log."""
+
+    level: int
+    text: str
+
+
+class Story:
+    """Tells what changed since the last message of a kind."""
+
+    def __init__(self) -> None:
+        self._mode: tuple[str, str] | None = None
+        self._faults: set[tuple[str, str]] = set()
+
+    def lines(self, key: str, message: Message) -> Iterator[Line]:
+        """Yields what a message on a key of the arm says anew."""
+        match key:
+            case "state":
+                yield from self._state(message)
+            case "request":
+                answer = message.get("answer") or {}
+                level = INFO if answer.get("accepted") else WARNING
+                named = f" {answer['id']}" if answer.get("id") else ""
+                verdict = "accepted" if answer.get("accepted") else "refused"
+                yield Line(level, f"{message.get('key')}{named} {verdict}: {answer.get('message')}")
+            case "result":
+                level = INFO if message.get("code") == 0 else WARNING
+                yield Line(level, f"goal {message.get('id')} {message.get('status')}: {message.get('message')}")
+            case "alive":
+                alive = message.get("alive")
+                yield Line(INFO if alive else ERROR, "the daemon is there" if alive else "the daemon is gone")
+
+    def _state(self, state: Message) -> Iterator[Line]:
+        mode = str(state.get("mode")), str(state.get("reason"))
+        if mode != self._mode:
+            self._mode = mode
+            yield Line(WARNING if mode[0] in ("fault", "stopped") else INFO, f"{mode[0]}: {mode[1]}")
+        faults = {(str(it.get("code")), str(it.get("source"))): it for it in state.get("faults") or ()}
+        for key in faults.keys() - self._faults:
+            yield Line(ERROR, f"{key[0]} at {key[1]}: {faults[key].get('message')}")
+        for code, source in sorted(self._faults - faults.keys()):
+            yield Line(INFO, f"{code} at {source} is over")
+        self._faults = set(faults)

@@ -1,0 +1,65 @@
+"""The command record: sizes, bad input in a sentence, and what it does not import."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from controller.commands.record import parse_size
+from controller.strict import InputFaults
+from tests.keys import DEPLOY
+
+
+def hyperbit(*words: str, code: int) -> str:
+    """What the command says on stderr."""
+    ended = subprocess.run([sys.executable, "-m", "controller.cli", *words], capture_output=True, text=True)
+    assert ended.returncode == code, ended.stderr
+    assert "Traceback" not in ended.stderr
+    return ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("100000", 100_000), ("200M", 200 * 10**6), ("2g", 2 * 10**9), ("1T", 10**12), ("500k", 500_000)]
+)
+def test_sizes(text: str, size: int) -> None:
+    assert parse_size(text, "--size") == size
+
+
+@pytest.mark.parametrize("text", ["", "M", "-5M", "1.5G", "10", "2GB", "x", "٣M"])
+def test_no_sizes(text: str) -> None:
+    with pytest.raises(InputFaults):
+        parse_size(text, "--size")
+
+
+def test_bad_input_is_told_in_a_sentence(tmp_path: Path) -> None:
+    assert "a number of bytes is needed" in hyperbit("record", "a", "--size", "much", code=2)
+    assert "a number above 0" in hyperbit("record", "a", "--minutes", "0", code=2)
+    assert "no-such.yaml" in hyperbit("record", "no-such.yaml", code=2)
+    folder = ["--folder", str(tmp_path / "recordings")]
+    assert "--can needs the arm's file" in hyperbit("record", "planar16", "--can", *folder, code=2)
+    zenoh = ["--zenoh", str(tmp_path / "none.json5")]
+    assert "no Zenoh configuration" in hyperbit("record", "planar16", *zenoh, *folder, code=2)
+    (tmp_path / "file").touch()
+    told = hyperbit("record", str(DEPLOY / "planar16.yaml"), "--folder", str(tmp_path / "file"), code=1)
+    assert "recordings cannot be written" in told
+
+
+def test_recording_needs_neither_kernels_nor_pictures() -> None:
+    script = (
+        "import sys, controller.commands.record, controller.recorder.recorder, controller.recorder.heard\n"
+        "print([name for name in ('numba', 'scipy', 'matplotlib', 'canopen', 'can') if name in sys.modules])"
+    )
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
+
+
+def test_the_daemon_needs_nothing_of_the_recorder() -> None:
+    script = (
+        "import sys\nsys.modules['mcap'] = None\n"
+        "import controller.gateway.daemon, controller.commands.run, controller.executor.run, controller.cli\n"
+        "from controller.commands.record import require\n"
+        "print(any(name.startswith('controller.recorder') for name in sys.modules))"
+    )
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"

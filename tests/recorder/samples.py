@@ -1,0 +1,95 @@
+"""Messages of an arm for the tests, and what reads recordings: the package mcap, and small_mcap as a second one."""
+
+import io
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import small_mcap
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.stream_reader import StreamReader
+
+from controller.config import Arm, load
+from controller.planning.description import description, drawing, file
+from controller.recorder.heard import Heard
+from tests.keys import DEPLOY
+
+SECOND = 1_000_000_000  # [ns]
+
+
+class Read(NamedTuple):
+    """A message as a reader returns it."""
+
+    topic: str
+    at: int
+    data: dict[str, Any]
+
+
+def read(path: Path) -> list[Read]:
+    """The messages of a complete file, by the package mcap, its index and checksums included."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_summary() is not None
+        return [Read(c.topic, m.log_time, json.loads(m.data)) for _, c, m in reader.iter_messages()]
+
+
+def read_by_another(path: Path) -> list[Read]:
+    """The messages of a complete file, by another reader."""
+    with path.open("rb") as stream:
+        return [Read(c.topic, m.log_time, json.loads(bytes(m.data))) for _, c, m in small_mcap.read_message(stream)]
+
+
+def read_unfinished(data: bytes) -> list[Read]:
+    """The whole messages of a file that was cut off, by the package mcap."""
+    found: list[Read] = []
+    try:
+        messages = NonSeekingReader(io.BytesIO(data)).iter_messages(log_time_order=False)
+        found.extend(Read(c.topic, m.log_time, json.loads(m.data)) for _, c, m in messages)
+    except Exception:  # at the cut, whatever the library raises there
+        return found
+    return found
+
+
+def recovered_by_another(data: bytes) -> list[Read]:
+    """The whole messages of a file that was cut off, by another reader's recovery."""
+    found: list[Read] = []
+    channels: dict[int, str] = {}
+    try:
+        for record in small_mcap.stream_reader(io.BytesIO(data), emit_chunks=False):
+            if isinstance(record, small_mcap.Channel):
+                channels[record.id] = record.topic
+            elif isinstance(record, small_mcap.Message):
+                found.append(Read(channels[record.channel_id], record.log_time, json.loads(bytes(record.data))))
+    except Exception:
+        return found
+    return found
+
+
+def names(path: Path) -> list[str]:
+    """The kinds of records in a file, from its beginning."""
+    with path.open("rb") as stream:
+        return [type(record).__name__ for record in StreamReader(stream).records]
+
+
+def planar() -> Arm:
+    return load(DEPLOY / "planar16.yaml")
+
+
+def told(arm: Arm) -> dict[str, Any]:
+    """What the daemon tells of an arm."""
+    daemon = {"host": "robot", "pid": 1}
+    payload = {**description(arm), "limits": [], "drawing": drawing(arm), "file": file(arm), "daemon": daemon}
+    return json.loads(json.dumps(payload))  # type: ignore[no-any-return]
+
+
+def state(arm: Arm, configuration: list[int], stamp: float, **changes: Any) -> dict[str, Any]:
+    """A `state` of an arm that holds."""
+    states = arm.manipulator.actuator_states(configuration).tolist()
+    common = {"stamp": stamp, "mode": "ready", "reason": "holding", "faults": [], "degraded": [], "goal": None}
+    return {**common, "commanded": states, "measured": states, "configuration": "", "tip": None, **changes}
+
+
+def heard(at: float, key: str, message: Any) -> Heard:
+    """A message that came at a monotonic time [s]."""
+    data = message if isinstance(message, bytes) else json.dumps(message).encode()
+    return Heard(round(at * SECOND), key, data)

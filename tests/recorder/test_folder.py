@@ -1,0 +1,69 @@
+"""The folder of recordings: one recorder, repair at its start, room."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from controller.recorder.folder import CAN_LOG, Folder, FolderInUse
+from controller.recorder.repair import unfinished
+from tests.recorder.samples import read
+from tests.recorder.test_recording import numbers, written
+
+
+def test_names_tell_arm_and_time_and_never_meet(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "new" / "folder", "a")
+    first = folder.new(0.0)
+    assert first.name == "a-19700101T000000Z.mcap"
+    first.touch()
+    assert folder.new(0.0).name == "a-19700101T000000Z-2.mcap"
+    folder.close()
+
+
+def test_one_recorder_writes_an_arm(tmp_path: Path) -> None:
+    folder = Folder(tmp_path, "a")
+    with pytest.raises(FolderInUse, match="another recorder writes the arm 'a'"):
+        Folder(tmp_path, "a")
+    Folder(tmp_path, "b").close()
+    folder.close()
+    Folder(tmp_path, "a").close()
+
+
+def test_unfinished_recordings_of_the_arm_are_repaired_at_the_start(tmp_path: Path) -> None:
+    cut, empty, others = (tmp_path / f"{name}-19700101T00000{k}Z.mcap" for k, name in enumerate(("a", "a", "a-b")))
+    for path in (cut, others):
+        recording = written(path)
+        recording.flush()
+        recording.abandon()
+    empty.touch()
+    Folder(tmp_path, "a").close()
+    assert numbers(read(cut)) == list(range(100))
+    assert not empty.exists()
+    assert unfinished(others), "of another arm, whose name begins like this one's"
+
+
+def test_a_file_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a-19700101T000000Z.mcap"
+    path.write_bytes(b"no recording, but named as one")
+    Folder(tmp_path, "a").close()
+    assert path.read_bytes() == b"no recording, but named as one"
+
+
+def test_the_oldest_recordings_make_room(tmp_path: Path) -> None:
+    folder, paths = Folder(tmp_path, "a"), []
+    for k in range(4):
+        path = folder.new(float(k))
+        path.write_bytes(b"x" * 500)
+        path.with_suffix(CAN_LOG).write_bytes(b"x" * 500)
+        for part in (path, path.with_suffix(CAN_LOG)):
+            os.utime(part, (k, k))
+        paths.append(path)
+    other = tmp_path / "b-19700101T000000Z.mcap"
+    other.write_bytes(b"x" * 5000)
+    folder.close()
+    folder = Folder(tmp_path, "a", keep=2500)
+    folder.make_room(paths[0])
+    assert [path.exists() for path in paths] == [True, False, False, True]
+    assert [path.with_suffix(CAN_LOG).exists() for path in paths] == [True, False, False, True]
+    assert other.exists()
+    folder.close()

@@ -1,0 +1,115 @@
+"""Recordings: what is flushed survives, whatever cuts the file; repair keeps all whole records."""
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+
+from controller.recorder.recording import Recording
+from controller.recorder.repair import repair, unfinished
+from tests.recorder.samples import SECOND, names, read, read_by_another, read_unfinished, recovered_by_another
+
+TOPIC = "hyperbit/a/state"
+
+
+def written(path: Path, count: int = 100, every: float = 0.05) -> Recording:
+    """A recording with messages, the first at 1000 s, not completed."""
+    recording = Recording(path)
+    recording.add_metadata("hyperbit", {"arm": "a"})
+    recording.attach("a.yaml", "application/yaml", b"name: a", 0)
+    for k in range(count):
+        at = round((1000 + k * every) * SECOND)
+        recording.write(TOPIC, "state", json.dumps({"k": k, "stamp": 1.5}).encode(), at, 1)
+    return recording
+
+
+def numbers(messages: list) -> list[int]:
+    return [message.data["k"] for message in messages]
+
+
+def test_two_readers_read_a_complete_file(tmp_path: Path) -> None:
+    recording = written(tmp_path / "a.mcap")
+    recording.close()
+    assert not unfinished(recording.path)
+    assert read(recording.path) == read_by_another(recording.path)
+    assert numbers(read(recording.path)) == list(range(100))
+    assert {"Metadata", "Attachment", "Schema", "Channel", "Message"} <= set(names(recording.path))
+
+
+def test_at_most_a_second_of_messages_is_not_flushed(tmp_path: Path) -> None:
+    recording, path = Recording(tmp_path / "a.mcap"), tmp_path / "a.mcap"
+    draw, times = random.Random(1), [1000.0]
+    for k in range(500):
+        times.append(times[-1] + draw.choice([0.0, 0.01, 0.3, 0.99, 1.0, 2.5]))
+        recording.write(TOPIC, "state", json.dumps({"k": k}).encode(), round(times[-1] * SECOND), 1)
+        there = numbers(read_unfinished(path.read_bytes()))
+        assert there == list(range(len(there)))
+        lost = times[1 + len(there) :]
+        assert not lost or times[-1] - lost[0] < 1.0 + 1e-6
+    recording.close()
+
+
+def test_messages_after_a_pause_are_flushed_by_the_clock(tmp_path: Path) -> None:
+    recording = Recording(tmp_path / "a.mcap")
+    recording.write(TOPIC, "state", b'{"k": 0}', 1000 * SECOND, 1)
+    assert not recording.due(1000 * SECOND + 1)
+    assert recording.due(1001 * SECOND)
+    recording.flush()
+    assert not recording.due(1005 * SECOND)
+    assert numbers(read_unfinished(recording.path.read_bytes())) == [0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_file_cut_anywhere_is_repaired_with_all_that_two_readers_find(tmp_path: Path, seed: int) -> None:
+    recording = written(tmp_path / "a.mcap", 200)
+    recording.close()
+    whole, draw = recording.path.read_bytes(), random.Random(seed)
+    cuts = [0, 1, 7, 8, 9, 20, len(whole) - 1, len(whole) - 8, *(draw.randrange(len(whole)) for _ in range(40))]
+    for cut in cuts:
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(whole[:cut])
+        assert unfinished(path)
+        expected = read_unfinished(whole[:cut])
+        assert expected == recovered_by_another(whole[:cut])
+        done = repair(path)
+        if done.messages is None:
+            assert expected == []
+            assert not path.exists()
+            continue
+        assert done.messages == len(expected)
+        assert read(path) == expected == read_by_another(path)
+        assert not unfinished(path)
+
+
+def test_a_damaged_file_keeps_what_is_before_the_damage(tmp_path: Path) -> None:
+    recording = written(tmp_path / "a.mcap", 200)
+    recording.close()
+    whole, draw = recording.path.read_bytes(), random.Random(7)
+    for _ in range(60):
+        data, path = bytearray(whole[:-9]), tmp_path / "damaged.mcap"
+        for _ in range(draw.randrange(1, 5)):
+            data[draw.randrange(len(data))] = draw.randrange(256)
+        path.write_bytes(data)
+        done = repair(path)  # raises nothing
+        if done.messages is not None:
+            found = numbers(read(path)) if done.messages else []
+            assert found == list(range(len(found)))
+
+
+def test_metadata_and_attachments_survive(tmp_path: Path) -> None:
+    recording = written(tmp_path / "a.mcap")
+    recording.flush()
+    recording.abandon()
+    assert repair(recording.path).messages == 100
+    kinds = names(recording.path)
+    assert kinds.count("Metadata") == kinds.count("Attachment") == 1
+    assert repair(recording.path).messages == 100, "a repaired file stays as it is"
+
+
+def test_a_file_that_nobody_can_write_is_told_as_such(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"")
+    with pytest.raises(FileExistsError):
+        Recording(tmp_path / "a.mcap")
+    with pytest.raises(FileNotFoundError):
+        Recording(tmp_path / "none" / "a.mcap")

@@ -1,0 +1,120 @@
+"""What Foxglove draws is where forward kinematics has the arm."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller.config import load
+from controller.manipulator import frames
+from controller.recorder.scene import MEASURED, TRAVELLING, UNKNOWN, Scene, quaternion, rgba, turn_to
+from controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
+from tests.keys import DEPLOY
+from tests.recorder.samples import planar, state, told
+from tests.recorder.shapes import misfits
+
+ARMS = ("planar16", "revolute24", "platform8", "motor12")
+
+
+def matrix(translation: dict[str, float], rotation: dict[str, float]) -> np.ndarray:
+    return frames.spatial([translation[k] for k in "xyz"], [rotation[k] for k in "xyzw"])
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_frames_and_lines_are_the_arms(name: str) -> None:
+    arm = load(DEPLOY / f"{name}.yaml")
+    m, scene = arm.manipulator, Scene(told(arm))
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        configuration = [int(rng.integers(count)) for count in m.states]
+        now = state(arm, configuration, 5.25)
+        message = scene.transforms(now, 5.25)
+        assert misfits(message, FOXGLOVE[TRANSFORMS]) == []
+        chain, found, parent = m.chain(configuration), np.eye(4), "world"
+        for k, told_frame in enumerate(message["transforms"]):
+            assert (told_frame["parent_frame_id"], told_frame["child_frame_id"]) == (parent, f"{name}/{k}")
+            parent = told_frame["child_frame_id"]
+            found = found @ matrix(told_frame["translation"], told_frame["rotation"])
+            np.testing.assert_allclose(found, chain[k], atol=1e-6)
+            assert told_frame["timestamp"] == {"sec": 5, "nsec": 250_000_000}
+        update = scene.update(now, 5.25)
+        assert misfits(update, FOXGLOVE[SCENE]) == []
+        points = []
+        for k, entity in enumerate(update["entities"][: len(m.modules)]):
+            assert entity["frame_id"] == f"{name}/{k}"
+            local = np.array([[p[axis] for axis in "xyz"] for p in entity["lines"][0]["points"]])
+            points.append(local @ chain[k][:3, :3].T + chain[k][:3, 3])
+        np.testing.assert_allclose(np.concatenate(points), m.body(configuration).reshape(-1, 3), atol=1e-6)
+
+
+def test_colours_tell_what_is_measured() -> None:
+    arm = planar()
+    scene, now = Scene(told(arm)), state(arm, [0] * 16, 1.0)
+
+    def colours(**changes: Any) -> list[Any]:
+        entities = scene.update({**now, **changes}, 1.0)["entities"][:16]
+        return [entity["lines"][0]["color"] for entity in entities]
+
+    assert colours() == [rgba(MEASURED)] * 16
+    unknown, travelling = list(now["measured"]), list(now["measured"])
+    unknown[0], travelling[3] = None, 1
+    assert colours(measured=unknown) == [rgba(UNKNOWN)] + [rgba(MEASURED)] * 15
+    assert colours(measured=travelling) == [rgba(MEASURED), rgba(TRAVELLING)] + [rgba(MEASURED)] * 14
+    assert colours(measured=[None] * 48, commanded=None) == [rgba(UNKNOWN)] * 16
+
+
+def test_goal_and_obstacles_are_drawn() -> None:
+    arm = told(planar())
+    arm["obstacles"] = [
+        {"disc": {"centre": [1.2, 2.0], "radius": 0.3}, "name": "pillar"},
+        {"box": {"centre": [1.0, 1.0], "size": [0.5, 0.25], "angle": np.pi}},
+    ]
+    arm["sent_obstacles"] = [{"half_plane": {"point": [0.0, -0.1], "normal": [0.0, 1.0]}}, {"none": {}}]
+    now = {**state(planar(), [0] * 16, 1.0), "target": {"position": [0.5, 2.9], "orientation": None}}
+    update = Scene(arm).update(now, 1.0)
+    assert misfits(update, FOXGLOVE[SCENE]) == []
+    goal, obstacles = update["entities"][-2:]
+    assert goal["spheres"][0]["pose"]["position"] == {"x": 0.5, "y": 2.9, "z": 0.0}
+    assert obstacles["cylinders"][0]["size"]["x"] == 0.6
+    box, floor = obstacles["cubes"]
+    assert box["pose"]["orientation"]["z"] == pytest.approx(1.0)
+    sides = np.array([floor["size"][axis] for axis in "xyz"])
+    turned = matrix(floor["pose"]["position"], floor["pose"]["orientation"])
+    top = turned @ np.array([sides[0] / 2, 0, 0, 1])
+    np.testing.assert_allclose(top[:3], [0.0, -0.1, 0.0], atol=1e-6)
+
+
+def test_spheres_and_half_spaces_are_drawn() -> None:
+    arm = told(load(DEPLOY / "platform8.yaml"))
+    arm["obstacles"] = [
+        {"sphere": {"centre": [1.0, 2.0, 3.0], "radius": 0.5}},
+        {"half_space": {"point": [0.0, 0.0, -1.0], "normal": [0.0, 0.0, 2.0]}},
+        {"box": {"centre": [1, 1, 1], "size": [1, 2, 3], "orientation": [0, 0, 0, 1]}},
+    ]
+    update = Scene(arm).update(state(load(DEPLOY / "platform8.yaml"), [0] * 8, 1.0), 1.0)
+    assert misfits(update, FOXGLOVE[SCENE]) == []
+    obstacles = update["entities"][-1]
+    assert obstacles["spheres"][0]["size"] == {"x": 1.0, "y": 1.0, "z": 1.0}
+    assert [cube["size"]["z"] for cube in obstacles["cubes"]][1] == 3.0
+
+
+def test_quaternions_are_those_of_the_manipulator() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        drawn = rng.normal(size=4)
+        frame = frames.spatial((0, 0, 0), drawn / np.linalg.norm(drawn))
+        found = quaternion(frame[:3, :3])
+        np.testing.assert_allclose(matrix({"x": 0, "y": 0, "z": 0}, found), frame, atol=1e-7)
+        normal = drawn[:3] / np.linalg.norm(drawn[:3])
+        turned = frames.spatial((0, 0, 0), turn_to(normal))
+        np.testing.assert_allclose(turned[:3, 0], normal, atol=1e-9)
+    np.testing.assert_allclose(frames.spatial((0, 0, 0), turn_to(np.array([-1.0, 0, 0])))[:3, 0], [-1, 0, 0])
+
+
+@pytest.mark.parametrize("broken", ["drawing", "frames", "actuators", "base"])
+def test_an_arm_that_is_told_otherwise_is_refused(broken: str) -> None:
+    arm = told(planar())
+    with pytest.raises((LookupError, ValueError, TypeError)):
+        Scene({key: value for key, value in arm.items() if key != broken})
+    with pytest.raises((LookupError, ValueError, TypeError)):
+        Scene({**arm, broken: []})
