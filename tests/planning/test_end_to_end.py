@@ -80,8 +80,11 @@ def test_goals_one_after_the_other(chain: Chain) -> None:
 def test_a_trajectory_is_fed_back_waypoint_by_waypoint(chain: Chain) -> None:
     chain.goal(A, B, C, A, step=0.5)
     assert chain.inbox.next("reply")["accepted"]
-    told = [chain.inbox.next("feedback") for _ in range(4)]
-    assert [f["waypoint"] for f in told] == [0, 1, 2, 3]
+    told = [chain.inbox.next("feedback")]
+    while told[-1]["waypoint"] < 3:
+        told.append(chain.inbox.next("feedback"))
+    waypoints = [f["waypoint"] for f in told]
+    assert waypoints == sorted(set(waypoints)), "each once; a machine that stands still passes one over"
     assert all(f["stages"] >= 1 and f["excursion"] is not None for f in told)
     assert chain.inbox.next("result")["status"] == "succeeded"
 
