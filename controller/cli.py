@@ -77,6 +77,11 @@ COMMANDS = {
     "plan": Entry("plan", "plan", "Search configurations for goals, without any hardware."),
     "fk": Entry("report", "fk", "Say where a configuration brings the tip."),
     "map": Entry("report", "map_", "Map the point densities of all intermediate workspaces into the cache."),
+    "workspace": Entry(
+        "workspace",
+        "workspace",
+        "Draw and report where an arm can reach: positions, orientations at a point, and with locked actuators.",
+    ),
     "figure5": Entry(
         "report", "figure5", "Repeat the paper's experiment of section 4: three targets, three algorithms."
     ),

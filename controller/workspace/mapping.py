@@ -11,6 +11,7 @@ order.
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,6 +26,24 @@ Vector = NDArray[np.float64]
 # Counts of one level are held as float64 times two to a common exponent. Past PEAK they are scaled down, and what would
 # vanish by that is kept at FLOOR, so that the edge of the workspace survives for any number of modules.
 PEAK, SHIFT, FLOOR = 2.0**960, 900, 2.0**-1000
+
+
+class Level(NamedTuple):
+    """One intermediate workspace while it is mapped.
+
+    Attributes:
+        counts: number of configurations in each pixel, divided by two to `exponent`, shape (z, y, x).
+        centroids: mean position of the points of each pixel, shape (z, y, x, 3).
+        exponent: see `counts`.
+        reference: centre of the first pixel.
+        pixel: side of the pixels.
+    """
+
+    counts: Counts
+    centroids: Counts
+    exponent: int
+    reference: Vector
+    pixel: float
 
 
 def map_densities(
@@ -46,20 +65,12 @@ def map_densities(
     """
     if pixel <= 0 or level_pixels < 1:
         raise ValueError(f"pixel {pixel:g} and pixels per level {level_pixels} must be positive")
-    counts, centroids, reference, exponent = np.ones((1, 1, 1)), np.zeros((1, 1, 1, 3)), np.zeros(3), 0
-    levels = [(logarithms(counts, exponent, pixel), reference, pixel)]
+    level = tip_level(pixel)
+    levels = [packed(level)]
     progress(1)
     for i in reversed(range(len(manipulator.modules))):
-        rotations = manipulator.rotations[i, : manipulator.states[i]]
-        translations = manipulator.translations[i, : manipulator.states[i]]
-        low, high = extent(counts, reference, pixel, rotations, translations)
-        pixel = coarsened(pixel, low, high, level_pixels, manipulator.dimension)
-        shape, reference = grid(low, high, pixel)
-        source, source_centroids = counts, centroids
-        counts, centroids = np.zeros(shape), np.zeros((*shape, 3))
-        superpose(source, source_centroids, rotations, translations, counts, centroids, reference, pixel)
-        exponent += rescale(counts)
-        levels.append((logarithms(counts, exponent, pixel), reference, pixel))
+        level = below(level, manipulator, i, level_pixels)
+        levels.append(packed(level))
         progress(len(levels))
     levels.reverse()
     return Densities(
@@ -69,6 +80,28 @@ def map_densities(
         references=np.array([reference for _, reference, _ in levels]),
         pixels=np.array([pixel for _, _, pixel in levels]),
     )
+
+
+def tip_level(pixel: float) -> Level:
+    """Returns the intermediate workspace of the tip alone: one point."""
+    return Level(np.ones((1, 1, 1)), np.zeros((1, 1, 1, 3)), 0, np.zeros(3), pixel)
+
+
+def below(level: Level, manipulator: Manipulator, i: int, level_pixels: int) -> Level:
+    """Returns the intermediate workspace next to the base: `level` moved by all states of module i (0 at the base)."""
+    rotations = manipulator.rotations[i, : manipulator.states[i]]
+    translations = manipulator.translations[i, : manipulator.states[i]]
+    low, high = extent(level.counts, level.reference, level.pixel, rotations, translations)
+    pixel = coarsened(level.pixel, low, high, level_pixels, manipulator.dimension)
+    shape, reference = grid(low, high, pixel)
+    counts, centroids = np.zeros(shape), np.zeros((*shape, 3))
+    superpose(level.counts, level.centroids, rotations, translations, counts, centroids, reference, pixel)
+    return Level(counts, centroids, level.exponent + rescale(counts), reference, pixel)
+
+
+def packed(level: Level) -> tuple[NDArray[np.float32], Vector, float]:
+    """Returns values, reference and pixel of a level as Densities has them."""
+    return logarithms(level.counts, level.exponent, level.pixel), level.reference, level.pixel
 
 
 def coarsened(pixel: float, low: Vector, high: Vector, level_pixels: int, dimension: int) -> float:

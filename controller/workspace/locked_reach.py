@@ -1,0 +1,193 @@
+"""Reach and redundancy of an arm in which some actuators are locked, by the Mapping Algorithm.
+
+All arms are mapped with pixels of one side, parallel to the axes of the base and aligned with its origin, so that they
+can be compared pixel by pixel. Locking an actuator changes only the intermediate workspaces below its module; those
+above are mapped once for all choices.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.held import Held, free, hold
+from controller.manipulator.manipulator import Manipulator
+from controller.workspace.densities import Densities
+from controller.workspace.mapping import Level, below, coarsened, tip_level
+
+Array = NDArray[np.float64]
+
+PIXELS = {2: 1 << 16, 3: 1 << 17}  # most pixels of the whole arm's box, by dimension
+
+
+class Reach(NamedTuple):
+    """Where the tip of an arm can come, and by how many configurations.
+
+    Attributes:
+        locked: state in which each actuator is locked, -1 if it is free, shape (A,).
+        reach: area or volume of the pixels that hold at least one configuration's tip.
+        covered: area or volume of the pixels in which, on average, at least one configuration is within the tolerance
+            of a goal.
+        redundancy: log10 of the number of configurations within the tolerance of a goal, the median over the pixels
+            that the free arm covers; minus infinity if more than half of them are lost.
+    """
+
+    locked: Held
+    reach: float
+    covered: float
+    redundancy: float
+
+
+class LockedReach(NamedTuple):
+    """Reach of a free arm and of arms with locked actuators.
+
+    Attributes:
+        free: of the free arm.
+        choices: of each choice of locked actuators and states.
+        every: whether `choices` are all choices, not a sample.
+        impossible: number of choices that leave a module without a state.
+        pixel: side of the pixels.
+        reference: centre of the first pixel in the base frame, x, y, z.
+        free_counts: ln of the number of configurations of the free arm within the tolerance, by pixel; minus infinity
+            where there are none, shape (z, y, x).
+        least_counts: the least of all choices, likewise.
+    """
+
+    free: Reach
+    choices: tuple[Reach, ...]
+    every: bool
+    impossible: int
+    pixel: float
+    reference: Array
+    free_counts: Array
+    least_counts: Array
+
+    def worst(self, figure: str) -> Reach:
+        """Returns the choice with the least `reach`, `covered` or `redundancy`."""
+        return min(self.choices, key=lambda choice: float(getattr(choice, figure)))
+
+    def mean(self, figure: str) -> float:
+        """Returns the mean of `reach`, `covered` or `redundancy` over all choices."""
+        return float(np.mean([getattr(choice, figure) for choice in self.choices]))
+
+
+def reach_when_locked(
+    manipulator: Manipulator,
+    densities: Densities,
+    locks: int,
+    tolerance: float,
+    samples: int,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> LockedReach:
+    """Returns reach and redundancy over choices of locked actuators.
+
+    Args:
+        manipulator: the arm.
+        densities: of the arm; they give the box of its workspace.
+        locks: number of actuators to lock, at least 1.
+        tolerance: greatest distance of the tip from a goal.
+        samples: most choices if more than one actuator is locked; a single lock tries all.
+        seed: of the random choices.
+        progress: called with the number of choices done, and of all.
+
+    Raises:
+        ValueError: there are not so many actuators that have two states.
+    """
+    low, high = densities.box(0)
+    most = PIXELS[manipulator.dimension]
+    pixel = coarsened(float(densities.pixels[0]), low, high, most, manipulator.dimension)
+    levels = [tip_level(pixel)]
+    for i in reversed(range(len(manipulator.modules))):
+        levels.append(below(levels[-1], manipulator, i, 2 * most))
+    levels.reverse()
+    whole = levels[0]
+    measure = math.pi * tolerance**2 if manipulator.planar else 4 / 3 * math.pi * tolerance**3
+    volume = whole.pixel**manipulator.dimension
+    within = log_counts(whole, whole) + math.log(measure / volume)
+    covered = within >= 0
+
+    def reached(locked: Held, counts: Array) -> Reach:
+        """Returns the figures of one arm, from ln of its numbers of configurations within the tolerance."""
+        redundancy = float(np.median(counts[covered])) / math.log(10) if covered.any() else -math.inf
+        return Reach(locked, float(np.isfinite(counts).sum() * volume), float((counts >= 0).sum() * volume), redundancy)
+
+    chosen, every = choices(manipulator, locks, samples, seed)
+    found, least, impossible = list[Reach](), within.copy(), 0
+    for number, locked in enumerate(chosen):
+        try:
+            reduced = hold(manipulator, locked)
+        except ValueError:
+            impossible += 1
+            continue
+        level = levels[last_locked(manipulator, locked) + 1]
+        for i in reversed(range(last_locked(manipulator, locked) + 1)):
+            level = below(level, reduced, i, 2 * most)
+        counts = log_counts(level, whole) + math.log(measure / volume)
+        found.append(reached(locked, counts))
+        np.minimum(least, counts, out=least)
+        progress(number + 1, len(chosen))
+    if not found:
+        raise ValueError(f"no choice of {locks} locked actuators leaves each module a state")
+    nobody = free(manipulator)
+    return LockedReach(
+        reached(nobody, within), tuple(found), every, impossible, whole.pixel, whole.reference, within, least
+    )
+
+
+def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[Held], bool]:
+    """Returns which actuators are locked in what states, each (A,), and whether these are all choices.
+
+    Raises:
+        ValueError: there are fewer actuators that have two states.
+    """
+    rows = [module.bits for module in manipulator.modules]
+    moving = np.flatnonzero(np.concatenate([bits.min(axis=0) < bits.max(axis=0) for bits in rows])).tolist()
+    if not 1 <= locks <= len(moving):
+        raise ValueError(f"1 to {len(moving)} actuators can be locked, not {locks}")
+
+    def locked(actuators: tuple[int, ...], states: tuple[int, ...]) -> Held:
+        held = free(manipulator)
+        held[list(actuators)] = states
+        return held
+
+    every = math.comb(len(moving), locks) << locks
+    if locks == 1 or every <= samples:
+        pairs = product(combinations(moving, locks), product((0, 1), repeat=locks))
+        return [locked(actuators, states) for actuators, states in pairs], True
+    drawn = set[tuple[tuple[int, ...], tuple[int, ...]]]()
+    for actuators, states in random_choices(moving, locks, seed):
+        drawn.add((actuators, states))
+        if len(drawn) == samples:
+            break
+    return [locked(*choice) for choice in sorted(drawn)], False
+
+
+def random_choices(moving: list[int], locks: int, seed: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Yields random actuators, in order, with random states."""
+    random = np.random.default_rng(seed)
+    while True:
+        actuators = np.sort(random.choice(moving, locks, replace=False))
+        yield tuple(actuators.tolist()), tuple(random.integers(0, 2, locks).tolist())
+
+
+def last_locked(manipulator: Manipulator, locked: Held) -> int:
+    """Returns the module next to the tip that has a locked actuator."""
+    owners = np.repeat(np.arange(len(manipulator.modules)), [len(m.actuators) for m in manipulator.modules])
+    return int(owners[locked >= 0].max())
+
+
+def log_counts(level: Level, whole: Level) -> Array:
+    """Returns ln of the counts of a level in the pixels of `whole`, minus infinity where there are none, (z, y, x)."""
+    result = np.full(whole.counts.shape, -math.inf)
+    shift = np.round((level.reference - whole.reference) / whole.pixel).astype(int)[::-1]
+    first, last = np.maximum(shift, 0), np.minimum(shift + level.counts.shape, result.shape)
+    if (first < last).all():
+        own = tuple(slice(a, b) for a, b in zip(first - shift, last - shift, strict=True))
+        place = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+        with np.errstate(divide="ignore"):
+            result[place] = np.log(level.counts[own]) + level.exponent * math.log(2.0)
+    return result
