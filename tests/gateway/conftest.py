@@ -3,7 +3,6 @@
 import json
 import socket
 import threading
-import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -17,18 +16,9 @@ from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.gateway.server import Server
 from controller.planning.messages import Payload, Reply, done, refused
+from tests.waiting import PATIENCE, eventually
 
-PATIENCE = 60.0  # [s]; a busy machine is slow
 ARM = "a"
-
-
-def eventually(what: Callable[[], Any]) -> Any:
-    """Waits for a true value."""
-    until = time.monotonic() + PATIENCE
-    while not (value := what()):
-        assert time.monotonic() < until
-        time.sleep(0.005)
-    return value
 
 
 class FakePlanning:

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from controller.gateway.client import TRIES, Client, Unanswered
-from tests.gateway.conftest import ARM, PATIENCE, Gateway, eventually
+from tests.gateway.conftest import ARM, Gateway
+from tests.waiting import PATIENCE, eventually
 
 
 class Deaf:

@@ -16,7 +16,7 @@ import zenoh
 from controller.gateway import session
 from controller.gateway.client import Client, Unanswered
 from controller.planning.ledger_file import read
-from tests.gateway.conftest import PATIENCE, eventually
+from tests.waiting import PATIENCE, eventually
 
 RUN = """
 import sys

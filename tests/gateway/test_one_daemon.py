@@ -9,7 +9,8 @@ import zenoh
 
 from controller.gateway import session
 from controller.gateway.one_daemon import AlreadyRunning, require_no_other
-from tests.gateway.conftest import ARM, PATIENCE, Gateway, eventually
+from tests.gateway.conftest import ARM, Gateway
+from tests.waiting import PATIENCE, eventually
 
 
 def test_a_second_daemon_of_the_name_hears_where_the_first_one_runs(gateway: Gateway) -> None:

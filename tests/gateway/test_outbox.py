@@ -10,8 +10,7 @@ import pytest
 
 from controller.gateway.encoding import encode
 from controller.gateway.outbox import MOST_WAITING, RECONNECTED, Outbox
-from tests.gateway.conftest import PATIENCE
-from tests.waiting import eventually
+from tests.waiting import PATIENCE, eventually
 
 
 class FakeSession:

@@ -7,8 +7,9 @@ import pytest
 
 from controller.gateway.request_notes import MOST_REFUSED, RequestNotes, content_of
 from controller.planning.messages import Payload, done, refused
-from tests.gateway.conftest import ARM, Gateway, eventually
+from tests.gateway.conftest import ARM, Gateway
 from tests.gateway.test_server import PREFIX, asked
+from tests.waiting import eventually
 
 GOAL = b'{"id": "x", "waypoints": []}'
 

@@ -9,7 +9,8 @@ import zenoh
 
 from controller.gateway import server as module
 from controller.gateway.encoding import content
-from tests.gateway.conftest import ARM, PATIENCE, Gateway, eventually
+from tests.gateway.conftest import ARM, Gateway
+from tests.waiting import PATIENCE, eventually
 
 BLOCK = zenoh.CongestionControl.BLOCK
 PREFIX = f"hyperbit/{ARM}"

@@ -15,8 +15,8 @@ from controller.gateway.status_reporter import StatusReporter
 from controller.notify import Notifier
 from controller.planning.messages import Payload
 from controller.program import Fault
-from tests.gateway.conftest import PATIENCE, eventually
 from tests.gateway.test_outbox import FakeSession
+from tests.waiting import PATIENCE, eventually
 
 STUCK = {"code": "stuck", "source": "1.left", "message": "it reads contracted"}
 

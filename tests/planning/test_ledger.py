@@ -5,7 +5,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +14,10 @@ import pytest
 from controller.planning import ledger_file
 from controller.planning.ledger import Ledger, LedgerInUse
 from controller.planning.ledger_file import counted, default_path, read
+from tests.waiting import eventually
 
 NAMES = ("1.left", "1.diagonal", "1.right")
 SOON = 0.05  # [s] between two transactions
-
-
-def eventually(what: Callable[[], Any]) -> Any:
-    """Waits for a true value."""
-    until = time.monotonic() + 60.0
-    while not (value := what()):
-        assert time.monotonic() < until
-        time.sleep(0.005)
-    return value
 
 
 @pytest.fixture
