@@ -95,6 +95,11 @@ COMMANDS = {
         "Set a board's node id and bit rate by LSS, and store them; they count from the next power-on.",
     ),
     "board": Entry("board", "board", "Read the errors of one board, or reset it, while the arm's executor is stopped."),
+    "panel": Entry(
+        "panel",
+        "panel",
+        "Serve the operator's page, which shows and commands all arms that it is connected to, until SIGTERM.",
+    ),
     "wear": Entry("health", "wear", "Say how often each actuator has switched, and how goals ended."),
     "calibrate": Entry(
         "calibrate",

@@ -61,14 +61,25 @@ def read_yaml(path: Path) -> Any:
     Raises:
         InputFaults: it is missing, unreadable or not YAML.
     """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputFaults(path, ["no such file"]) from None
+    except (OSError, ValueError) as error:
+        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+    return parse_yaml(text, path)
+
+
+def parse_yaml(text: str, path: Path) -> Any:
+    """Returns the plain value of a YAML text; what is wrong is told of `path`.
+
+    Raises:
+        InputFaults: it is not YAML.
+    """
     import yaml
 
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), build_loader())
-    except FileNotFoundError:
-        raise InputFaults(path, ["no such file"]) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+        return yaml.load(text, build_loader())
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"]) from None
     except (LookupError, AttributeError):  # from PyYAML's constructors of tagged values, such as !!bool maybe

@@ -36,11 +36,18 @@ class Client:
         session: open session; a client of the daemon's.
         arm: name of the arm.
         reopen: opens another session, for the last try; None: all tries use `session`.
+        prefix: of all keys.
     """
 
-    def __init__(self, session: zenoh.Session, arm: str, reopen: Callable[[], zenoh.Session] | None = None) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        arm: str,
+        reopen: Callable[[], zenoh.Session] | None = None,
+        prefix: str = "hyperbit",
+    ) -> None:
         self._session, self._arm, self._reopen = session, arm, reopen
-        self._prefix = f"hyperbit/{arm}"
+        self._prefix = f"{prefix}/{arm}"
         self._opened: list[zenoh.Session] = []
         self._on_renewal: list[Callable[[], None]] = []
 

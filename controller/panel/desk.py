@@ -1,0 +1,212 @@
+"""Carries out what pages ask: checks role, control and rate, then asks the daemon in a thread."""
+
+import asyncio
+import logging
+import secrets
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from controller.gateway.client import Unanswered
+from controller.panel.arm_view import ArmView
+from controller.panel.pages import Allowance, Page
+from controller.panel.requests import (
+    Cancel,
+    Go,
+    GoalFile,
+    Jog,
+    Lock,
+    Obstacles,
+    Plan,
+    Release,
+    Request,
+    Reset,
+    Seek,
+    Stop,
+    Take,
+)
+from controller.strict import InputFaults, parse_yaml
+
+log = logging.getLogger(__name__)
+
+Message = dict[str, Any]
+
+RATE, AT_ONCE = 10.0, 20.0  # requests of one page [1/s]
+STOPS, STOPS_AT_ONCE = 10.0, 10.0  # a stop beyond these follows ten in the same second
+MOST_REFUSED = 200  # requests in a row that are refused as too many; then the page is closed
+MOST_OPEN = 4  # requests of one page that wait for their answers
+PLAN_WITHIN = 15.0  # [s]
+MOST_YAML = 50_000  # characters
+
+
+class Desks:
+    """The threads that ask daemons. Stops have threads of their own, so that they wait for nobody."""
+
+    def __init__(self) -> None:
+        self.stops = ThreadPoolExecutor(4, "stop")
+        self.plans = ThreadPoolExecutor(4, "plan")
+        self.others = ThreadPoolExecutor(8, "ask")
+
+    def close(self) -> None:
+        """Ends the threads when they have their answers."""
+        for pool in (self.stops, self.plans, self.others):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+class Flood(Exception):
+    """A page asks far too often."""
+
+
+class Desk:
+    """Serves one page of one arm. On the pages' loop.
+
+    Args:
+        view: of the arm.
+        page: that asks.
+        desks: shared with all pages.
+    """
+
+    def __init__(self, view: ArmView, page: Page, desks: Desks) -> None:
+        self._view, self._page, self._desks = view, page, desks
+        self._allowance, self._stops = Allowance(RATE, AT_ONCE), Allowance(STOPS, STOPS_AT_ONCE)
+        self._open: set[asyncio.Task[None]] = set()
+
+    def take(self, request: Request) -> None:
+        """Takes a request; the answer goes to the page.
+
+        Raises:
+            Flood: the page is to be closed.
+        """
+        urgent = isinstance(request, Stop | Cancel)
+        allowance = self._stops if urgent else self._allowance
+        if not allowance.take():
+            if allowance.refused > MOST_REFUSED:
+                raise Flood
+            self._refuse(request, "too many requests: wait a second")
+        elif (refusal := self._refusal(request)) is not None:
+            self._refuse(request, refusal)
+        elif not urgent and len(self._open) >= MOST_OPEN:
+            self._refuse(request, "requests before this one still wait for their answers")
+        else:
+            task = asyncio.get_running_loop().create_task(self._serve(request))
+            self._open.add(task)
+            task.add_done_callback(self._open.discard)
+
+    def refuse(self, number: int, message: str) -> None:
+        """Answers that a request is refused."""
+        self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
+
+    def _refuse(self, request: Request, message: str) -> None:
+        self.refuse(request.n, message)
+
+    def _refusal(self, request: Request) -> str | None:
+        """Returns why this page may not ask this; None if it may. The first who commands gets control."""
+        if self._page.person.role != "operator":
+            return f"{self._page.person.name} may look, not command"
+        if isinstance(request, Stop | Cancel | Take | Release | Plan | GoalFile | Seek):
+            return None
+        return self._view.control.refusal(self._page)
+
+    async def _serve(self, request: Request) -> None:
+        """Carries a request out and answers it."""
+        try:
+            answer = await self._carry_out(request)
+        except Unanswered as error:
+            answer = {"accepted": False, "message": str(error)}
+        except InputFaults as error:
+            answer = {"accepted": False, "message": "; ".join(error.faults)}
+        except Exception:
+            log.exception("arm %s: a request failed", self._view.name)
+            answer = {"accepted": False, "message": "internal error, see the panel's journal"}
+        self._page.reply(encoded({"section": "reply", "n": request.n, **answer}))
+
+    async def _carry_out(self, request: Request) -> Message:
+        match request:
+            case Stop():
+                return await self._command("stop", {}, self._desks.stops)
+            case Cancel():
+                return await self._command("cancel", {}, self._desks.stops)
+            case Reset():
+                return await self._command("reset", {})
+            case Jog(actuator=actuator, state=state):
+                return await self._command("jog", {"actuators": {actuator: state}})
+            case Lock(actuator=actuator, state=at):
+                return await self._command("degrade", {"actuator": actuator, "state": at})
+            case Obstacles(regions=regions):
+                return await self._command("obstacles", {"regions": regions})
+            case Go(goal=goal):
+                named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
+                answer = await self._command("goal", named)
+                if answer.get("accepted"):
+                    points = goal.get("waypoints")
+                    self._view.record.goal(str(answer.get("id")), len(points) if isinstance(points, list) else None)
+                    self._view.publish_record()
+                return answer
+            case Plan(goal=goal):
+                return await self._plan(goal)
+            case GoalFile(text=text):
+                read = await asyncio.get_running_loop().run_in_executor(self._desks.plans, read_goal, text)
+                return {**await self._plan(read), "file": read}
+            case Seek():
+                asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
+                return await self._ask("timeline", {k: v for k, v in asked.items() if v is not None})
+            case Take():
+                self._view.control.take(self._page)
+                self._say("took control")
+                return {"accepted": True, "message": "you have control"}
+            case Release():
+                if self._view.control.release(self._page):
+                    self._say("gave control up")
+                return {"accepted": True, "message": "nobody has control"}
+
+    async def _command(self, key: str, payload: Message, pool: ThreadPoolExecutor | None = None) -> Message:
+        """Asks for what changes something, and notes who asked."""
+        answer = await self._ask(key, payload, pool)
+        accepted = "" if answer.get("accepted") else ", refused"
+        self._say(f"asked for {key}{accepted}: {answer.get('message')}")
+        return answer
+
+    async def _ask(self, key: str, payload: Message, pool: ThreadPoolExecutor | None = None) -> Message:
+        loop, client = asyncio.get_running_loop(), self._view.client
+        return await loop.run_in_executor(pool or self._desks.others, client.request, key, payload)
+
+    async def _plan(self, goal: Message) -> Message:
+        """Returns what a goal would do, each waypoint with the segments to draw."""
+        loop, client = asyncio.get_running_loop(), self._view.client
+        answer = await loop.run_in_executor(self._desks.plans, client.request, "plan", goal, PLAN_WITHIN)
+        drawing = self._view.drawing
+        if drawing is not None:
+            for point in answer.get("waypoints", ()):
+                point["body"] = None if point.get("between") else drawing.of_text(point["configuration"])
+        return answer
+
+    def _say(self, what: str) -> None:
+        log.info("arm %s: %s %s", self._view.name, self._page.person.name, what)
+        self._view.record.say(f"{self._page.person.name} {what}")
+        self._view.publish_record()
+
+
+def read_goal(text: str) -> Message:
+    """Returns the goal in a file's text, JSON, or YAML if it is short: to read YAML takes a thousand times as long.
+
+    Raises:
+        InputFaults: it is neither, or no mapping.
+    """
+    path = Path("file")
+    try:
+        value: Any = msgspec.json.decode(text)
+    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        if len(text) > MOST_YAML:
+            raise InputFaults(path, [f"is not JSON, and longer than {MOST_YAML} characters of YAML"]) from None
+        value = parse_yaml(text, path)
+    if not isinstance(value, dict):
+        raise InputFaults(path, ["no goal: an object with `waypoints` is needed"])
+    return value
+
+
+def encoded(message: Mapping[str, Any]) -> bytes:
+    """Returns a message as JSON."""
+    return msgspec.json.encode(message)

@@ -1,0 +1,181 @@
+"""The page's server put together: addresses, TLS, people, and uvicorn."""
+
+import asyncio
+import ipaddress
+import json
+import logging
+import ssl
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import uvicorn
+import zenoh
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from controller.gateway import session
+from controller.panel.access import Access, Listed, cookie_key, digest_of, new_token, read_people
+from controller.panel.app import Panel
+from controller.panel.requests import MOST_BYTES
+from controller.strict import InputFaults
+
+log = logging.getLogger(__name__)
+
+MOST_CONNECTIONS = 500
+
+
+class Address(NamedTuple):
+    """Where the page is served."""
+
+    host: str
+    port: int
+
+    @property
+    def local(self) -> bool:
+        """Whether it is reached from this computer only."""
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    def written(self, port: int, *, secure: bool) -> str:
+        """Returns the address for a browser."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{'https' if secure else 'http'}://{host}:{port}/"
+
+
+class Tls(NamedTuple):
+    """Files of a certificate, its key, and the authority of client certificates, if there are any."""
+
+    certificate: Path
+    key: Path
+    clients: Path | None = None
+
+
+def parse_address(text: str) -> Address:
+    """Returns the address that HOST:PORT writes.
+
+    Raises:
+        InputFaults: it is none.
+    """
+    host, _, port = text.rpartition(":")
+    if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
+        raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, as in 127.0.0.1:7480"])
+    return Address(host.strip("[]"), int(port))
+
+
+def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
+    """Returns a configuration that connects to daemons, whether they are there already or not.
+
+    A client would connect to one only, and not before it is there; so the panel is a peer that nobody connects to.
+
+    Raises:
+        ValueError: the file is no Zenoh configuration.
+    """
+    config = session.configuration("peer") if file is None else session.from_file(file)
+    if file is None:
+        config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
+    config.insert_json5("mode", '"peer"')
+    config.insert_json5("listen/endpoints", "[]")
+    return config
+
+
+def read_or_make_people(path: Path | None) -> tuple[list[Listed], dict[str, str]]:
+    """Returns the people of a file, or an operator and a viewer with new tokens, and these tokens by name."""
+    if path is not None:
+        return read_people(path), {}
+    tokens = {"operator": new_token(), "viewer": new_token()}
+    return [
+        Listed("operator", "operator", digest_of(tokens["operator"])),
+        Listed("viewer", "viewer", digest_of(tokens["viewer"])),
+    ], tokens
+
+
+def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.Config, prefix: str) -> None:
+    """Serves the page until SIGTERM or SIGINT; prints its address when it is there.
+
+    Raises:
+        InputFaults: the file of people is wrong, or TLS is missing where the address is not this computer's own.
+        OSError: the address cannot be listened at, or a certificate cannot be read.
+    """
+    if not address.local and tls is None:
+        needed = "TLS is needed where other computers can connect: give --certificate and --key"
+        raise InputFaults(Path("--listen"), [f"{address.host}: {needed}"])
+    listed, tokens = read_or_make_people(people)
+    access = Access(listed, cookie_key())
+    panel = Panel(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, local=address.local)
+    asyncio.run(_serve(panel, address, tls, tokens))
+
+
+async def _serve(panel: Panel, address: Address, tls: Tls | None, tokens: dict[str, str]) -> None:
+    options: dict[str, Any] = {}
+    if tls is not None:
+        options = {"ssl_certfile": tls.certificate, "ssl_keyfile": tls.key}
+        if tls.clients is not None:
+            options |= {"ssl_ca_certs": str(tls.clients), "ssl_cert_reqs": ssl.CERT_OPTIONAL}
+    server = uvicorn.Server(
+        uvicorn.Config(
+            panel.app,
+            host=address.host,
+            port=address.port,
+            loop="asyncio",
+            http=CertifiedHttp,
+            ws=CertifiedWebSocket,
+            ws_max_size=MOST_BYTES,
+            ws_per_message_deflate=False,
+            lifespan="on",
+            log_config=None,
+            log_level="warning",
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            limit_concurrency=MOST_CONNECTIONS,
+            timeout_graceful_shutdown=1,
+            **options,
+        )
+    )
+    announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
+    await server.serve()
+    announced.cancel()
+
+
+async def _announce(server: uvicorn.Server, address: Address, secure: bool, tokens: dict[str, str]) -> None:
+    """Prints the address once it is listened at; without a file of people, with the tokens of this start."""
+    while not server.started:
+        await asyncio.sleep(0.02)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    url = address.written(port, secure=secure)
+    lines = [f"{name}: {url}#{token}" for name, token in tokens.items()] or [url]
+    for line in lines:
+        sys.stdout.write(f"hyperbit panel, {line}\n")
+    sys.stdout.flush()
+
+
+def common_name(transport: Any) -> str | None:
+    """Returns the common name of the client certificate of a connection; None if there is none."""
+    connection = transport.get_extra_info("ssl_object")
+    certificate = (connection.getpeercert() if connection is not None else None) or {}
+    names = [value for part in certificate.get("subject", ()) for key, value in part if key == "commonName"]
+    return str(names[0]) if len(names) == 1 else None
+
+
+class CertifiedHttp(H11Protocol):
+    """HTTP that tells the application who shows a client certificate."""
+
+    def connection_made(self, transport: Any) -> None:
+        """Notes the certificate."""
+        super().connection_made(transport)
+        self.app_state = {**self.app_state, "certificate": common_name(transport)}
+
+
+class CertifiedWebSocket(WebSocketsSansIOProtocol):
+    """A WebSocket that tells the application who shows a client certificate."""
+
+    def connection_made(self, transport: Any) -> None:
+        """Notes the certificate."""
+        super().connection_made(transport)
+        self.app_state = {**self.app_state, "certificate": common_name(transport)}

@@ -1,0 +1,111 @@
+"""Refuses foreign hosts and origins and large bodies before the page's own code sees them, and sets headers."""
+
+import asyncio
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+MOST_BODY = 4096  # bytes
+MOST_PATH = 512
+BODY_WITHIN = 10.0  # [s] for the body of a request to arrive
+LOCAL = ("127.0.0.1", "localhost", "[::1]")
+
+
+def policy(scripts: str) -> str:
+    """Returns the content security policy; `scripts` are the hashes of the page's own inline scripts."""
+    return (
+        f"default-src 'none'; script-src 'self' {scripts}; style-src 'self'; img-src 'self' data:; connect-src 'self';"
+        " font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
+class Shield:
+    """Checks each request and sets the headers of each answer.
+
+    Args:
+        app: that answers.
+        csp: the content security policy.
+        secure: whether the page is served over TLS.
+        local: whether it is served on the loopback interface: then only its names are taken for the host, so that no
+            foreign name that is resolved to this computer is.
+    """
+
+    def __init__(self, app: ASGIApp, csp: str, *, secure: bool, local: bool) -> None:
+        self._app, self._secure, self._local = app, secure, local
+        self._headers = {
+            "content-security-policy": csp,
+            "x-content-type-options": "nosniff",
+            "x-frame-options": "DENY",
+            "referrer-policy": "no-referrer",
+            "cross-origin-opener-policy": "same-origin",
+            "cross-origin-resource-policy": "same-origin",
+            "permissions-policy": "camera=(), microphone=(), geolocation=()",
+            "cache-control": "no-cache",
+        }
+        if secure:
+            self._headers["strict-transport-security"] = "max-age=31536000"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers a request."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+
+        async def answer(message: Message) -> None:
+            if message["type"] in ("http.response.start", "websocket.http.response.start"):
+                headers = MutableHeaders(scope=message)
+                for name, value in self._headers.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        if (refusal := self._refusal(scope)) is not None:
+            response = PlainTextResponse(f"{refusal[1]}\n", status_code=refusal[0])
+            await response(scope, receive, answer)
+            return
+        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD"):
+            receive = limited(receive)
+        await self._app(scope, receive, answer)
+
+    def _refusal(self, scope: Scope) -> tuple[int, str] | None:
+        """Returns status and sentence of a refusal; None if the request is let in."""
+        headers = Headers(scope=scope)
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or (self._local and hosts[0].rpartition(":")[0] not in LOCAL and hosts[0] not in LOCAL):
+            return 400, "This page is served by other names of this computer: use 127.0.0.1 or localhost."
+        if len(scope["path"]) > MOST_PATH:
+            return 414, "The path is too long."
+        changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if changes and headers.getlist("origin") != [f"{'https' if self._secure else 'http'}://{hosts[0]}"]:
+            return 403, "This request does not come from this page."
+        size = headers.get("content-length", "0")
+        if not (size.isascii() and size.isdecimal() and len(size) < 10 and int(size) <= MOST_BODY):
+            return 413, f"At most {MOST_BODY} bytes are taken."
+        return None
+
+
+class TooLarge(Exception):
+    """A body is larger, or comes slower, than any that this page sends."""
+
+
+def limited(receive: Receive) -> Receive:
+    """Returns a function that receives a body of bounded size in bounded time.
+
+    Raises:
+        TooLarge: there is more of it, or it does not come.
+    """
+    size = 0
+
+    async def bounded() -> Message:
+        nonlocal size
+        try:
+            async with asyncio.timeout(BODY_WITHIN):
+                message = await receive()
+        except TimeoutError:
+            raise TooLarge from None
+        size += len(message.get("body", b""))
+        if size > MOST_BODY:
+            raise TooLarge
+        return message
+
+    return bounded

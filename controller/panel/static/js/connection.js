@@ -1,0 +1,93 @@
+// The WebSocket of a page: sections come in, requests go out. It connects again by itself.
+
+const SILENT_AFTER = 1.5; // [s] without a state after which values count as old
+const NOBODY = 4401; // the server's code: log in first
+
+export class Connection {
+  constructor(path, { onLogin }) {
+    this.path = path;
+    this.onLogin = onLogin;
+    this.latest = {}; // the latest message of each section
+    this.listeners = new Map();
+    this.waiting = new Map(); // what to do with the answer of each request
+    this.number = 0;
+    this.heardAt = -Infinity; // of the arm [ms]
+    this.serverAt = performance.now();
+    this.pause = 250;
+    this.connect();
+  }
+
+  connect() {
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    this.socket = new WebSocket(`${scheme}//${location.host}${this.path}`);
+    this.socket.onmessage = (event) => {
+      this.serverAt = performance.now();
+      this.pause = 250;
+      for (const message of JSON.parse(event.data)) this.take(message);
+    };
+    this.socket.onclose = (event) => {
+      for (const answer of this.waiting.values()) answer({ accepted: false, message: "the connection was lost" });
+      this.waiting.clear();
+      if (event.code === NOBODY) this.onLogin();
+      else setTimeout(() => this.connect(), (this.pause = Math.min(this.pause * 2, 5000)));
+    };
+  }
+
+  take(message) {
+    if (message.section === "reply") {
+      this.waiting.get(message.n)?.(message);
+      this.waiting.delete(message.n);
+      return;
+    }
+    if (message.section === "state") this.heardAt = performance.now();
+    if (message.section === "presence" && message.age !== null) {
+      this.heardAt = performance.now() - message.age * 1000; // a state that is as before is not sent again
+    }
+    this.latest[message.section] = message;
+    for (const listener of this.listeners.get(message.section) ?? []) listener(message);
+  }
+
+  on(section, listener) {
+    if (!this.listeners.has(section)) this.listeners.set(section, []);
+    this.listeners.get(section).push(listener);
+    if (this.latest[section]) listener(this.latest[section]);
+  }
+
+  get open() {
+    return this.socket.readyState === WebSocket.OPEN;
+  }
+
+  // Asks the server; the promise always gets an answer, with `accepted` and `message`.
+  ask(request) {
+    if (!this.open) return Promise.resolve({ accepted: false, message: "there is no connection to the server" });
+    const n = ++this.number;
+    return new Promise((answer) => {
+      this.waiting.set(n, answer);
+      this.socket.send(JSON.stringify({ ...request, n }));
+    });
+  }
+
+  // How long nothing was heard of the arm [s], and why its values are old; null while they are not.
+  silence() {
+    const now = performance.now();
+    const seconds = (now - Math.max(this.heardAt, -1e9)) / 1000;
+    const server = (now - this.serverAt) / 1000;
+    if (server > SILENT_AFTER) return { seconds: Math.max(seconds, server), who: "the server" };
+    if (seconds > SILENT_AFTER) return { seconds, who: "the arm" };
+    if (this.latest.presence && !this.latest.presence.alive) return { seconds, who: "the daemon" };
+    return null;
+  }
+}
+
+// Asks for a stop over HTTP, where the WebSocket is closed at the moment.
+export async function stopOverHttp(arm) {
+  try {
+    const response = await fetch(`/arms/${arm}/stop`, { method: "POST" });
+    const text = await response.text();
+    return response.headers.get("content-type")?.includes("json")
+      ? JSON.parse(text)
+      : { accepted: false, message: text };
+  } catch (error) {
+    return { accepted: false, message: "the server does not answer" };
+  }
+}

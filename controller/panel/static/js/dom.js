@@ -1,0 +1,43 @@
+// Builds elements. Text is always set as text: nothing that an arm tells is ever read as HTML.
+
+export function el(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "class") element.className = value;
+    else if (name === "data") Object.assign(element.dataset, value);
+    else if (name in element) element[name] = value;
+    else element.setAttribute(name, value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+// Replaces what an element holds.
+export function fill(element, ...children) {
+  element.replaceChildren(...children.filter((child) => child !== null && child !== undefined));
+}
+
+export function show(template) {
+  document.body.replaceChildren(
+    ...document.querySelectorAll("template"),
+    document.getElementById(template).content.cloneNode(true),
+  );
+}
+
+// Numbers as people read them: so many digits after the point, and no more than are known.
+export function number(value, digits = 4) {
+  return typeof value === "number" && Number.isFinite(value) ? value.toFixed(digits) : "–";
+}
+
+export function clock(seconds) {
+  return new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
+}
+
+// A field for a number; `change` gets the number, or null where the field is empty.
+export function numberField(label, value, change, properties = {}) {
+  const input = el("input", { type: "number", step: "any", inputMode: "decimal", ...properties });
+  input.value = value ?? "";
+  input.addEventListener("change", () => change(input.value === "" ? null : Number(input.value)));
+  return el("label", {}, label, " ", input);
+}

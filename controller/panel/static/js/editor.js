@@ -1,0 +1,122 @@
+// What the operator is about to send: a goal, a pose or a curve, and what the daemon plans for it.
+
+const PLAN_GAP = 200; // [ms] between two questions while a goal is dragged
+
+export class Editor {
+  constructor(connection) {
+    this.connection = connection;
+    this.mode = "goal"; // what a click does: "goal", "curve", "obstacle" or "look"
+    this.points = []; // position, and orientation or null
+    this.file = null; // a goal that was uploaded, in place of the points
+    this.tolerance = null;
+    this.pathTolerance = null;
+    this.step = 0.5; // [s] between waypoints
+    this.plan = null; // the latest answer
+    this.planning = false;
+    this.dirty = false;
+    this.listeners = [];
+  }
+
+  on(listener) {
+    this.listeners.push(listener);
+  }
+
+  changed({ plan = true } = {}) {
+    if (plan) this.ask();
+    for (const listener of this.listeners) listener(this);
+  }
+
+  setMode(mode) {
+    this.mode = mode;
+    this.changed({ plan: false });
+  }
+
+  place(position) {
+    this.file = null;
+    this.points = [{ position, orientation: this.points.length === 1 ? this.points[0].orientation : null }];
+    this.changed();
+  }
+
+  add(position) {
+    this.file = null;
+    this.points = [...this.points, { position, orientation: null }];
+    this.changed();
+  }
+
+  // Changes position or orientation of one point.
+  change(index, values) {
+    this.points = this.points.map((point, k) => (k === index ? { ...point, ...values } : point));
+    this.changed();
+  }
+
+  set(values) {
+    Object.assign(this, values);
+    this.changed();
+  }
+
+  removeLast() {
+    this.points = this.points.slice(0, -1);
+    this.changed();
+  }
+
+  clear() {
+    this.points = [];
+    this.file = this.plan = null;
+    this.changed({ plan: false });
+  }
+
+  get goal() {
+    if (this.file) return this.file;
+    if (this.points.length === 0) return null;
+    const lines = this.pathTolerance !== null && this.points.length > 1;
+    const waypoints = this.points.map(({ position, orientation }, k) => ({
+      position,
+      t: Number((k * this.step).toFixed(6)),
+      ...(orientation === null || lines ? {} : { orientation }),
+    }));
+    return {
+      waypoints,
+      ...(this.tolerance === null ? {} : { tolerance: { position: this.tolerance } }),
+      ...(lines ? { path_tolerance: this.pathTolerance } : {}),
+    };
+  }
+
+  // Asks for a plan of the goal as it is; while one is on its way, the next is asked when it is here.
+  async ask() {
+    if (this.goal === null) {
+      this.plan = null;
+      return;
+    }
+    this.dirty = true;
+    if (this.planning) return;
+    this.planning = true;
+    while (this.dirty) {
+      this.dirty = false;
+      const goal = this.goal;
+      if (goal === null) break;
+      const began = performance.now();
+      const plan = await this.connection.ask({ do: "plan", goal });
+      if (this.goal !== null) this.plan = plan;
+      this.changed({ plan: false });
+      await new Promise((go) => setTimeout(go, Math.max(PLAN_GAP - (performance.now() - began), 0)));
+    }
+    this.planning = false;
+    this.changed({ plan: false });
+  }
+
+  // Reads a goal's file on the server, which knows YAML, and shows its plan.
+  async upload(text) {
+    const answer = await this.connection.ask({ do: "file", text });
+    this.plan = answer;
+    this.file = answer.file ?? null;
+    const waypoints = Array.isArray(answer.file?.waypoints) ? answer.file.waypoints : [];
+    this.points = waypoints
+      .filter((waypoint) => Array.isArray(waypoint?.position))
+      .map((waypoint) => ({ position: waypoint.position, orientation: waypoint.orientation ?? null }));
+    this.changed({ plan: false });
+  }
+
+  go() {
+    return this.connection.ask({ do: "go", goal: this.goal });
+  }
+}

@@ -1,0 +1,127 @@
+// The card of the goal: numbers for keys, the plan in words, Go and Cancel.
+
+import { el, fill, number, numberField } from "./dom.js";
+
+const CERTIFICATES = {
+  optimal: "proven: no clear way there switches less",
+  unreachable: "proven: out of reach",
+  unknown: "nothing is proven about fewer switches",
+};
+
+export function showGoal(connection, editor, notify) {
+  const card = document.getElementById("goal");
+  const fields = el("div", { class: "fields" });
+  const message = el("p", { class: "message", role: "status" });
+  const words = el("div", { class: "plan" });
+  const go = el("button", { type: "button", id: "go", class: "primary" }, "Go");
+  const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
+  const clear = el("button", { type: "button" }, "Clear");
+  const upload = el("input", { type: "file", accept: ".json,.yaml,.yml", id: "upload" });
+  card.append(
+    fields,
+    el("div", { class: "buttons" }, go, cancel, clear),
+    el("label", { class: "upload" }, "Goal file ", upload),
+    words,
+    message,
+  );
+  let arm = null;
+  connection.on("arm", (told) => {
+    arm = told;
+    editor.step = Math.max(0.3, Number((1.5 * told.travel_time + (told.rest_time ?? 0)).toFixed(3)));
+    describe();
+  });
+  go.addEventListener("click", async () => {
+    go.disabled = true;
+    const answer = await editor.go();
+    go.disabled = editor.goal === null;
+    message.textContent = answer.message;
+    message.classList.toggle("bad", !answer.accepted);
+  });
+  cancel.addEventListener("click", async () => notify(await connection.ask({ do: "cancel" }), "Hold now"));
+  clear.addEventListener("click", () => {
+    message.textContent = "";
+    editor.clear();
+  });
+  upload.addEventListener("change", async () => {
+    if (upload.files.length) await editor.upload(await upload.files[0].text());
+    upload.value = "";
+  });
+  editor.on(describe);
+
+  function describe() {
+    if (arm === null) return;
+    go.disabled = editor.goal === null || document.body.classList.contains("viewer");
+    if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
+    fill(words, ...planInWords(editor));
+  }
+  describe();
+}
+
+// Fields of the last point, so that a goal needs no mouse.
+function inputs(editor, arm) {
+  const last = editor.points.length - 1;
+  const point = editor.points[last] ?? { position: arm.dimension === 2 ? ["", ""] : ["", "", ""], orientation: null };
+  const axes = ["x", "y", "z"].slice(0, arm.dimension);
+  const move = (axis) => (value) => {
+    const position = point.position.map((x, k) => (k === axis ? value : x));
+    point.position = position;
+    if (position.some((x) => typeof x !== "number" || !Number.isFinite(x))) return;
+    if (last < 0) editor.place(position);
+    else editor.change(last, { position });
+  };
+  const result = axes.map((name, k) =>
+    numberField(name, point.position[k] === "" ? "" : Number(Number(point.position[k]).toFixed(5)), move(k)),
+  );
+  if (arm.dimension === 2 && last >= 0) {
+    const angle = point.orientation === null ? "" : Number(((point.orientation * 180) / Math.PI).toFixed(2));
+    const turn = (degrees) => editor.change(last, { orientation: degrees === null ? null : (degrees * Math.PI) / 180 });
+    result.push(numberField("turned [°]", angle, turn, { placeholder: "any" }));
+  }
+  if (arm.dimension === 3 && last >= 0 && point.orientation !== null) {
+    const free = () => editor.change(last, { orientation: null });
+    result.push(el("button", { type: "button", onclick: free }, "Any orientation"));
+  }
+  const known = { placeholder: String(arm.tolerance?.position ?? ""), min: 0 };
+  result.push(numberField("tolerance", editor.tolerance, (value) => editor.set({ tolerance: value }), known));
+  if (editor.mode === "curve" || last > 0) {
+    const seconds = (value) => editor.set({ step: value > 0 ? value : editor.step });
+    const lines = { placeholder: "any way", min: 0 };
+    result.push(
+      numberField("step [s]", editor.step, seconds, { min: 0 }),
+      numberField("lines within", editor.pathTolerance, (value) => editor.set({ pathTolerance: value }), lines),
+      el("button", { type: "button", onclick: () => editor.removeLast() }, `Remove point ${last + 1}`),
+    );
+  }
+  return result;
+}
+
+function planInWords(editor) {
+  const { plan } = editor;
+  if (editor.goal === null && plan === null) return [el("p", { class: "hint" }, hints[editor.mode])];
+  if (plan === null) return [el("p", {}, "planning …")];
+  if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${plan.message}`)];
+  const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
+  const last = waypoints[waypoints.length - 1];
+  const proof = plan.certificate === "bound" ? `proven: at least ${plan.lower_bound} switches` : CERTIFICATES[plan.certificate];
+  const stages = waypoints.flatMap((waypoint, k) => waypoint.stages.map((stage, s) => ({ k, s, stage })));
+  const excursion = Math.max(...waypoints.map((waypoint) => waypoint.excursion ?? 0));
+  return [
+    el("dl", {}, ...pair("switches", String(plan.switches)), ...pair("certificate", proof ?? plan.certificate),
+      ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
+      ...pair("strays", `${number(excursion)} on the way`)),
+    el("details", {}, el("summary", {}, `${stages.length} ${stages.length === 1 ? "stage" : "stages"}, configuration ${last.configuration}`),
+      el("ol", { class: "stages" }, ...stages.slice(0, 100).map(({ k, stage }) =>
+        el("li", {}, waypoints.length > 1 ? `point ${k + 1}: ` : "", stage.join(", "))))),
+  ];
+}
+
+const hints = {
+  goal: "Click or drag in the picture to place a goal, or type one. Nothing moves before Go.",
+  curve: "Click the points of a curve, one after the other.",
+  obstacle: "Drag in the picture to draw an obstacle.",
+  look: "Drag to move the picture, turn the wheel to zoom.",
+};
+
+function pair(name, value) {
+  return [el("dt", {}, name), el("dd", {}, value)];
+}

@@ -1,0 +1,55 @@
+// What is always in sight: name, mode and reason, silence, Stop and Reset.
+
+import { stopOverHttp } from "./connection.js";
+import { el } from "./dom.js";
+import { onHold } from "./hold.js";
+
+const MARKS = { starting: "◌", ready: "●", executing: "▶", fault: "▲", stopped: "■", unknown: "?" };
+
+export function modeMark(mode) {
+  return el("span", { class: "mode", data: { mode } }, `${MARKS[mode] ?? "?"} ${mode}`);
+}
+
+export function showHeader(name, connection, notify) {
+  const part = (id) => document.getElementById(id);
+  part("name").textContent = name;
+  connection.on("state", (state) => {
+    part("mode").dataset.mode = state.mode;
+    part("mode").textContent = `${MARKS[state.mode] ?? "?"} ${state.mode}`;
+    part("reason").textContent = state.reason;
+    document.title = `${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
+    part("reset").classList.toggle("wanted", state.mode === "fault" || state.mode === "stopped");
+  });
+  connection.on("you", (you) => {
+    const viewer = you.role !== "operator";
+    part("stop").disabled = part("reset").disabled = viewer;
+    document.body.classList.toggle("viewer", viewer);
+  });
+  pressToStop(part("stop"), name, connection, notify);
+  onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
+  setInterval(() => {
+    const silent = connection.silence();
+    part("silence").hidden = silent === null;
+    if (silent !== null) {
+      const heard = Number.isFinite(connection.heardAt) ? `nothing heard for ${Math.floor(silent.seconds)} s` : "nothing heard yet";
+      part("silence").textContent = { "the daemon": `the daemon is gone, ${heard}`, "the server": `no connection to the server, ${heard}` }[silent.who] ?? heard;
+    }
+    document.body.classList.toggle("old", silent !== null);
+  }, 200);
+}
+
+// Stops as soon as the button is pressed, without a question.
+function pressToStop(button, name, connection, notify) {
+  const stop = async () => {
+    button.classList.add("pressed");
+    const answer = connection.open ? await connection.ask({ do: "stop" }) : await stopOverHttp(name);
+    notify(answer, "Stop");
+    button.classList.remove("pressed");
+  };
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button === 0) stop();
+  });
+  button.addEventListener("click", (event) => {
+    if (event.detail === 0) stop(); // by key
+  });
+}

@@ -1,0 +1,107 @@
+// Mouse, finger and keys on the planar picture: what they do depends on the editor's mode.
+
+import { handle } from "./plane-marks.js";
+
+const NEAR = 24; // [pixels] within which a finger takes hold of a point or a handle
+
+export function listenToPointers(view) {
+  const { canvas, editor } = view;
+  const pointers = new Map();
+  let drag = null; // called with each position of the pointer while it is down
+  let pinch = null;
+
+  const at = (event) => [event.offsetX, event.offsetY];
+  canvas.addEventListener("pointerdown", (event) => {
+    if (event.button > 1) return;
+    pointers.set(event.pointerId, at(event));
+    canvas.setPointerCapture(event.pointerId);
+    if (pointers.size === 2) {
+      drag = null;
+      pinch = spread();
+    } else if (pointers.size === 1) {
+      drag = event.button === 1 ? pan(at(event)) : begin(at(event));
+    }
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (!pointers.has(event.pointerId)) return;
+    pointers.set(event.pointerId, at(event));
+    if (pointers.size === 2 && pinch) {
+      const now = spread();
+      view.zoomBy(now.width / pinch.width, now.middle);
+      shift(pinch.middle, now.middle);
+      pinch = now;
+    } else drag?.(at(event));
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(name, (event) => {
+      pointers.delete(event.pointerId);
+      pinch = null;
+      if (drag?.end) drag.end();
+      drag = null;
+    });
+  }
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    view.zoomBy(Math.exp(-event.deltaY * 0.0015), at(event));
+  }, { passive: false });
+  canvas.addEventListener("keydown", (event) => {
+    const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    const step = steps[event.key];
+    if (!step) return;
+    event.preventDefault();
+    const size = (event.shiftKey ? 10 : 1) * (view.arm.tolerance?.position ?? view.arm.length / 1000);
+    const last = editor.points.length - 1;
+    const from = last < 0 ? view.state?.tip?.position : editor.points[last].position;
+    if (!from) return;
+    const position = from.map((x, a) => x + size * step[a]);
+    if (last < 0) editor.place(position);
+    else editor.change(last, { position });
+  });
+
+  function spread() {
+    const [a, b] = [...pointers.values()];
+    return { width: Math.hypot(a[0] - b[0], a[1] - b[1]) || 1, middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2] };
+  }
+
+  function shift(from, to) {
+    view.centre = [view.centre[0] - (to[0] - from[0]) / view.scale, view.centre[1] + (to[1] - from[1]) / view.scale];
+    view.draw();
+  }
+
+  function pan(from) {
+    return (to) => {
+      shift(from, to);
+      from = to;
+    };
+  }
+
+  // Returns what the drag that begins here does.
+  function begin(where) {
+    if (editor.mode === "look") return pan(where);
+    if (editor.mode === "obstacle") return view.onSketch?.(view.toWorld(where)) ?? null;
+    const last = editor.points.length - 1;
+    const far = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+    if (last >= 0 && far(handle(view, editor.points[last]), where) < NEAR) return turn(last);
+    const hit = editor.points.findIndex((point) => far(view.toScreen(point.position), where) < NEAR);
+    if (hit >= 0 && editor.file === null) return move(hit);
+    if (editor.mode === "curve") {
+      editor.add(view.toWorld(where));
+      return move(editor.points.length - 1);
+    }
+    editor.place(view.toWorld(where));
+    return move(0);
+  }
+
+  function move(index) {
+    return (to) => editor.change(index, { position: view.toWorld(to) });
+  }
+
+  // The second drag: which way the tip points at the goal.
+  function turn(index) {
+    return (to) => {
+      const [x, y] = view.toScreen(editor.points[index].position);
+      const angle = Math.atan2(y - to[1], to[0] - x) - Math.PI / 2;
+      editor.change(index, { orientation: Math.atan2(Math.sin(angle), Math.cos(angle)) });
+    };
+  }
+}

@@ -1,0 +1,82 @@
+// What a planar picture shows beside the arm: goals, waypoints, the planned configurations, the tip.
+
+// The planned configurations, and how far the tip strays on the way to the first.
+export function drawGhost(view) {
+  const plan = view.editor.plan;
+  if (!plan?.accepted) return;
+  const points = plan.waypoints.filter((waypoint) => waypoint.body);
+  const { context } = view;
+  if (view.state?.tip && points[0]?.excursion) {
+    context.globalAlpha = 0.18;
+    context.strokeStyle = view.colour("ghost");
+    context.lineWidth = Math.max(2 * points[0].excursion * view.scale, 1);
+    view.line([view.toScreen(view.state.tip.position), view.toScreen(points[0].position)]);
+  }
+  context.globalAlpha = points.length > 1 ? 0.35 : 0.8;
+  for (const waypoint of points) view.drawBody(waypoint.body, "ghost", 1.8);
+  context.globalAlpha = 1;
+}
+
+export function drawWaypoints(view) {
+  const { context } = view;
+  context.strokeStyle = context.fillStyle = view.colour("goal");
+  context.setLineDash([2, 4]);
+  context.lineWidth = 1.4;
+  const chosen = view.editor.points.map((point) => point.position);
+  for (const line of [view.waypoints.map((waypoint) => waypoint.position), chosen]) {
+    if (line.length > 1) view.line(line.map((point) => view.toScreen(point)));
+  }
+  context.setLineDash([]);
+  for (const waypoint of view.waypoints) {
+    const [x, y] = view.toScreen(waypoint.position);
+    context.fillRect(x - 2, y - 2, 4, 4);
+  }
+}
+
+export function drawCross(view, position, colour) {
+  const [x, y] = view.toScreen(position);
+  view.context.strokeStyle = view.colour(colour);
+  view.context.lineWidth = 2;
+  view.line([[x - 7, y - 7], [x + 7, y + 7]]);
+  view.line([[x - 7, y + 7], [x + 7, y - 7]]);
+}
+
+// A point that is about to be sent: a ring as wide as the tolerance, at least so that a finger finds it, and a handle.
+export function drawGoal(view, point, k) {
+  const { context } = view;
+  const [x, y] = view.toScreen(point.position);
+  drawCross(view, point.position, "ghost");
+  context.strokeStyle = context.fillStyle = view.colour("ghost");
+  context.beginPath();
+  context.arc(x, y, Math.max(12, (view.editor.tolerance ?? 0) * view.scale), 0, 2 * Math.PI);
+  context.stroke();
+  if (view.editor.points.length > 1) context.fillText(String(k + 1), x + 14, y - 10);
+  if (k !== view.editor.points.length - 1) return;
+  const [hx, hy] = handle(view, point);
+  context.setLineDash(point.orientation === null ? [2, 4] : []);
+  view.line([[x, y], [hx, hy]]);
+  context.setLineDash([]);
+  context.beginPath();
+  context.arc(hx, hy, 6, 0, 2 * Math.PI);
+  if (point.orientation === null) context.stroke();
+  else context.fill();
+}
+
+// Where on the screen the handle is that turns a point: along the tip's y axis, which an arm points along.
+export function handle(view, point) {
+  const [x, y] = view.toScreen(point.position);
+  const angle = (point.orientation ?? 0) + Math.PI / 2;
+  return [x + 46 * Math.cos(angle), y - 46 * Math.sin(angle)];
+}
+
+export function drawTip(view, tip) {
+  const { context } = view;
+  const [x, y] = view.toScreen(tip.position);
+  const angle = tip.orientation + Math.PI / 2;
+  context.strokeStyle = context.fillStyle = view.colour("measured");
+  context.beginPath();
+  context.arc(x, y, 4, 0, 2 * Math.PI);
+  context.fill();
+  context.lineWidth = 2;
+  view.line([[x, y], [x + 18 * Math.cos(angle), y - 18 * Math.sin(angle)]]);
+}

@@ -1,0 +1,186 @@
+"""A panel on a real Zenoh session, and a played daemon, which keeps what it is asked and answers at once."""
+
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+import zenoh
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.websockets import WebSocketDisconnect
+
+from controller.config import load
+from controller.gateway import session
+from controller.manipulator.notation import format_configuration, pose
+from controller.panel.access import Access, Listed, digest_of
+from controller.panel.app import Panel
+from controller.panel.serve import zenoh_configuration
+from controller.planning.description import description, drawing
+from tests.keys import DEPLOY
+from tests.waiting import eventually
+
+Message = dict[str, Any]
+
+ARM = "planar16"
+ORIGIN, SOCKETS = "http://127.0.0.1:7480", "ws://127.0.0.1:7480"
+OPERATOR, OTHER, VIEWER = "operator's token", "another operator's token", "viewer's token"
+PEOPLE = (
+    Listed("anna", "operator", digest_of(OPERATOR)),
+    Listed("bert", "operator", digest_of(OTHER)),
+    Listed("hall", "viewer", digest_of(VIEWER)),
+    Listed("carl", "operator"),  # by certificate only
+)
+PATIENCE = 60.0  # [s]
+
+
+class PlayedDaemon:
+    """Answers like the daemon of one arm.
+
+    Attributes:
+        asked: key and payload of each request but `arm`.
+        gate: plans wait for it.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        arm = load(DEPLOY / f"{ARM}.yaml")
+        self.manipulator = arm.manipulator
+        self.told = {**description(arm), "drawing": drawing(arm), "limits": [], "sent_obstacles": [], "running": None}
+        self.asked: list[tuple[str, Message]] = []
+        self.gate = threading.Event()
+        self.gate.set()
+        self.answer: Message = {"accepted": True, "code": 0, "message": "done"}
+        self._session = zenoh.open(session.configuration("peer", listen=endpoint))
+        self._keys: list[Any] = [
+            self._session.declare_queryable(f"hyperbit/{ARM}/{key}", self._answer)
+            for key in ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles")
+        ]
+        self._token: Any = self._session.liveliness().declare_token(f"hyperbit/{ARM}/alive")
+
+    def _answer(self, query: zenoh.Query) -> None:
+        key = str(query.key_expr).rpartition("/")[2]
+        payload = json.loads(query.payload.to_bytes()) if query.payload else {}
+        if key == "arm":
+            wanted = payload.get("with", [])
+            answer = {k: v for k, v in self.told.items() if k in wanted or k not in ("drawing", "running")}
+        else:
+            self.asked.append((key, payload))
+            answer = self.answer
+        if key == "plan":
+            self.gate.wait(PATIENCE)
+            answer = {**answer, "waypoints": [{"configuration": "1" * 16, "between": False}], "switches": 3}
+        if key == "goal":
+            answer = {**answer, "id": payload["id"]}
+        query.reply(query.key_expr, json.dumps(answer).encode())
+
+    def commands(self) -> list[str]:
+        """The keys that were asked, in order."""
+        return [key for key, _ in self.asked]
+
+    def state(self, **fields: Any) -> Message:
+        """Publishes a state."""
+        states = [0] * len(self.manipulator.actuators)
+        home = [0] * 16
+        told = {
+            **{"stamp": 0.0, "mode": "ready", "reason": "holding", "commanded": states, "measured": states},
+            **{"configuration": format_configuration(self.manipulator, home), "goal": None, "waypoint": None},
+            **{"target": None, "obstacles": 0, "faults": [], "degraded": []},
+            "tip": pose(self.manipulator, self.manipulator.tip(home)),
+            **fields,
+        }
+        self.put("state", told)
+        return told
+
+    def put(self, key: str, payload: Message) -> None:
+        """Publishes a message."""
+        self._session.put(f"hyperbit/{ARM}/{key}", json.dumps(payload).encode())
+
+    def die(self) -> None:
+        """Takes the token back."""
+        self._token.undeclare()
+
+    def close(self) -> None:
+        """Ends the session."""
+        self.gate.set()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+
+class Opened:
+    """An open page."""
+
+    def __init__(self, socket: WebSocketTestSession) -> None:
+        self.socket = socket
+        self.latest: dict[str, Message] = {}
+        self._number = 0
+
+    def heard(self) -> list[Message]:
+        """The parts of the next message."""
+        parts: list[Message] = json.loads(self.socket.receive_text())
+        for part in parts:
+            self.latest[part["section"]] = part
+        return parts
+
+    def until(self, section: str, condition: Callable[[Message], Any] = lambda message: True) -> Message:
+        """Waits for a section that meets a condition; the latest counts, too."""
+        if section in self.latest and condition(self.latest[section]):
+            return self.latest[section]
+        while True:
+            for part in self.heard():
+                if part["section"] == section and condition(part):
+                    return part
+
+    def closed(self) -> int:
+        """Reads until the page is closed; returns the code."""
+        try:
+            while True:
+                self.heard()
+        except WebSocketDisconnect as closed:
+            return closed.code
+
+    def send(self, do: str, **fields: Any) -> int:
+        """Sends a request; returns its number."""
+        self._number += 1
+        self.socket.send_text(json.dumps({"do": do, "n": self._number, **fields}))
+        return self._number
+
+    def ask(self, do: str, **fields: Any) -> Message:
+        """Sends a request and returns its answer."""
+        number = self.send(do, **fields)
+        return self.until("reply", lambda reply: reply["n"] == number)
+
+
+class Site:
+    """A panel that runs, its daemon, and people with browsers."""
+
+    def __init__(self, closing: ExitStack) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.daemon = PlayedDaemon(endpoint)
+        closing.callback(self.daemon.close)
+        config = zenoh_configuration([endpoint], None)
+        self.panel = Panel(lambda: zenoh.open(config), Access(PEOPLE, b"k" * 32))
+        self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
+        self._closing = closing
+        eventually(lambda: ARM in self.panel.arms.views and self.panel.arms.views[ARM].drawing)
+
+    def cookie(self, token: str) -> dict[str, str]:
+        """Logs in; returns the headers of the person's requests."""
+        self.browser.cookies.clear()
+        answer = self.browser.post("/session", json={"token": token}, headers={"origin": ORIGIN})
+        assert answer.status_code == 200, answer.text
+        cookie = answer.headers["set-cookie"].partition(";")[0]
+        self.browser.cookies.clear()
+        return {"cookie": cookie, "origin": ORIGIN}
+
+    def open(self, token: str = OPERATOR, path: str = f"/arms/{ARM}/live") -> Opened:
+        """Opens a page."""
+        socket = self.browser.websocket_connect(SOCKETS + path, headers=self.cookie(token))
+        return Opened(self._closing.enter_context(socket))
+
+
+@pytest.fixture
+def site() -> Iterator[Site]:
+    with ExitStack() as closing:
+        yield Site(closing)

@@ -1,0 +1,202 @@
+"""Open pages: what they show, what they may ask, and what they cannot disturb."""
+
+import json
+
+import pytest
+
+from tests.panel.conftest import ARM, OPERATOR, OTHER, VIEWER, Opened, Site
+from tests.waiting import eventually
+
+GOAL = {"waypoints": [{"position": [0.5, 2.9]}]}
+COMMANDS = [
+    ("stop", {}),
+    ("cancel", {}),
+    ("reset", {}),
+    ("take", {}),
+    ("jog", {"actuator": "5.left", "state": "extended"}),
+    ("lock", {"actuator": "5.left", "state": 0}),
+    ("obstacles", {"regions": []}),
+    ("plan", {"goal": GOAL}),
+    ("go", {"goal": GOAL}),
+    ("file", {"text": "waypoints: []"}),
+]
+
+
+def test_a_page_shows_the_arm(site: Site) -> None:
+    page = site.open(VIEWER)
+    arm = page.until("arm")
+    assert (arm["name"], arm["dimension"], arm["lines"]) == (ARM, 2, [4] * 16)
+    site.daemon.state()
+    state = page.until("state")
+    assert (state["mode"], state["reason"], state["error"]) == ("ready", "holding", None)
+    bodies = page.until("bodies")
+    assert bodies["measured"] == bodies["commanded"]
+    assert len(bodies["measured"]) == 16 * 4 * 4
+    assert page.until("you")["role"] == "viewer"
+
+
+def test_measured_states_that_are_known_no_more_are_drawn_as_commanded(site: Site) -> None:
+    page, states = site.open(), [0] * 48
+    site.daemon.state(measured=[None, *states[1:]], commanded=[1, *states[1:]])
+    bodies = page.until("bodies")
+    assert bodies["measured"] == bodies["commanded"]
+    site.daemon.state(measured=states, commanded=[1, *states[1:]])
+    bodies = page.until("bodies", lambda b: b["measured"] != b["commanded"])
+
+
+def test_faults_come_with_what_to_do(site: Site) -> None:
+    page = site.open()
+    fault = {"code": "stuck", "source": "5.left", "message": "5.left did not arrive"}
+    site.daemon.state(mode="fault", reason="5.left did not arrive", faults=[fault])
+    state = page.until("state")
+    assert state["faults"][0]["message"] == fault["message"]
+    assert "Reset" in state["faults"][0]["advice"]
+    page.until("log", lambda log: any("5.left did not arrive" in line["text"] for line in log["lines"]))
+
+
+def test_the_distance_from_the_goal_is_told(site: Site) -> None:
+    page = site.open()
+    told = site.daemon.state(goal="g", target={"position": [0.0, 3.0], "orientation": None})
+    shift = told["tip"]["position"][1] - 3.0
+    assert page.until("state")["error"] == pytest.approx((told["tip"]["position"][0] ** 2 + shift**2) ** 0.5)
+
+
+def test_the_list_shows_all_arms(site: Site) -> None:
+    page = site.open(VIEWER, "/live")
+    site.daemon.state()
+    (arm,) = page.until("arms", lambda told: told["arms"] and told["arms"][0]["mode"])["arms"]
+    assert (arm["name"], arm["alive"], arm["mode"]) == (ARM, True, "ready")
+
+
+def test_a_dead_daemon_is_told_and_the_age_of_the_last_state(site: Site) -> None:
+    page = site.open()
+    site.daemon.state()
+    page.until("presence", lambda told: told["alive"] and told["age"] is not None)
+    site.daemon.die()
+    told = page.until("presence", lambda told: not told["alive"] and told["age"] > 1.0)
+    assert told["age"] > 1.0
+
+
+def test_goals_are_planned_drawn_and_sent(site: Site) -> None:
+    page = site.open()
+    plan = page.ask("plan", goal=GOAL)
+    assert plan["accepted"]
+    assert len(plan["waypoints"][0]["body"]) == 16 * 4 * 4
+    answer = page.ask("go", goal={**GOAL, "id": "mine"})
+    assert answer["accepted"]
+    assert site.daemon.commands() == ["plan", "goal"]
+    assert answer["id"].startswith("anna-")
+    entry = page.until("goals", lambda told: told["goals"])["goals"][-1]
+    assert (entry["id"], entry["status"]) == (answer["id"], "running")
+    site.daemon.put("result", {"id": answer["id"], "status": "succeeded", "message": "reached", "error": 0.001})
+    page.until("goals", lambda told: told["goals"][-1]["status"] == "succeeded")
+
+
+def test_a_file_is_read_strictly(site: Site) -> None:
+    page = site.open()
+    answer = page.ask("file", text="waypoints:\n- position: [0.5, 2.9]\n")
+    assert answer["file"] == GOAL
+    assert site.daemon.asked == [("plan", GOAL)]
+    assert "alias" in page.ask("file", text="a: &x 1\nb: *x")["message"]
+    assert "an object" in page.ask("file", text="[1]")["message"]
+    assert "longer than" in page.ask("file", text=" " * 60_000 + "{")["message"]
+
+
+@pytest.mark.parametrize(("do", "fields"), COMMANDS)
+def test_a_viewer_commands_nothing(site: Site, do: str, fields: dict[str, object]) -> None:
+    page = site.open(VIEWER)
+    answer = page.ask(do, **fields)
+    assert (answer["accepted"], answer["message"]) == (False, "hall may look, not command")
+    assert site.daemon.asked == []
+
+
+def test_one_page_has_control_and_anybody_may_stop(site: Site) -> None:
+    first, second = site.open(OPERATOR), site.open(OTHER)
+    assert first.ask("reset")["accepted"]
+    assert second.until("presence", lambda told: told["control"]["name"])["control"]["name"] == "anna"
+    assert second.ask("go", goal=GOAL)["message"] == "anna has control: take it first"
+    assert second.ask("stop")["accepted"]
+    assert second.ask("take")["accepted"]
+    assert second.ask("go", goal=GOAL)["accepted"]
+    assert not first.ask("jog", actuator="1.left", state="extended")["accepted"]
+    second.socket.close()
+    eventually(lambda: site.panel.arms.views[ARM].control.told(None)["name"] is None)
+    assert first.ask("jog", actuator="1.left", state="extended")["accepted"]
+    assert site.daemon.commands() == ["reset", "stop", "goal", "jog"]
+    assert site.daemon.asked[-1][1] == {"actuators": {"1.left": "extended"}}
+
+
+def test_a_stop_waits_for_no_plan(site: Site) -> None:
+    page, others = site.open(), [site.open(OTHER) for _ in range(3)]
+    site.daemon.gate.clear()
+    for opened in (page, *others):
+        for _ in range(4):
+            opened.send("plan", goal=GOAL)
+    eventually(lambda: "plan" in site.daemon.commands())
+    assert page.ask("stop")["accepted"]
+    assert "wait for their answers" in page.ask("reset")["message"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "stop",
+        "[]",
+        "{}",
+        '{"do": "stop"}',
+        '{"do": "stop", "n": -1}',
+        '{"do": "stop", "n": 1, "arm": "other"}',
+        '{"do": "fly", "n": 1}',
+        '{"do": "jog", "n": 1, "actuator": "1.left", "state": "up"}',
+        '{"do": "go", "n": 1, "goal": "there"}',
+        '{"do": "go", "n": 1, "goal": {"a": ' + "[" * 50_000 + "]" * 50_000 + "}}",
+        '{"do": "stop", "n": 1e400}',
+        "\ud800",
+    ],
+)
+def test_malformed_messages_are_refused_with_a_sentence(site: Site, text: str) -> None:
+    page = site.open()
+    page.socket.send_text(text)
+    answer = page.until("reply")
+    assert not answer["accepted"]
+    assert answer["message"].startswith("not a request of this page: ")
+    assert page.ask("stop")["accepted"]
+    assert site.daemon.commands() == ["stop"]
+
+
+def test_a_flood_is_refused_then_closed_and_no_other_page_notices(site: Site) -> None:
+    page, other = site.open(), site.open(OTHER)
+    for _ in range(400):
+        page.send("reset")
+    assert page.closed() == 4429
+    assert len(site.daemon.asked) < 100
+    assert other.ask("stop")["accepted"]
+
+
+def test_bytes_close_a_page_and_so_do_requests_on_the_list(site: Site) -> None:
+    page, listing = site.open(), site.open(path="/live")
+    page.socket.send_bytes(b"\0")
+    listing.socket.send_text(json.dumps({"do": "stop", "n": 1}))
+    for opened in (page, listing):
+        assert opened.closed() == 4400
+    assert site.daemon.asked == []
+
+
+def test_names_that_are_made_up_leave_nothing(site: Site) -> None:
+    page = site.open(path="/arms/nowhere/live")
+    page.until("presence")
+    page.socket.close()
+    eventually(lambda: "nowhere" not in site.panel.arms.views)
+
+
+def test_pages_that_close_in_the_middle_leave_nothing(site: Site) -> None:
+    site.daemon.gate.clear()
+    pages: list[Opened] = [site.open() for _ in range(5)]
+    for page in pages:
+        page.send("plan", goal=GOAL)
+        page.socket.close()
+    view = site.panel.arms.views[ARM]
+    eventually(lambda: not view.pages and site.panel._pages == 0)
+    site.daemon.gate.set()
+    assert site.open().ask("stop")["accepted"]

@@ -1,0 +1,109 @@
+"""Figures for Prometheus: read back by its own parser, whatever the arms publish."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from starlette.applications import Starlette
+from starlette.routing import Route
+from starlette.testclient import TestClient
+
+from controller.panel.metrics import MOST_ACTUATORS, MOST_KINDS, Tally, endpoint, exposition
+
+FAULT = {"code": "board-lost", "source": "can0/3", "message": 'board "can0/3"\nis lost'}
+STATE = {"mode": "fault", "faults": [FAULT, FAULT], "degraded": [{"actuator": "5.left", "state": 0}]}
+DIAGNOSTICS = {
+    "loop": {"late_p50": 0.0001, "late_p99": 0.004, "late_worst": 0.005, "overruns": 2.0},
+    "buses": [{"name": "can0", "load": 0.25, "tx_frames": 10, "rx_frames": 20, "tx_errors": 0, "rx_errors": 1}],
+    "boards": [
+        {"bus": "can0", "node": 1, "state": "operational", "heartbeat_age": 0.02},
+        {"bus": "can0", "node": 3, "state": "lost", "heartbeat_age": None},
+    ],
+    "queues": {"inbox": 1, "planning": 0},
+    "setpoint": {"received": 5, "refused": 1},
+    "counts": [3, 4],
+    "waits": 7,
+}
+
+
+@dataclass
+class Arm:
+    name: str = "a"
+    alive: bool = True
+    state: dict[str, Any] | None = None
+    diagnostics: dict[str, Any] | None = None
+    actuators: list[str] = field(default_factory=list)
+
+
+def read(*arms: Arm, tally: Tally | None = None) -> dict[tuple[str, ...], float]:
+    """The figures by their name and the values of their labels, which come in the order of their names."""
+    text = exposition(arms, tally or Tally()).decode()
+    samples = [sample for family in text_string_to_metric_families(text) for sample in family.samples]
+    return {(sample.name, *sample.labels.values()): sample.value for sample in samples}
+
+
+def test_figures_are_what_arms_tell() -> None:
+    tally = Tally()
+    for status in ("succeeded", "succeeded", "aborted"):
+        tally.result("a", {"status": status})
+    for state in (STATE, STATE, {"faults": []}, STATE):
+        tally.state("a", state)
+    found = read(Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"]), Arm("b", False), tally=tally)
+    expected = {
+        ("hyperbit_goals_total", "a", "succeeded"): 2,
+        ("hyperbit_goals_total", "a", "aborted"): 1,
+        ("hyperbit_faults_total", "a", "board-lost"): 2,
+        ("hyperbit_alive", "a"): 1,
+        ("hyperbit_alive", "b"): 0,
+        ("hyperbit_mode", "a", "fault"): 1,
+        ("hyperbit_mode", "a", "ready"): 0,
+        ("hyperbit_fault_active", "a", "board-lost", "can0/3"): 1,
+        ("hyperbit_actuators_locked", "a"): 1,
+        ("hyperbit_switches_total", "1.left", "a"): 3,
+        ("hyperbit_switches_total", "1.right", "a"): 4,
+        ("hyperbit_arm_switches_total", "a"): 7,
+        ("hyperbit_cycle_late_seconds", "a", "0.99"): 0.004,
+        ("hyperbit_cycle_overruns", "a"): 2,
+        ("hyperbit_bus_load_ratio", "a", "can0"): 0.25,
+        ("hyperbit_bus_frames_total", "a", "can0", "rx"): 20,
+        ("hyperbit_bus_errors", "a", "can0", "rx"): 1,
+        ("hyperbit_board_heartbeat_age_seconds", "a", "can0/1"): 0.02,
+        ("hyperbit_board_operational", "a", "can0/1"): 1,
+        ("hyperbit_board_operational", "a", "can0/3"): 0,
+        ("hyperbit_queue_length", "a", "inbox"): 1,
+        ("hyperbit_setpoints_total", "a", "refused"): 1,
+        ("hyperbit_clearance_waits_total", "a"): 7,
+    }
+    assert {key: found.get(key) for key in expected} == expected
+    assert ("hyperbit_board_heartbeat_age_seconds", "a", "can0/3") not in found
+    assert not [key for key in found if "b" in key[1:] and key[0] != "hyperbit_alive"]
+    assert any(name == "hyperbit_build_info" for name, *_ in found)
+
+
+@pytest.mark.parametrize("value", [None, 3, "x", [], [1], {"a": 1}, [{}], {"loop": []}])
+def test_messages_of_another_version_leave_figures_out(value: Any) -> None:
+    fields = dict.fromkeys([*STATE, *DIAGNOSTICS], value)
+    tally = Tally()
+    tally.state("a", fields)
+    tally.result("a", fields)
+    read(Arm("a", True, fields, fields, ["1.left"]), tally=tally)
+
+
+def test_few_series() -> None:
+    tally, many = Tally(), MOST_ACTUATORS + 1
+    for k in range(3 * MOST_KINDS):
+        tally.result("a", {"status": f"status {k}"})
+    found = read(Arm("a", True, STATE, {"counts": [1] * many}, [str(k) for k in range(many)]), tally=tally)
+    assert sum(key[0] == "hyperbit_goals_total" for key in found) == MOST_KINDS + 1
+    assert sum(key[0] == "hyperbit_switches_total" for key in found) == 0
+    assert found["hyperbit_arm_switches_total", "a"] == many
+
+
+def test_the_route_answers_in_prometheus_format() -> None:
+    arms = [Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"])]
+    app = Starlette(routes=[Route("/metrics", endpoint(lambda: arms, Tally()))])
+    answer = TestClient(app).get("/metrics")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/plain; version=")
+    assert 'hyperbit_fault_active{arm="a",code="board-lost",source="can0/3"} 1.0' in answer.text
