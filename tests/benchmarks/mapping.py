@@ -3,8 +3,6 @@
 Every arm is the paper's, longer or shorter. Pixels are so fine that the bound on a level's pixels binds from the first
 modules on: then each level costs the same, and time and memory must grow with the number of modules, B. The last five
 modules have fewer points than pixels and cost less, so the fitted exponent of the time lies a little above 1.
-
-A second table has densities with orientation: by the Mapping Algorithm, and by convolution, which doubles.
 """
 
 import argparse
@@ -27,7 +25,6 @@ from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
-from tests.benchmarks import oriented, oriented_spatial
 from tests.benchmarks.measuring import exponent
 
 MODULES = (8, 16, 32, 64, 128, 256)
@@ -119,13 +116,9 @@ def main() -> None:
     for k, modules in enumerate(MODULES):
         table.add_row(str(modules), *[shown.format(values[k]) for values, shown in columns.values()])
     Console().print(table)
-    with_orientation = {
-        "oriented": oriented.report(),
-        "spatial": oriented_spatial.report(list(oriented_spatial.MODULES)),
-    }
     if arguments.json is not None:
         figures = {"pixel": PIXEL, "level_pixels": LEVEL_PIXELS, "goals": GOALS, "tolerance": TOLERANCE}
-        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents, **with_orientation}
+        figures |= {"rows": [asdict(row) for row in rows], "exponents": exponents}
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 

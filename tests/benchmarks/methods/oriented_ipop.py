@@ -11,8 +11,8 @@ from controller.search.method import Penalties, similarity
 from controller.search.paths import ENOUGH, Paths
 from controller.search.target import Target
 from controller.workspace.densities import Densities
-from controller.workspace.oriented import OrientedDensities
-from controller.workspace.oriented_mapping import map_oriented
+from tests.benchmarks.oriented_densities.oriented import OrientedDensities
+from tests.benchmarks.oriented_densities.oriented_mapping import map_oriented
 
 
 @dataclass(frozen=True, eq=False)

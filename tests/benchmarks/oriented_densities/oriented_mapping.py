@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Manipulator
-from controller.workspace.frame_pixels import SIDE, extent, superpose
 from controller.workspace.mapping import grid, rescale
-from controller.workspace.oriented import OrientedDensities
+from tests.benchmarks.oriented_densities.frame_pixels import SIDE, extent, superpose
+from tests.benchmarks.oriented_densities.oriented import OrientedDensities
 
 GROWTH = 1.1  # of the pixel's side, while a level has too many
 

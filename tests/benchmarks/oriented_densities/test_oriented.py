@@ -9,18 +9,38 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial import KDTree
+from scipy.stats import spearmanr
 
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
-from controller.workspace.frame_pixels import rotation_cell
-from controller.workspace.oriented_mapping import map_oriented
 from tests.arms import any_frames, every_configuration, every_tip, paper_arm, short_arms, spatial_arm
-from tests.workspace.comparing import exact_counts, rank_correlation
+from tests.benchmarks.oriented_densities.frame_pixels import rotation_cell
+from tests.benchmarks.oriented_densities.oriented import OrientedDensities
+from tests.benchmarks.oriented_densities.oriented_mapping import map_oriented
 
 WEIGHT, PLENTY = 0.2, 1 << 16
 ARMS = {"planar": paper_arm(5), "spatial": spatial_arm(5)}
 both = pytest.mark.parametrize("manipulator", ARMS.values(), ids=ARMS)
+
+
+def exact_counts(manipulator: Manipulator, densities: OrientedDensities) -> tuple[np.ndarray, np.ndarray]:
+    """Counts of the whole arm's pixels, enumerated and mapped, for every pixel that has either."""
+    keys, enumerated = np.unique(
+        densities.keys_of(0, manipulator.tips(every_configuration(manipulator))), return_counts=True
+    )
+    own = densities.keys[: densities.offsets[1]]
+    union = np.union1d(keys, own)
+    exact, mapped = np.zeros(len(union)), np.zeros(len(union))
+    exact[np.searchsorted(union, keys)] = enumerated
+    mapped[np.searchsorted(union, own)] = np.exp(densities.level(0).astype(float))
+    return exact, mapped
+
+
+def rank_correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """Spearman's, over what is positive in either."""
+    either = (first > 0) | (second > 0)
+    return float(spearmanr(first[either], second[either]).statistic)
 
 
 def random_rotations(number: int) -> np.ndarray:

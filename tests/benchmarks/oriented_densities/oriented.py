@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controller.manipulator.frames import Frame
-from controller.workspace.frame_pixels import write_keys
+from tests.benchmarks.oriented_densities.frame_pixels import write_keys
 
 
 @dataclass(frozen=True, eq=False)
