@@ -1,0 +1,171 @@
+"""Pages as their tests read them: examples, tables, links and commands of each README.md.
+
+A mark is an HTML comment on the line before an example or a table. Fenced blocks are examples:
+
+    ```sh, ```python    run, in order, in one folder for the page; Python blocks of a page share their variables
+    ```yaml             fields of an arm's file: they replace those of a small arm, which is then read
+    ```json             must be JSON
+    ```text             is not tested
+
+    <!-- not run: WHY -->        commands and options of the block are compared with the code, and nothing runs
+    <!-- with: daemon -->        while the block runs, a daemon with the simulated boards of planar16 is ready
+    <!-- request: KEY -->        the JSON is sent to such a daemon on hyperbit/planar16/KEY, which has to accept it
+    <!-- prints -->              each line of the text is a line that the example before prints; `...` is any text
+    <!-- table: NAME -->         the names in the first column are those that `facts.TABLES[NAME]` has
+    <!-- table: NAME, column 2 -->   those of the second column; several tables of one name are one table
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+LANGUAGES = ("sh", "python", "yaml", "json", "text")
+MARK = re.compile(r"^<!-- (not run|with|request|prints|table)(?:: (.*?))? -->$")
+
+
+class Example(NamedTuple):
+    """One fenced block.
+
+    Attributes:
+        line: number of the line at which the block begins.
+        language: word after the fence.
+        text: its lines.
+        marks: marks before it, by name.
+    """
+
+    line: int
+    language: str
+    text: str
+    marks: dict[str, str]
+
+
+class Table(NamedTuple):
+    """One marked table.
+
+    Attributes:
+        line: number of its first line.
+        name: of the mark.
+        names: in backticks in the column of the mark.
+    """
+
+    line: int
+    name: str
+    names: list[str]
+
+
+class Page(NamedTuple):
+    """One page.
+
+    Attributes:
+        path: of the file.
+        text: all of it.
+        prose: its lines outside of fenced blocks.
+        examples: fenced blocks.
+        tables: marked tables.
+    """
+
+    path: Path
+    text: str
+    prose: str
+    examples: list[Example]
+    tables: list[Table]
+
+    @property
+    def name(self) -> str:
+        """The path as messages show it."""
+        return self.path.relative_to(ROOT).as_posix()
+
+
+def find() -> list[Path]:
+    """Returns the paths of all pages."""
+    found = sorted(ROOT.rglob("README.md"))
+    return [path for path in found if not re.match(r"\.|build/", path.relative_to(ROOT).as_posix())]
+
+
+def read(path: Path) -> Page:
+    """Returns a page.
+
+    Raises:
+        ValueError: a block or a mark is not written as this module says.
+    """
+    text = path.read_text()
+    lines, examples, tables, prose = text.splitlines(), list[Example](), list[Table](), list[str]()
+    marks: dict[str, str] = {}
+    k = 0
+    while k < len(lines):
+        line, where = lines[k], f"{path.relative_to(ROOT)}:{k + 1}"
+        k += 1
+        if found := MARK.match(line):
+            marks[found[1]] = found[2] or ""
+        elif line.startswith("```"):
+            language, begin = line[3:], k
+            if language not in LANGUAGES:
+                raise ValueError(f"{where}: the block is {language!r}, none of {LANGUAGES}")
+            while k < len(lines) and lines[k] != "```":
+                k += 1
+            examples.append(Example(begin, language, "\n".join(lines[begin:k]) + "\n", marks))
+            k, marks = k + 1, {}
+        elif line.startswith("|") and "table" in marks:
+            begin = k
+            while k < len(lines) and lines[k].startswith("|"):
+                k += 1
+            name, _, column = marks["table"].partition(", column ")
+            tables.append(Table(begin, name, named(lines[begin + 1 : k], int(column or 1))))
+            prose += lines[begin - 1 : k]
+            marks = {}
+        elif marks and line:
+            raise ValueError(f"{where}: a mark precedes neither a block nor a table: {marks}")
+        else:
+            prose.append(line)
+    return Page(path, text, "\n".join(prose), examples, tables)
+
+
+def named(rows: list[str], column: int) -> list[str]:
+    """Returns the names in backticks in a column of a table's rows."""
+    cells = [re.split(r"(?<!\\)\|", row)[column] for row in rows]
+    return [name for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
+
+
+def links(page: Page) -> list[str]:
+    """Returns the targets of links and pictures that are relative."""
+    found = re.findall(r"\]\(([^)\s]+)\)", page.prose)
+    return [target for target in found if not re.match(r"[a-z]+:", target)]
+
+
+def code(page: Page) -> list[str]:
+    """Returns what stands in backticks, and the lines of blocks that a shell would take."""
+    inline = re.findall(r"`([^`\n]+)`", page.prose)
+    return inline + [
+        line for example in page.examples if example.language == "sh" for line in example.text.splitlines()
+    ]
+
+
+def commands(page: Page) -> list[str]:
+    """Returns the calls of `hyperbit` on a page, each from its command's name on."""
+    call = re.compile(r"(?:^|sudo |\| |&& |; |\$\()(?:[A-Z_]+=\S+ )*(?:\.venv/bin/)?hyperbit +(-?[a-z][^|;&#)]*)")
+    return [found[1].strip() for line in code(page) for found in call.finditer(line.strip())]
+
+
+def modules(page: Page) -> list[str]:
+    """Returns what a page runs with `python -m`."""
+    return [found for line in code(page) for found in re.findall(r"python3? -m ([\w.]+)", line)]
+
+
+def targets(page: Page) -> list[str]:
+    """Returns the targets of `make` that a page names."""
+    return [found[1] for line in code(page) if (found := re.match(r" *make ([a-z-]+)", line))]
+
+
+def headings(page: Page) -> set[str]:
+    """Returns the anchors of a page's headings, as GitHub makes them."""
+    found = re.findall(r"^#+ (.*)$", page.prose, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in found}
+
+
+def paths(page: Page) -> list[str]:
+    """Returns the paths of this repository in backticks."""
+    rooms = re.compile(r"^(?:controller|drivers|tests|deploy)/[\w./*@-]*$")
+    return [text for text in re.findall(r"`([^`\n]+)`", page.prose) if rooms.match(text)]

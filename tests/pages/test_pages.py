@@ -1,0 +1,91 @@
+"""Pages are short, their links lead somewhere, their tables are those of the code, and their commands exist."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+
+from tests.pages import facts, page, running
+
+PAGES = [path for path in page.find() if path != page.ROOT / "README.md"]
+FRONT = page.ROOT / "README.md"
+LENGTH, WORDS, FRONT_LENGTH = 250, 1300, 150  # lines of a page; words and lines of README.md
+REQUIRED: set[str] = set()  # tables that some page must have
+named = pytest.mark.parametrize("path", PAGES, ids=lambda path: page.read(path).name)
+
+
+@named
+def test_the_page_is_short(path):
+    text = path.read_text()
+    assert len(text.splitlines()) <= (FRONT_LENGTH if path == FRONT else LENGTH)
+    assert path != FRONT or len(text.split()) <= WORDS
+
+
+@named
+def test_each_link_leads_to_a_file(path):
+    read = page.read(path)
+    for target in page.links(read):
+        file, _, heading = target.partition("#")
+        found = path.parent / file if file else path
+        assert found.exists(), f"{read.name}: {target}"
+        if heading:
+            assert heading in page.headings(page.read(found)), f"{read.name}: {target} has no such heading"
+
+
+@named
+def test_each_path_in_backticks_exists(path):
+    read = page.read(path)
+    missing = [text for text in page.paths(read) if not list(page.ROOT.glob(text.rstrip("/")))]
+    assert not missing, f"{read.name}: {missing}"
+
+
+@named
+def test_each_command_and_option_exists(path):
+    read = page.read(path)
+    for call in page.commands(read):
+        command, *words = call.split()
+        if command.startswith("-"):
+            continue  # an option of `hyperbit` itself
+        assert command in facts.cli.COMMANDS, f"{read.name}: hyperbit {call}"
+        known = running.options(command)
+        unknown = [word for word in words if word.startswith("--") and word.partition("=")[0] not in known]
+        assert not unknown, f"{read.name}: hyperbit {call}: no option {unknown}"
+
+
+@named
+def test_each_module_that_is_run_exists(path):
+    read = page.read(path)
+    missing = [name for name in page.modules(read) if importlib.util.find_spec(name) is None]
+    assert not missing, f"{read.name}: {missing}"
+
+
+@named
+def test_each_target_of_make_exists(path):
+    read = page.read(path)
+    missing = set(page.targets(read)) - facts.targets()
+    assert not missing, f"{read.name}: {missing}"
+
+
+def tables() -> dict[str, list[tuple[str, page.Table]]]:
+    """Returns the tables of all pages by name, each with its page's name."""
+    found: dict[str, list[tuple[str, page.Table]]] = {name: [] for name in facts.TABLES}
+    for read in map(page.read, PAGES):
+        for table in read.tables:
+            assert table.name in found, f"{read.name}:{table.line}: facts.TABLES has no {table.name!r}"
+            found[table.name].append((read.name, table))
+    return found
+
+
+@pytest.mark.parametrize("name", facts.TABLES)
+def test_the_table_is_that_of_the_code(name):
+    found = tables()[name]
+    names = [row for _, table in found for row in table.names]
+    places = {where for where, _ in found}
+    assert len(places) == 1 or (not places and name not in REQUIRED), f"{name}: on {places or 'no page'}"
+    if places:
+        assert sorted(names) == sorted(facts.TABLES[name]()), f"{places}: the table of {name} differs from the code"
+
+
+def test_each_fault_that_the_code_makes_is_known():
+    assert facts.faults_of_the_code() <= facts.faults()
