@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from controller.search.method import METHODS as PRODUCT_METHODS
-from tests.benchmarks.methods import (
+from controller.bench.methods import (
     annealing,
     continuous,
     k_switch,
     meeting,
-    optimum,
     paper_ipop,
     paper_pop,
-    product,
     two_by_two,
 )
+from controller.search.method import METHODS as PRODUCT_METHODS
+from tests.benchmarks.methods import optimum, product
 
 
 @dataclass(frozen=True)

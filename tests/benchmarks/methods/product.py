@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
+from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.method import Method
 from controller.search.solution import Solution
 from controller.search.solver import DEADLINE, Solver
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods.planar import Array
 
 
 @dataclass(frozen=True, eq=False)

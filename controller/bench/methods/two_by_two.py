@@ -1,5 +1,6 @@
-"""Two-by-two search: Motahari, Zohoor and Korayem 2013, "A new inverse kinematic algorithm for discretely actuated
-hyper-redundant manipulators".
+"""Two-by-two search, after Motahari, Zohoor and Korayem 2013.
+
+"A new inverse kinematic algorithm for discretely actuated hyper-redundant manipulators".
 
 From the base on, two modules at a time are pending: of all their pairs of states the one is taken that brings the tip
 nearest the goal with the modules above at their mean, the mean of their workspace. Then the tip itself is improved: of
@@ -17,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar, tips_above
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,7 @@ class Problem:
 
 
 def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
+    """Returns the tables of an arm."""
     arm = planar(manipulator)
     means = np.zeros((len(arm.states) + 1, 2))
     for i in reversed(range(len(arm.states))):
@@ -41,6 +43,7 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     arm, configuration = problem.arm, np.zeros(len(previous), dtype=np.int64)
     place(goal, arm.down, arm.states, problem.means, configuration)
     improve(goal, arm.up, arm.down, arm.states, tolerance, configuration)

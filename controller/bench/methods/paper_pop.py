@@ -10,22 +10,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.bench.methods.planar import Array, Index, Planar, moved, planar
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
+    """The tables of an arm."""
+
     arm: Planar
     densities: Densities
 
 
 def prepare(manipulator: Manipulator, densities: Densities) -> Problem:
+    """Returns the tables of an arm."""
     return Problem(planar(manipulator), densities)
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     nothing_passes = np.full(len(previous) + 1, np.inf)
     return descent(problem, goal, problem.arm.costs(previous), nothing_passes)
 

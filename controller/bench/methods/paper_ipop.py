@@ -8,9 +8,9 @@ are decided one at a time.
 
 import numpy as np
 
+from controller.bench.methods.paper_pop import Problem, descent, prepare
+from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration
-from tests.benchmarks.methods.paper_pop import Problem, descent, prepare
-from tests.benchmarks.methods.planar import Array
 
 __all__ = ["prepare", "solve"]
 
@@ -21,5 +21,6 @@ THRESHOLD = 1e8
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     thresholds = np.log(np.maximum(THRESHOLD * problem.densities.pixels**2, 1.0))
     return descent(problem, goal, problem.arm.costs(previous), thresholds)

@@ -4,9 +4,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tests.benchmarks.methods.halves import Half
-from tests.benchmarks.methods.matching import Table
-from tests.benchmarks.methods.planar import Array
+from controller.bench.methods.halves import Half
+from controller.bench.methods.matching import Table
+from controller.bench.methods.planar import Array
 
 CELLS = 1 << 20
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from controller.bench.methods import paper_pop
+from controller.bench.methods.cells import Cells
+from controller.bench.methods.halves import Half
+from controller.bench.methods.matching import match
+from controller.bench.methods.planar import Array, Planar, planar
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods import paper_pop
-from tests.benchmarks.methods.cells import Cells
-from tests.benchmarks.methods.halves import Half
-from tests.benchmarks.methods.matching import match
-from tests.benchmarks.methods.planar import Array, Planar, planar
 
 SWITCHES = 5
 NONE = 1 << 30
@@ -24,6 +24,8 @@ NONE = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class Problem:
+    """The tables of an arm."""
+
     arm: Planar
     lower: Half
     upper: Half
@@ -43,8 +45,11 @@ def prepare(manipulator: Manipulator, densities: Densities | None, switches: int
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     found = meet(problem, goal, previous, tolerance, NONE)
-    return paper_pop.solve(problem.fallback, goal, previous, tolerance) if found is None else found[0]
+    if found is not None:
+        return found[0]
+    return previous if problem.fallback is None else paper_pop.solve(problem.fallback, goal, previous, tolerance)
 
 
 def meet(

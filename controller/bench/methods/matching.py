@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tests.benchmarks.methods.planar import Array, Index, moved
+from controller.bench.methods.planar import Array, Index, moved
 
 # Points, prices, starts and rows of the cells, their lowest corner, side, and how many there are each way: see Cells.
 Table = tuple[Array, NDArray[np.int8], NDArray[np.int32], NDArray[np.int32], Array, float, int, int]
@@ -66,7 +66,7 @@ def match(
     first, second = -1, -1
     for k in range(count):
         n = order[k]
-        price = np.int64(prices[n])
+        price = int(prices[n])
         if price >= best:
             break
         x, y = points[n, 0], points[n, 1]

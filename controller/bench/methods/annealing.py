@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from controller.bench.methods.meeting import NONE
+from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods.meeting import NONE
-from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar, tips_above
 
 
 class Schedule(NamedTuple):
@@ -49,6 +49,7 @@ class Problem:
 
 
 def prepare(manipulator: Manipulator, densities: Densities | None, seconds: float, first: bool = False) -> Problem:
+    """Returns the tables of an arm."""
     arm = planar(manipulator)
     bits = manipulator.bits.astype(int)
     switched = np.full(bits.shape, -1)
@@ -60,6 +61,7 @@ def prepare(manipulator: Manipulator, densities: Densities | None, seconds: floa
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     until, arm, best = time.perf_counter() + problem.seconds, problem.arm, np.array(previous)
     chain = arm.up, arm.down, arm.differing, problem.switched
     schedule = SOON if problem.first else FEW
@@ -73,7 +75,7 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 
 @njit("u8(u8)", cache=True, nogil=True, inline="always")
-def drawn(state: int) -> int:
+def drawn(state: np.uint64) -> np.uint64:
     """Returns the next state of Marsaglia's xorshift generator (2003), which costs less than numba's own."""
     state ^= state << np.uint64(13)
     state ^= state >> np.uint64(7)
@@ -100,11 +102,11 @@ def anneal(
     hot: float,
     cold: float,
     error_of_a_switch: float,
-    random: int,
+    random: np.uint64,
     fewest: int,
     nearest: float,
     best: Index,
-) -> tuple[int, int, float]:
+) -> tuple[np.uint64, int, float]:
     """Improves `best` by a run: within the tolerance the fewest switches, else the nearest.
 
     Takes and returns the random generator's state, the switches of `best`, NONE where it is outside the tolerance, and

@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
+from controller.bench.methods import k_switch
+from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods import k_switch
-from tests.benchmarks.methods.planar import Array
 
 HOLD = 1e-4  # weight of staying near; the tip's error is in the same unit
 
@@ -34,6 +34,7 @@ class Problem:
 
 
 def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
+    """Returns the tables of an arm."""
     if any(module.actuators != ("left", "diagonal", "right") for module in manipulator.modules):
         raise ValueError("only truss modules have lengths to be continuous in")
     bodies = np.array([module.body[[0, -1], :, :, :2] for module in manipulator.modules])
@@ -48,6 +49,7 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     p = problem
     span = p.high - p.low
     before = (previous[:, None] >> np.array([2, 1, 0])) & 1

@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.bench.methods.planar import Array, Index, Planar, moved
 from controller.manipulator.manipulator import Configuration
-from tests.benchmarks.methods.planar import Array, Index, Planar, moved
 
 
 class Half:

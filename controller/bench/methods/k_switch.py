@@ -13,22 +13,26 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
-from tests.benchmarks.methods.planar import Array, Index, Planar, moved, planar, tips_above
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
+    """The tables of an arm."""
+
     arm: Planar
     switches: int
 
 
 def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = 4) -> Problem:
+    """Returns the tables of an arm."""
     return Problem(planar(manipulator), switches)
 
 
 def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,)."""
     arm, configuration = problem.arm, np.array(previous)
     search(goal, arm.up, arm.down, arm.states, arm.differing, problem.switches, tolerance, configuration)
     return configuration

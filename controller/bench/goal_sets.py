@@ -1,0 +1,119 @@
+"""Goal sets: arms, start configurations, goals, and the fewest switches that are proven to each.
+
+A set is a CSV file in `sets`; the arms are in `arms`. `tests/benchmarks/goal_sets.py` draws the goals and proves them.
+"""
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from controller.config import Arm, load
+from controller.manipulator import frames
+from controller.manipulator.frames import Frame
+from controller.manipulator.manipulator import Configuration
+from controller.manipulator.notation import parse_configuration
+
+FOLDER = Path(__file__).parent
+COLUMNS = ("arm", "start", "goal", "tolerance", "angle_tolerance", "bound", "best")
+
+SETS = {
+    "paper": "the paper's arm of 16 modules, positions",
+    "paper-poses": "the paper's arm, positions with an orientation",
+    "planar16": "deploy/planar16.yaml, positions",
+    "revolute24": "deploy/revolute24.yaml, positions",
+    "platform8": "deploy/platform8.yaml, positions in space",
+    "motor12": "deploy/motor12.yaml, positions in space",
+    "lattice": "arms whose tips lie on a lattice, in the plane and in space, many goals exactly on the tolerance",
+    "obstacles": "the paper's arm and platform8 among obstacles",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One goal of a set.
+
+    Attributes:
+        arm: name of a file in `arms`.
+        start: configuration, shape (B,).
+        position: of the tip in the world, shape (2,) or (3,).
+        angle: of the tip [rad], counter-clockwise; None if any will do.
+        tolerance: of the position.
+        angle_tolerance: of the angle [rad]; infinite if any will do.
+        bound: no valid configuration has fewer switches: proven.
+        best: the configuration of fewest switches that is known, shape (B,).
+        switches: of `best`, from `start`.
+    """
+
+    arm: str
+    start: Configuration
+    position: tuple[float, ...]
+    angle: float | None
+    tolerance: float
+    angle_tolerance: float
+    bound: int
+    best: Configuration
+    switches: int
+
+    @property
+    def proven(self) -> bool:
+        """Whether `switches` are proven to be the fewest."""
+        return self.switches == self.bound
+
+    @property
+    def frame(self) -> Frame:
+        """The goal in the world, shape (4, 4); its rotation has no meaning if any angle will do."""
+        return goal_frame(self.position, self.angle)
+
+
+def goal_frame(position: tuple[float, ...], angle: float | None) -> Frame:
+    """Returns a goal in the world, shape (4, 4)."""
+    if len(position) == 2:
+        return frames.planar(position[0], position[1], angle or 0.0)
+    return frames.spatial(position)
+
+
+@cache
+def load_arm(name: str) -> Arm:
+    """Returns an arm of the sets."""
+    return load(FOLDER / "arms" / f"{name}.yaml")
+
+
+def read(name: str) -> list[Task]:
+    """Returns the goals of a set."""
+    with (FOLDER / "sets" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        return [task(row) for row in csv.DictReader(file)]
+
+
+def task(row: dict[str, str]) -> Task:
+    """Returns the goal of a row; see COLUMNS."""
+    arm = load_arm(row["arm"]).manipulator
+    numbers = tuple(map(float, row["goal"].split()))
+    oriented = row["angle_tolerance"] != ""
+    start, best = parse_configuration(arm, row["start"]), parse_configuration(arm, row["best"])
+    return Task(
+        row["arm"],
+        start,
+        numbers[: arm.dimension],
+        numbers[arm.dimension] if oriented else None,
+        float(row["tolerance"]),
+        float(row["angle_tolerance"]) if oriented else math.inf,
+        int(row["bound"]),
+        best,
+        arm.switches(start, best),
+    )
+
+
+def by_arm(tasks: list[Task]) -> dict[str, list[Task]]:
+    """Returns goals by the names of their arms, in their order."""
+    return {name: [t for t in tasks if t.arm == name] for name in dict.fromkeys(t.arm for t in tasks)}
+
+
+def spread(tasks: list[Task], count: int) -> list[Task]:
+    """Returns at most `count` goals, evenly from all of a set, so that each arm has its share."""
+    if count >= len(tasks):
+        return tasks
+    return [tasks[k] for k in np.linspace(0, len(tasks) - 1, count).round().astype(int)]
