@@ -12,9 +12,10 @@ class Refusal(ValueError):
 
     Attributes:
         code: one of the codes above.
+        goal: its id, where that is known.
     """
 
-    def __init__(self, code: int, message: str) -> None:
-        """Keeps the code beside the sentence."""
+    def __init__(self, code: int, message: str, goal: str | None = None) -> None:
+        """Keeps code and id beside the sentence."""
         super().__init__(message)
-        self.code = code
+        self.code, self.goal = code, goal

@@ -90,7 +90,7 @@ class GoalPlanning:
             if away > self._farthest + tolerance:
                 where = f"waypoints[{k}].position: ({', '.join(f'{x:g}' for x in position)}) is out of reach"
                 words = f"{where}: {away:g} from the base, and no tip is farther from it than {self._farthest:g}"
-                raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, words)
+                raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, words, message.id)
         return message
 
     def trajectory(self, message: GoalMessage, received: float) -> Trajectory:

@@ -81,7 +81,7 @@ class RequestQueue(Generic[R]):
             if self._queue.qsize() >= self._most:
                 raise Refusal(INVALID_GOAL, f"busy: {self._most} {self._what} are waiting already")
         except Refusal as refusal:
-            reply(refused(refusal.code, str(refusal)))
+            reply(refused(refusal.code, str(refusal), refusal.goal))
         else:
             self._queue.put(request)
 

@@ -239,11 +239,11 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
     assert desk.inbox.next("flood")["message"] == "waypoints: required, but missing"
     desk.planning.goal(b'{"waypoints": []}', desk.inbox.replying("flood"))
     assert desk.inbox.next("flood")["message"] == "busy: 16 goals are waiting already"
-    far = b'{"waypoints": [{"configuration": "0"}, {"position": [90, 0]}]}'
+    far = b'{"id": "far", "waypoints": [{"configuration": "0"}, {"position": [90, 0]}]}'
     for ask in (desk.planning.goal, desk.planning.plan):  # one that is longer than the arm takes no place
         ask(far, desk.inbox.replying("flood"))
         answer = desk.inbox.next("flood")
-        assert answer["code"] == codes.GOAL_TOLERANCE_VIOLATED
+        assert (answer["id"], answer["code"]) == ("far", codes.GOAL_TOLERANCE_VIOLATED)
         assert "waypoints[1].position: (90, 0) is out of reach: 90 from the base, " in answer["message"]
     desk.planning.goal(b" " * 2_000_000, desk.inbox.replying("flood"))
     assert "2000000 bytes" in desk.inbox.next("flood")["message"]
