@@ -1,13 +1,23 @@
 // The page of one arm: puts its parts together.
 
+import { showActuators } from "./actuators.js";
+import { showBoards } from "./boards.js";
+import { showCurves, showWear } from "./charts.js";
 import { Connection } from "./connection.js";
+import { showControl } from "./control.js";
 import { el, fill, show } from "./dom.js";
 import { Editor } from "./editor.js";
+import { showFaults } from "./faults.js";
 import { showGoal } from "./goal.js";
 import { showHeader } from "./header.js";
+import { showGoals, showLog } from "./history.js";
+import { showObstacles, sketcher } from "./obstacles.js";
 import { PlaneView } from "./plane.js";
 
-const MODES = { goal: "Goal", curve: "Curve", look: "Move" };
+const MODES = {
+  2: { goal: "Goal", curve: "Curve", obstacle: "Obstacle", look: "Move" },
+  3: { goal: "Goal", turn: "Turn", curve: "Curve", obstacle: "Obstacle", look: "Move" },
+};
 
 export function showArm(name, onLogin) {
   show("arm");
@@ -15,12 +25,21 @@ export function showArm(name, onLogin) {
   const editor = new Editor(connection);
   const notify = notifier();
   showHeader(name, connection, notify);
+  showFaults(connection);
   showGoal(connection, editor, notify);
-  showPicture(connection, editor);
+  showActuators(connection, notify);
+  const append = showObstacles(connection, notify);
+  showControl(connection, notify);
+  showGoals(connection);
+  showCurves(connection);
+  showWear(connection);
+  showBoards(connection);
+  showLog(connection);
+  showPicture(connection, editor, append);
 }
 
 // The picture: in the plane or in space, as the arm is.
-function showPicture(connection, editor) {
+function showPicture(connection, editor, append) {
   const stage = document.querySelector(".stage");
   let view = null;
   const set = (values) => {
@@ -28,12 +47,20 @@ function showPicture(connection, editor) {
     Object.assign(view, values);
     view.draw();
   };
-  connection.on("arm", (arm) => {
+  let pictured = null; // what the view was made for
+  connection.on("arm", async (arm) => {
     if (!("lines" in arm)) return;
-    if (view === null) {
-      view = new PlaneView(stage, arm, editor);
+    const wanted = JSON.stringify([arm.dimension, arm.length, arm.base, arm.density]);
+    if (wanted !== pictured) {
+      pictured = wanted;
+      const made = arm.dimension === 2 ? new PlaneView(stage, arm, editor) : await inSpace(stage, arm, editor);
+      if (wanted !== pictured) return;
+      view = made;
+      view.onSketch = sketcher(view, append); // in the plane
+      view.onRegion = append; // in space
       showTools(view, editor);
     }
+    if (view === null) return;
     const { latest } = connection;
     set({ arm, bodies: latest.bodies ?? view.bodies, state: latest.state ?? null });
     set({ waypoints: latest.waypoints?.waypoints ?? [], obstacles: [...arm.obstacles, ...(arm.sent_obstacles ?? [])] });
@@ -44,10 +71,21 @@ function showPicture(connection, editor) {
   editor.on(() => set({}));
 }
 
+// three.js is loaded only for arms that need it.
+async function inSpace(stage, arm, editor) {
+  try {
+    const { SpaceView } = await import("./space.js");
+    return new SpaceView(stage, arm, editor);
+  } catch (error) {
+    fill(stage, el("p", { class: "hint" }, `This browser does not draw in space: ${error.message}`));
+    throw error;
+  }
+}
+
 function showTools(view, editor) {
   const modes = document.querySelector(".modes");
   const choose = (mode) => () => editor.setMode(mode);
-  const buttons = Object.entries(MODES).map(([mode, label]) =>
+  const buttons = Object.entries(MODES[view.arm.dimension]).map(([mode, label]) =>
     el("button", { type: "button", data: { mode }, onclick: choose(mode) }, label));
   fill(modes, ...buttons);
   const describe = () => {

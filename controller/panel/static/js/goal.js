@@ -118,6 +118,7 @@ function planInWords(editor) {
 const hints = {
   goal: "Click or drag in the picture to place a goal, or type one. Nothing moves before Go.",
   curve: "Click the points of a curve, one after the other.",
+  turn: "Place a goal first, then drag the rings to turn it.",
   obstacle: "Drag in the picture to draw an obstacle.",
   look: "Drag to move the picture, turn the wheel to zoom.",
 };

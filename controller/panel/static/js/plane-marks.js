@@ -7,7 +7,7 @@ export function drawGhost(view) {
   const points = plan.waypoints.filter((waypoint) => waypoint.body);
   const { context } = view;
   if (view.state?.tip && points[0]?.excursion) {
-    context.globalAlpha = 0.18;
+    context.globalAlpha = 0.09;
     context.strokeStyle = view.colour("ghost");
     context.lineWidth = Math.max(2 * points[0].excursion * view.scale, 1);
     view.line([view.toScreen(view.state.tip.position), view.toScreen(points[0].position)]);

@@ -1,0 +1,94 @@
+// All actuators, module by module: commanded and measured, locked, switched so often; jog by press and hold.
+
+import { el, fill } from "./dom.js";
+import { onHold } from "./hold.js";
+
+const WORDS = ["contracted", "extended"];
+
+export function showActuators(connection, notify) {
+  const card = document.getElementById("actuators");
+  const grid = el("div", { class: "grid", role: "listbox", "aria-label": "Actuators", tabIndex: 0 });
+  const detail = el("div", { class: "detail" });
+  card.append(
+    el("p", { class: "hint" }, "■ extended, □ contracted, ≠ measured otherwise, ? unknown, L locked"),
+    grid,
+    detail,
+  );
+  let labels = [];
+  let cells = [];
+  let chosen = null;
+  let shown = "";
+
+  connection.on("arm", (arm) => {
+    if (String(arm.actuators) === String(labels)) return;
+    labels = arm.actuators;
+    cells = labels.map((label, k) => el("button", { type: "button", class: "cell", role: "option", tabIndex: -1, onclick: () => choose(k) }));
+    const modules = new Map();
+    labels.forEach((label, k) => {
+      const module = label.split(".")[0];
+      if (!modules.has(module)) modules.set(module, []);
+      modules.get(module).push(cells[k]);
+    });
+    fill(grid, ...[...modules].map(([module, own]) => el("div", { class: "module" }, el("span", { class: "number" }, module), ...own)));
+    shown = "";
+    describe();
+  });
+  connection.on("state", describe);
+  connection.on("diagnostics", () => describe());
+  grid.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    choose(Math.min(Math.max((chosen ?? -step) + step, 0), labels.length - 1));
+  });
+
+  function choose(k) {
+    chosen = k;
+    shown = "";
+    describe();
+    cells[k]?.scrollIntoView({ block: "nearest" });
+  }
+
+  function describe() {
+    const state = connection.latest.state;
+    if (!state || !cells.length) return;
+    const locked = new Map(state.degraded.map((entry) => [entry.actuator, entry.state]));
+    const count = chosen === null ? 0 : connection.latest.diagnostics?.counts?.[chosen];
+    const viewer = connection.latest.you?.role !== "operator";
+    const now = JSON.stringify([state.commanded, state.measured, state.degraded, chosen, count, viewer]);
+    if (now === shown) return;
+    shown = now;
+    labels.forEach((label, k) => paint(cells[k], label, state.commanded?.[k], state.measured[k], locked.has(label), k === chosen));
+    if (chosen !== null && !detail.querySelector(".holding")) {
+      fill(detail, ...about(labels[chosen], state.commanded?.[chosen], state.measured[chosen], locked.get(labels[chosen]), count, viewer));
+    }
+  }
+
+  function about(label, commanded, measured, lock, count, viewer) {
+    const words = (state) => WORDS[state] ?? "unknown";
+    const to = commanded === 1 ? 0 : 1;
+    const ask = (request, what) => async () => notify(await connection.ask(request), what);
+    const jog = el("button", { type: "button", id: "jog" }, `Hold to ${to ? "extend" : "contract"}`);
+    onHold(jog, ask({ do: "jog", actuator: label, state: WORDS[to] }, `Jog ${label}`));
+    const locks = [0, 1].map((state) =>
+      el("button", { type: "button", onclick: ask({ do: "lock", actuator: label, state }, `Lock ${label}`) }, `Lock ${WORDS[state]}`));
+    const unlock = el("button", { type: "button", onclick: ask({ do: "lock", actuator: label, state: null }, `Unlock ${label}`) }, "Unlock");
+    return [
+      el("p", {}, el("b", {}, label), `: commanded ${words(commanded)}, measured ${words(measured)}`,
+        lock === undefined ? "" : `, locked ${words(lock)}`, count === undefined ? "" : `; ${count} switches`),
+      viewer ? null : el("div", { class: "buttons" }, jog, ...(lock === undefined ? locks : [unlock])),
+    ];
+  }
+}
+
+function paint(cell, label, commanded, measured, locked, chosen) {
+  const unknown = measured === null || measured === undefined;
+  const differs = !unknown && commanded !== undefined && commanded !== measured;
+  const words = (state) => WORDS[state] ?? "unknown";
+  cell.textContent = locked ? "L" : unknown ? "?" : differs ? "≠" : "";
+  cell.classList.toggle("extended", commanded === 1);
+  cell.classList.toggle("differs", differs || unknown);
+  cell.setAttribute("aria-selected", String(chosen));
+  cell.title = `${label}: commanded ${words(commanded)}, measured ${words(measured)}${locked ? ", locked" : ""}`;
+  cell.setAttribute("aria-label", cell.title);
+}

@@ -1,0 +1,29 @@
+// Who commands the arm, and who looks on.
+
+import { clock, el, fill } from "./dom.js";
+import { leave } from "./login.js";
+
+export function showControl(connection, notify) {
+  const card = document.getElementById("control");
+  const who = el("p", { class: "who" });
+  const holder = el("p", { class: "holder", "aria-live": "polite" });
+  const take = el("button", { type: "button", id: "take" }, "Take control");
+  const release = el("button", { type: "button" }, "Give up control");
+  const out = el("button", { type: "button", onclick: leave }, "Log out");
+  card.append(holder, who, el("div", { class: "buttons" }, take, release, out));
+  take.addEventListener("click", async () => notify(await connection.ask({ do: "take" }), "Control"));
+  release.addEventListener("click", async () => notify(await connection.ask({ do: "release" }), "Control"));
+  connection.on("presence", ({ control, pages, you }) => {
+    const mine = control.page === you;
+    const words = control.name === null
+      ? "Nobody has control; the first command takes it."
+      : `${mine ? "You have" : `${control.name} has`} control since ${clock(control.since)}.`;
+    const operator = connection.latest.you?.role === "operator";
+    if (holder.textContent !== words) holder.textContent = words;
+    card.classList.toggle("foreign", control.name !== null && !mine);
+    take.hidden = mine || !operator;
+    release.hidden = !mine;
+    const { name, role } = connection.latest.you ?? {};
+    fill(who, `You are ${name}, ${role}. ${pages === 1 ? "One page is" : `${pages} pages are`} open.`);
+  });
+}

@@ -1,0 +1,31 @@
+// The last goals with their results, and the log.
+
+import { clock, el, fill, number } from "./dom.js";
+
+const MARKS = { succeeded: "✓", running: "▶", canceled: "◼", replaced: "↷", aborted: "✗" };
+
+export function showGoals(connection) {
+  const list = el("ol", { class: "goals", reversed: true });
+  document.getElementById("goals").append(list);
+  connection.on("goals", ({ goals }) =>
+    fill(list, ...goals.toReversed().map((goal) =>
+      el("li", { data: { status: goal.status } },
+        el("b", {}, `${MARKS[goal.status] ?? "?"} ${goal.status}`), ` ${goal.id} `,
+        el("span", { class: "faint" }, [
+          clock(goal.ended ?? goal.at),
+          goal.waypoints > 1 ? `${goal.reached} of ${goal.waypoints} points` : null,
+          typeof goal.error === "number" ? `error ${number(goal.error, 5)}` : null,
+          typeof goal.switches === "number" ? `${goal.switches} switches` : null,
+          goal.status === "succeeded" ? null : goal.message,
+        ].filter(Boolean).join(", ")))),
+      goals.length ? null : el("li", { class: "faint" }, "No goal came since the panel began.")));
+}
+
+export function showLog(connection) {
+  const list = el("ol", { class: "lines", role: "log", tabIndex: 0, "aria-label": "Log" });
+  document.getElementById("log").append(list);
+  connection.on("log", ({ lines }) => {
+    fill(list, ...lines.toReversed().map((line) =>
+      el("li", { data: { kind: line.kind } }, el("time", {}, clock(line.at)), ` ${line.kind === "note" ? "" : `${line.kind}: `}${line.text}`)));
+  });
+}

@@ -1,0 +1,77 @@
+// Things of a spatial scene: bars for an arm's structure, obstacles, points of a density.
+
+import * as THREE from "three";
+
+const UP = new THREE.Vector3(0, 1, 0);
+
+// Line segments as thin cylinders, of which there may be thousands.
+export class Bars {
+  constructor(scene, radius, opacity = 1) {
+    this.scene = scene;
+    this.geometry = new THREE.CylinderGeometry(radius, radius, 1, 8, 1);
+    this.material = new THREE.MeshLambertMaterial({ transparent: opacity < 1, opacity, depthWrite: opacity === 1 });
+    this.mesh = null;
+    this.shown = null;
+  }
+
+  set(body, colour) {
+    this.material.color.set(colour);
+    if (body === this.shown) return;
+    this.shown = body;
+    const count = (body?.length ?? 0) / 6;
+    if (this.mesh && this.mesh.instanceMatrix.count < count) {
+      this.scene.remove(this.mesh);
+      this.mesh.dispose();
+      this.mesh = null;
+    }
+    if (!this.mesh && count > 0) {
+      this.mesh = new THREE.InstancedMesh(this.geometry, this.material, count);
+      this.mesh.frustumCulled = false;
+      this.scene.add(this.mesh);
+    }
+    if (!this.mesh) return;
+    this.mesh.count = count;
+    const [from, to, along, turn, size, matrix] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3(), new THREE.Quaternion(), new THREE.Vector3(), new THREE.Matrix4()];
+    for (let k = 0; k < count; k += 1) {
+      from.fromArray(body, 6 * k);
+      to.fromArray(body, 6 * k + 3);
+      const length = along.subVectors(to, from).length();
+      turn.setFromUnitVectors(UP, along.divideScalar(length || 1));
+      this.mesh.setMatrixAt(k, matrix.compose(from.add(to).multiplyScalar(0.5), turn, size.set(1, length, 1)));
+    }
+    this.mesh.instanceMatrix.needsUpdate = true;
+  }
+}
+
+// The bodies of regions; a half-space shows the square of its plane near the arm.
+export function obstacleMesh(region, colour, reach) {
+  const material = new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.35, side: THREE.DoubleSide, depthWrite: false });
+  const mesh = new THREE.Mesh(undefined, material);
+  if (region.sphere) {
+    mesh.geometry = new THREE.SphereGeometry(region.sphere.radius, 24, 16);
+    mesh.position.fromArray(region.sphere.centre);
+  } else if (region.box) {
+    mesh.geometry = new THREE.BoxGeometry(...region.box.size);
+    mesh.position.fromArray(region.box.centre);
+    if (region.box.orientation) mesh.quaternion.fromArray(region.box.orientation);
+  } else if (region.half_space) {
+    const { point, normal } = region.half_space;
+    mesh.geometry = new THREE.PlaneGeometry(2 * reach, 2 * reach);
+    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), new THREE.Vector3().fromArray(normal).normalize());
+    mesh.position.fromArray(point);
+  }
+  mesh.add(new THREE.LineSegments(new THREE.EdgesGeometry(mesh.geometry, 30), new THREE.LineBasicMaterial({ color: colour })));
+  return mesh;
+}
+
+// Points (x, y, z, how dense) of the density, in the base's frame.
+export function cloud(points, size, colour) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(points.flatMap(([x, y, z]) => [x, y, z]), 3));
+  const material = new THREE.PointsMaterial({ size, color: colour, transparent: true, opacity: 0.22, depthWrite: false });
+  return new THREE.Points(geometry, material);
+}
+
+export function frameOf(rows) {
+  return new THREE.Matrix4().set(...rows.flat());
+}

@@ -1,0 +1,145 @@
+// A spatial arm in three.js. The server tells line segments; this only draws them.
+
+import * as THREE from "three";
+import { OrbitControls } from "/static/vendor/OrbitControls.js";
+import { listenInSpace } from "./space-input.js";
+import { Bars, cloud, frameOf, obstacleMesh } from "./space-parts.js";
+
+export class SpaceView {
+  constructor(stage, arm, editor) {
+    Object.assign(this, { stage, arm, editor, state: null, waypoints: [], obstacles: [], sketch: null });
+    this.bodies = { commanded: null, measured: null };
+    this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
+    this.canvas = this.renderer.domElement;
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("aria-label", "The arm in space");
+    stage.replaceChildren(this.canvas);
+    this.scene = new THREE.Scene();
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8890a0, 2.6));
+    const sun = new THREE.DirectionalLight(0xffffff, 1.4);
+    sun.position.set(2, -3, 5);
+    this.scene.add(sun);
+    this.camera = new THREE.PerspectiveCamera(40, 1, arm.length / 500, arm.length * 50);
+    this.camera.up.set(0, 0, 1);
+    this.orbit = new OrbitControls(this.camera, this.canvas);
+    this.orbit.addEventListener("change", () => this.draw());
+    const thin = arm.length / 260;
+    this.bars = { measured: new Bars(this.scene, thin), commanded: new Bars(this.scene, thin * 0.7, 0.55), ghosts: [] };
+    this.tip = new THREE.Mesh(new THREE.SphereGeometry(3 * thin, 16, 12), new THREE.MeshLambertMaterial());
+    this.goal = new THREE.Mesh(new THREE.OctahedronGeometry(4 * thin), new THREE.MeshLambertMaterial({ wireframe: true }));
+    this.target = new THREE.Mesh(new THREE.OctahedronGeometry(4 * thin), new THREE.MeshLambertMaterial());
+    this.path = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineDashedMaterial({ dashSize: 3 * thin, gapSize: 3 * thin }));
+    this.stray = new THREE.Mesh(new THREE.SphereGeometry(1, 24, 16), new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.12, depthWrite: false }));
+    this.regions = new THREE.Group();
+    this.scene.add(this.tip, this.goal, this.target, this.path, this.stray, this.regions);
+    this.grid = new THREE.GridHelper(2 * arm.length, 20, 0xffffff, 0xffffff); // its colour comes with each picture
+    this.grid.rotation.x = Math.PI / 2;
+    this.grid.position.set(arm.base[0][3], arm.base[1][3], arm.base[2][3]);
+    const axes = new THREE.AxesHelper(arm.length / 8);
+    axes.applyMatrix4(frameOf(arm.base));
+    this.scene.add(this.grid, axes);
+    this.input = listenInSpace(this);
+    this.fit();
+    new ResizeObserver(() => this.draw()).observe(stage);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    this.loadDensity();
+  }
+
+  async loadDensity() {
+    if (!this.arm.density) return;
+    const response = await fetch(`/arms/${this.arm.name}/density`);
+    if (!response.ok) return;
+    this.cloud = cloud(await response.json(), this.arm.density.pixel * 2, 0x808890);
+    this.cloud.applyMatrix4(frameOf(this.arm.base));
+    this.scene.add(this.cloud);
+    this.draw();
+  }
+
+  fit() {
+    const { base, length } = this.arm;
+    const middle = new THREE.Vector3(0, 0, length * 0.4).applyMatrix4(frameOf(base));
+    this.orbit.target.copy(middle);
+    this.camera.position.set(middle.x + 1.3 * length, middle.y - 1.7 * length, middle.z + 0.7 * length);
+    this.orbit.update();
+    this.draw();
+  }
+
+  zoomBy(factor) {
+    this.camera.position.sub(this.orbit.target).divideScalar(factor).add(this.orbit.target);
+    this.orbit.update();
+    this.draw();
+  }
+
+  draw() {
+    if (this.pending) return;
+    this.pending = requestAnimationFrame(() => {
+      this.pending = null;
+      this.paint();
+    });
+  }
+
+  paint() {
+    const { clientWidth: width, clientHeight: height } = this.stage;
+    if (width === 0) return;
+    if (this.size !== `${width} ${height}`) {
+      this.size = `${width} ${height}`;
+      this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+    }
+    const style = getComputedStyle(this.stage);
+    const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+    const { bodies, state, editor } = this;
+    this.bars.measured.set(bodies.measured, colour("measured"));
+    const same = String(bodies.commanded) === String(bodies.measured);
+    this.bars.commanded.set(same ? [] : bodies.commanded, colour("commanded"));
+    this.paintGhosts(colour("ghost"));
+    this.place(this.tip, state?.tip?.position, colour("measured"));
+    this.place(this.target, state?.target?.position, colour("goal"));
+    const last = editor.points.at(-1);
+    this.place(this.goal, last?.position, colour("ghost"));
+    this.input.follow(last);
+    this.paintPath(colour("goal"));
+    this.paintRegions(colour("obstacle"));
+    this.grid.material.color.set(colour("edge"));
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  place(mesh, position, colour) {
+    mesh.visible = Boolean(position);
+    if (!position) return;
+    mesh.position.fromArray(position);
+    mesh.material.color.set(colour);
+  }
+
+  // The planned configurations, and a ball as wide as the tip strays on the way to the first.
+  paintGhosts(colour) {
+    const { plan } = this.editor;
+    const points = plan?.accepted ? plan.waypoints.filter((waypoint) => waypoint.body).slice(0, 20) : [];
+    while (this.bars.ghosts.length < points.length) this.bars.ghosts.push(new Bars(this.scene, this.arm.length / 300, 0.45));
+    this.bars.ghosts.forEach((bars, k) => bars.set(points[k]?.body ?? [], colour));
+    this.place(this.stray, points[0]?.excursion ? points[0].position : null, colour);
+    this.stray.scale.setScalar(points[0]?.excursion || 1);
+  }
+
+  paintPath(colour) {
+    const points = (this.waypoints.length > 1 ? this.waypoints : this.editor.points).map((point) => new THREE.Vector3(...point.position));
+    this.path.visible = points.length > 1;
+    if (points.length < 2) return;
+    this.path.geometry.dispose();
+    this.path.geometry = new THREE.BufferGeometry().setFromPoints(points);
+    this.path.computeLineDistances();
+    this.path.material.color.set(colour);
+  }
+
+  paintRegions(colour) {
+    const all = [...this.obstacles, ...(this.sketch ? [this.sketch] : [])];
+    const now = JSON.stringify([all, colour]);
+    if (now === this.shownRegions) return;
+    this.shownRegions = now;
+    for (const mesh of this.regions.children) mesh.geometry.dispose();
+    this.regions.clear();
+    for (const region of all) this.regions.add(obstacleMesh(region, colour, this.arm.length));
+  }
+}
