@@ -8,10 +8,13 @@ from typing import Any, get_args
 
 import msgspec
 
+import hyperbit
 from controller import cli, settings
 from controller.motion import bias, codes, degrade, goal, jog, obstacles, setpoint
+from controller.program.parts import Mode
 from drivers.simulation.variants import VARIANTS
 from tests.pages.page import ROOT
+from tests.pages.payloads import payloads
 
 
 def structs() -> Iterator[type[msgspec.Struct]]:
@@ -95,6 +98,7 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "keys": keys,
     "faults": faults,
     "result codes": result_codes,
+    "modes": lambda: set(get_args(Mode)),
     "methods": lambda: set(get_args(settings.Method)),
     "module types": lambda: {str(kind.__struct_config__.tag) for kind in get_args(settings.ModuleSettings)},
     "variants": lambda: set(VARIANTS),
@@ -102,6 +106,10 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "make targets": targets,
     "units": units,
     "arms": shipped_arms,
+    "names of the library": lambda: set(hyperbit.__all__),
 }
-for struct in structs():
+for key in ("answer", "state", "feedback", "result", "diagnostics", "arm"):
+    TABLES[f"payload of {key}"] = lambda key=key: payloads()[key]  # type: ignore[misc]
+STRUCTS = {struct.__name__: struct for struct in structs()}
+for struct in STRUCTS.values():
     TABLES[f"fields of {struct.__name__}"] = lambda struct=struct: fields(struct)  # type: ignore[misc]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -27,16 +28,17 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def daemon(folders, tmp_path_factory: pytest.TempPathFactory) -> Iterator[running.Daemon]:
     """Returns the endpoint of a daemon with the simulated boards of planar16, which is started once it is needed."""
     with ExitStack() as stack:
-        endpoints: list[str] = []
+        endpoints: list[tuple[subprocess.Popen[bytes], str]] = []
 
         def start() -> str:
             if not endpoints:
                 arm = running.ROOT / "deploy" / "planar16.yaml"
                 process, endpoint = stack.enter_context(demo.started(arm, tmp_path_factory.mktemp("daemon")))
-                with connected("planar16", endpoint, None) as client:
-                    demo.wait_until_ready(client, process.poll)
-                endpoints.append(endpoint)
-            return endpoints[0]
+                endpoints.append((process, endpoint))
+            process, endpoint = endpoints[0]
+            with connected("planar16", endpoint, None) as client:
+                demo.wait_until_ready(client, process.poll)  # the example before may have stopped the arm
+            return endpoint
 
         yield start
 
