@@ -73,10 +73,6 @@ def test_guarding_that_ends_after_life_time_is_the_loss_of_the_master():
     assert it.say(GUARD) == [(0x705, "7f"), OVER]
 
 
-def test_a_standard_board_answers_no_remote_frame():
-    assert bench("standard").say(GUARD) == []
-
-
 def test_one_supervision_refuses_heartbeats_until_guarding_is_off():
     it = bench("one-supervision")
     assert it.sdo("40 0c 10 00") == "4b 0c 10 00 f4 01 00 00"
@@ -87,10 +83,9 @@ def test_one_supervision_refuses_heartbeats_until_guarding_is_off():
     assert it.wait(0.1) == [(0x705, "7f")]
 
 
-def test_an_unsupervised_board_notices_nothing():
-    it = bench("unsupervised")
-    assert it.sdo("23 16 10 01 2c 01 7f 00").endswith(NO_OBJECT)
-    assert it.say(GUARD) == []
+def test_boards_without_guarding_answer_no_remote_frame_and_an_unsupervised_one_takes_no_heartbeat():
+    assert bench("standard").say(GUARD) == bench("unsupervised").say(GUARD) == []
+    assert bench("unsupervised").sdo("23 16 10 01 2c 01 7f 00").endswith(NO_OBJECT)
 
 
 def test_outputs_in_rpdo5_wait_until_it_is_enabled():
