@@ -85,6 +85,7 @@ COMMANDS = {
     "figure5": Entry(
         "report", "figure5", "Repeat the paper's experiment of section 4: three targets, three algorithms."
     ),
+    "bench": Entry("bench", "bench", "Compare methods of inverse kinematics on goals whose fewest switches are proven."),
     "check": Entry("health", "check", "Say all that is wrong in an arm's file, by field."),
     "probe": Entry(
         "probe", "probe", "Find the nodes of a CAN bus and tell what each is and holds; writes nothing on them."

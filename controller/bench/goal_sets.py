@@ -79,7 +79,12 @@ def goal_frame(position: tuple[float, ...], angle: float | None) -> Frame:
 @cache
 def load_arm(name: str) -> Arm:
     """Returns an arm of the sets."""
-    return load(FOLDER / "arms" / f"{name}.yaml")
+    return load(arm_path(name))
+
+
+def arm_path(name: str) -> Path:
+    """Returns the path of an arm's file."""
+    return FOLDER / "arms" / f"{name}.yaml"
 
 
 def read(name: str) -> list[Task]:

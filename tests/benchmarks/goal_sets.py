@@ -79,8 +79,9 @@ LATTICES = ("lattice-slides", "lattice-turns", "lattice-mixed", "lattice-space",
 SCENES = {f"planar16-{name}": 35 for name in ("pillar", "gate", "room", "clutter")}
 SCENES |= {f"platform8-{name}": 30 for name in ("spheres", "corner")}
 
-# How the goals of a set are drawn, its seed, and how many for each arm.
-RECIPES: dict[str, tuple[Draw, int, dict[str, int]]] = {
+Recipe = tuple[Draw, int, dict[str, int]]  # how goals are drawn, a seed, and how many for each arm
+
+RECIPES: dict[str, Recipe] = {
     "paper": (position, 1, {"planar16": 1000}),
     "paper-poses": (pose, 2, {"planar16": 200}),
     "planar16": (position, 3, {"planar16": 200}),
@@ -92,9 +93,9 @@ RECIPES: dict[str, tuple[Draw, int, dict[str, int]]] = {
 }
 
 
-def drawn(name: str) -> list[tuple[str, Drawn]]:
+def drawn(recipe: Recipe) -> list[tuple[str, Drawn]]:
     """Returns the goals of a set, each with the name of its arm."""
-    draw, seed, counts = RECIPES[name]
+    draw, seed, counts = recipe
     seeds = [(arm, [seed, k, n]) for k, (arm, count) in enumerate(counts.items()) for n in range(count)]
     return [(arm, draw(load_arm(arm), np.random.default_rng(own))) for arm, own in seeds]
 
@@ -162,7 +163,7 @@ def main() -> None:
     lines = list(csv.DictReader(path.open(newline="", encoding="utf-8"))) if path.exists() else []
     rows: list[dict[str, str]] = []
     bounds = 0
-    for n, (arm, asked) in enumerate(drawn(given.set)):
+    for n, (arm, asked) in enumerate(drawn(RECIPES[given.set])):
         kept = n < len(known) and same(known[n], arm, asked)
         if kept and given.again:
             again(known[n], given.seconds)

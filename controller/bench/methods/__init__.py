@@ -1,0 +1,97 @@
+"""The methods that can be compared, by name.
+
+A method is a function `prepare(arm)`. It takes a controller.bench.arm.BenchArm and returns a function
+`solve(goal, start)`. `solve` takes a hyperbit.Goal and a configuration, integers (B,), and returns a configuration, or
+None if it finds none. `solve` may return an object instead whose `configuration` is the answer. The object's
+`certificate` ("optimal", "unreachable") and `bound` (no valid configuration has fewer switches) are checked, if there
+are any. A method raises NotImplementedError for an arm or a goal that the method is not made for.
+"""
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from controller.bench.arm import BenchArm
+    from controller.library.goals import Goal
+    from controller.manipulator.manipulator import Configuration
+
+Solve = Callable[["Goal", "Configuration"], Any]
+Prepare = Callable[["BenchArm"], Solve]
+
+
+class Entry(NamedTuple):
+    """A method that comes with the benchmark: where it is, "module:function", and what it is."""
+
+    target: str
+    summary: str
+
+
+ROOM = "controller.bench.methods"
+METHODS = {
+    "minimum-switch": Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
+    "ipop-previous": Entry(f"{ROOM}.hyperbit:ipop_previous", "hyperbit's IPOP with its exact table"),
+    "ipop-contracted": Entry(f"{ROOM}.hyperbit:ipop_contracted", "hyperbit's IPOP that prefers contracted actuators"),
+    "pop": Entry(f"{ROOM}.hyperbit:pop", "hyperbit's POP with its exact table"),
+    "meet-in-the-middle": Entry(
+        f"{ROOM}.planar_positions:meet_in_the_middle", "plain, both halves listed to 5 switches; planar positions"
+    ),
+    "pop-printed": Entry(
+        f"{ROOM}.planar_positions:pop_printed",
+        "POP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996); planar positions",
+    ),
+    "ipop-printed": Entry(
+        f"{ROOM}.planar_positions:ipop_printed",
+        "IPOP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996), but similarity counts actuators; planar"
+        " positions",
+    ),
+    "k-switch-3": Entry(
+        f"{ROOM}.planar_positions:k_switch_3",
+        "k-switch search, re-implemented from a description (Lees, Chirikjian 1996); planar positions",
+    ),
+    "k-switch-4": Entry(f"{ROOM}.planar_positions:k_switch_4", "the same with k = 4"),
+    "two-by-two": Entry(
+        f"{ROOM}.planar_positions:two_by_two_search",
+        "re-implemented from a description (Motahari, Zohoor, Korayem 2013); planar positions",
+    ),
+    "rounding": Entry(
+        f"{ROOM}.planar_positions:rounding", "continuous least squares, rounded, then coordinate descent; trusses"
+    ),
+    "annealing-10ms": Entry(
+        f"{ROOM}.planar_positions:annealing_10ms", "simulated annealing for 10 ms a goal; planar positions"
+    ),
+    "coordinate-descent": Entry(f"{ROOM}.plain:coordinate_descent", "greedy: the best single module, again and again"),
+    "random-search": Entry(f"{ROOM}.plain:random_search", "the best of 2,000 random configurations"),
+}
+
+
+def find_method(target: str) -> Prepare:
+    """Returns the function that "module:function" or "file.py:function" names. Modules of the working directory count.
+
+    Raises:
+        ValueError: there is none.
+    """
+    place, _, name = target.rpartition(":")
+    if not place or not name.isidentifier():
+        raise ValueError(f"{target!r}: module:function or file.py:function is needed")
+    try:
+        if place.endswith(".py"):
+            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
+            assert spec is not None
+            assert spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            spec.loader.exec_module(module)
+        else:
+            if (here := str(Path.cwd())) not in sys.path:
+                sys.path.insert(0, here)
+            module = importlib.import_module(place)
+    except Exception as error:
+        raise ValueError(f"{target!r}: {place} cannot be imported: {type(error).__name__}: {error}") from error
+    found = getattr(module, name, None)
+    if not callable(found):
+        raise ValueError(f"{target!r}: {place} has no function {name!r}")
+    return found  # type: ignore[no-any-return]

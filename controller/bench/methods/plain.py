@@ -1,0 +1,85 @@
+"""The plainest methods, for any arm and goal: coordinate descent and random search. They set the scale."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.bench.arm import BenchArm
+from controller.bench.methods import Solve
+from controller.library.goals import Goal
+from controller.manipulator.frames import angle_between
+from controller.manipulator.manipulator import Configuration
+
+SAMPLES = 2_000
+
+Array = NDArray[np.float64]
+
+
+def excess(tips: Array, goal: Goal) -> Array:
+    """Returns by how much tips (n, 4, 4) miss the tolerances, in tolerances, shape (n,); 0 within both."""
+    target, tolerance = goal.target, goal.tolerance or 1.0
+    position = np.asarray(goal.position, dtype=float)
+    misses = np.linalg.norm(tips[:, : len(position), 3] - position, axis=1) / tolerance
+    result = np.maximum(misses - 1.0, 0.0)
+    if goal.orientation is not None:
+        turned = np.array([angle_between(tip, target) for tip in tips]) / (goal.angle_tolerance or math.pi)
+        result = result + np.maximum(turned - 1.0, 0.0)
+    return np.asarray(result)
+
+
+def coordinate_descent(arm: BenchArm) -> Solve:
+    """Prepares coordinate descent.
+
+    From the start, the best state of the best module is taken, again and again, until the tip is within the tolerances
+    or no single module betters it. Of states that serve, one of fewest switches is taken.
+    """
+    m, clearance = arm.model.manipulator, arm.clearance
+    modules, states = np.nonzero(np.arange(m.frames.shape[1]) < m.states[:, None])
+
+    def solve(goal: Goal, start: Configuration) -> Configuration:
+        own = start.copy()
+        least = float(excess(m.tip(own)[None], goal)[0])
+        while least > 0:
+            chain = m.chain(own)
+            # What follows each module: frame of the tip in frame F_i, shape (B, 4, 4).
+            after = np.linalg.inv(chain[1:]) @ chain[-1]
+            tips = chain[modules] @ m.frames[modules, states] @ after[modules]
+            misses = excess(tips, goal)
+            others = np.tile(own, (len(modules), 1))
+            others[np.arange(len(modules)), modules] = states
+            misses[clearance.blocked(others)] = np.inf
+            switches = (m.bits[modules, states] != m.bits[modules, start[modules]]).sum(axis=1)
+            best = int(np.lexsort((switches, misses))[0])
+            if misses[best] >= least:
+                break
+            own, least = others[best], float(misses[best])
+        return own
+
+    return solve
+
+
+def random_search(arm: BenchArm) -> Solve:
+    """Prepares random search.
+
+    The start with a random number of modules in random states, drawn again and again. Of those that serve, one of
+    fewest switches is taken, otherwise the nearest.
+    """
+    m, clearance = arm.model.manipulator, arm.clearance
+    rng = np.random.default_rng(0)
+
+    def solve(goal: Goal, start: Configuration) -> Configuration:
+        drawn = rng.integers(0, m.states, (SAMPLES, len(start)))
+        kept = rng.random((SAMPLES, len(start))) >= rng.random((SAMPLES, 1))
+        every = np.where(kept, start, drawn)
+        misses = excess(m.tips(every), goal)
+        near = np.argsort(misses, kind="stable")[:100]
+        near = near[~clearance.blocked(every[near])]
+        if len(near) == 0:
+            return start
+        served = near[misses[near] == 0]
+        if len(served) == 0:
+            return np.asarray(every[near[0]])
+        return np.asarray(min(every[served], key=lambda own: m.switches(start, own)))
+
+    return solve

@@ -1,0 +1,76 @@
+"""Methods for positions of planar arms without obstacles, each a file of its own, for the benchmark."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from controller.bench.arm import BenchArm
+from controller.bench.methods import Solve, annealing, continuous, k_switch, meeting, paper_ipop, paper_pop, two_by_two
+from controller.library.goals import Goal
+from controller.manipulator.manipulator import Configuration
+
+
+def suited(arm: BenchArm) -> BenchArm:
+    """Returns an arm that these methods are made for.
+
+    Raises:
+        NotImplementedError: they are not made for it.
+    """
+    if not arm.model.manipulator.planar or arm.obstacles:
+        raise NotImplementedError("planar arms without obstacles only")
+    return arm
+
+
+def solving(tables: Any, solve: Callable[[Any, Any, Configuration, float], Configuration]) -> Solve:
+    """Returns what solves a goal, see controller.bench.methods."""
+
+    def solved(goal: Goal, start: Configuration) -> Configuration:
+        if goal.orientation is not None or goal.tolerance is None:
+            raise NotImplementedError("positions only")
+        return solve(tables, np.array(goal.position, dtype=float), start, goal.tolerance)
+
+    return solved
+
+
+def meet_in_the_middle(arm: BenchArm) -> Solve:
+    """Prepares plain meet in the middle."""
+    return solving(meeting.prepare(suited(arm).model.manipulator, arm.densities), meeting.solve)
+
+
+def pop_printed(arm: BenchArm) -> Solve:
+    """Prepares POP as printed."""
+    return solving(paper_pop.prepare(suited(arm).model.manipulator, arm.densities), paper_pop.solve)
+
+
+def ipop_printed(arm: BenchArm) -> Solve:
+    """Prepares IPOP as printed."""
+    return solving(paper_ipop.prepare(suited(arm).model.manipulator, arm.densities), paper_ipop.solve)
+
+
+def k_switch_3(arm: BenchArm) -> Solve:
+    """Prepares the k-switch search."""
+    return solving(k_switch.prepare(suited(arm).model.manipulator, None, switches=3), k_switch.solve)
+
+
+def k_switch_4(arm: BenchArm) -> Solve:
+    """Prepares the k-switch search."""
+    return solving(k_switch.prepare(suited(arm).model.manipulator, None, switches=4), k_switch.solve)
+
+
+def two_by_two_search(arm: BenchArm) -> Solve:
+    """Prepares the two-by-two search."""
+    return solving(two_by_two.prepare(suited(arm).model.manipulator, None), two_by_two.solve)
+
+
+def annealing_10ms(arm: BenchArm) -> Solve:
+    """Prepares simulated annealing."""
+    return solving(annealing.prepare(suited(arm).model.manipulator, None, seconds=0.01), annealing.solve)
+
+
+def rounding(arm: BenchArm) -> Solve:
+    """Prepares rounding of a continuous solution."""
+    try:
+        return solving(continuous.prepare(suited(arm).model.manipulator, None), continuous.solve)
+    except ValueError as error:
+        raise NotImplementedError(str(error)) from None

@@ -1,0 +1,68 @@
+"""The goal sets: complete, valid, and proven again in part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller.bench.arm import bench_arm
+from controller.bench.checking import check
+from controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, spread
+from controller.config import load
+from tests.benchmarks.goal_sets import RECIPES, again, drawn, same
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+COUNTS = {"paper": 1000} | dict.fromkeys(
+    ("paper-poses", "planar16", "revolute24", "platform8", "motor12", "lattice", "obstacles"), 200
+)
+
+
+def test_every_set_is_complete_and_has_its_proofs():
+    assert set(SETS) == set(COUNTS) == set(RECIPES) == {path.stem for path in (FOLDER / "sets").glob("*.csv")}
+    for name, count in COUNTS.items():
+        tasks = read(name)
+        assert len(tasks) == count
+        assert all(task.bound <= task.switches for task in tasks)
+        assert sum(task.proven for task in tasks) == count
+    assert sum(path.stat().st_size for path in (*FOLDER.glob("arms/*"), *FOLDER.glob("sets/*"))) < 1_000_000
+
+
+@pytest.mark.parametrize("name", ["planar16", "revolute24", "platform8", "motor12"])
+def test_the_arms_are_those_of_deploy(name):
+    own, deployed = load_arm(name), load(DEPLOY / f"{name}.yaml")
+    assert np.array_equal(own.manipulator.frames, deployed.manipulator.frames)
+    assert np.array_equal(own.manipulator.bits, deployed.manipulator.bits)
+    assert own.tolerance == deployed.tolerance
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_the_best_configurations_serve(name):
+    arms = {arm: bench_arm(arm) for arm in by_arm(read(name))}
+    for task in read(name):
+        outcome = check(arms[task.arm], task, task.best, 0.0)
+        assert (outcome.solved, outcome.switches) == (True, task.switches), outcome
+        assert arms[task.arm].clearance.where(task.start) is None
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_a_sample_is_proven_again(name):
+    cheap = [task for task in read(name) if task.switches <= 7]
+    for task in spread(cheap, 8):
+        again(task, 60.0)
+
+
+@pytest.mark.parametrize("name", ["paper", "paper-poses", "obstacles"])
+def test_a_set_is_what_its_recipe_draws(name):
+    draw, seed, counts = RECIPES[name]
+    few = dict.fromkeys(counts, 2)
+    tasks = [own[k] for own in by_arm(read(name)).values() for k in range(2)]
+    for task, (arm, asked) in zip(tasks, drawn((draw, seed, few)), strict=True):
+        assert same(task, arm, asked)
+
+
+def test_few_goals_are_spread_over_all_arms():
+    tasks = read("obstacles")
+    assert set(by_arm(spread(tasks, 12))) == set(by_arm(tasks))
+    assert spread(tasks, 500) == tasks
