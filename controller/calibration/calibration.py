@@ -1,11 +1,19 @@
-"""An arm's calibration: the base set upright first, then all numbers fitted, and tried on samples held out."""
+"""An arm's calibration: the base is set by Kabsch first, then all numbers are fitted and cross-validated.
 
+Cross-validation fits the arm anew without each fold, from the file's numbers, and judges the fit by the fold. Samples
+of one configuration are in one fold: a tip that was measured twice tells nothing new. The modules' new numbers count as
+better only if they meet the folds better than the file's modules do with a fitted base: a tracker in another frame
+changes the base, and nothing else.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from controller.calibration.fit import CannotFit, Fit, angles, distances, fit
+from controller.calibration.fit import CannotFit, angles, distances, fit, plausible
 from controller.calibration.model import Array, Model
 from controller.calibration.parameters import (
     Description,
@@ -70,8 +78,12 @@ class Calibration:
         samples: how many there are.
         aside: lines of those set aside.
         before: misfit of the arm as in the file, over the samples kept, as all that follow.
+        base_only: of the arm whose base alone is fitted.
         after: of the calibrated one.
-        held_out: of arms fitted to four fifths of the samples, over the fifth that each has not seen.
+        held_out: cross-validated: of arms fitted to four fifths of the samples, over the fifth that each has not seen.
+        held_out_base_only: the same of arms whose base alone is fitted.
+        better: whether the modules' new numbers meet the samples held out better than the file's numbers with a fitted
+            base, in mean square and by more than two standard errors.
         noise: standard deviation of a coordinate, and of a turn [rad] if there are any.
         loose: how many directions in the space of parameters are held by the file, not by the samples.
         changes: of all parameters.
@@ -81,17 +93,15 @@ class Calibration:
     samples: int
     aside: tuple[int, ...]
     before: Misfit
+    base_only: Misfit
     after: Misfit
     held_out: Misfit
+    held_out_base_only: Misfit
+    better: bool
     noise: Array
     loose: int
     changes: tuple[Change, ...]
     description: Description
-
-    @property
-    def better(self) -> bool:
-        """Whether samples that it has not seen are met better than by the file."""
-        return self.held_out.position.rms < self.before.position.rms
 
 
 def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
@@ -112,17 +122,22 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
     chosen = parameters(in_file, length, len(arm.manipulator.modules))
     if len(chosen) > MOST_PARAMETERS:
         raise CannotFit(f"{len(chosen)} numbers would be fitted, at most {MOST_PARAMETERS} can be")
-    model = Model({**in_file, "base": base_under(arm, samples)}, chosen)
-    found = fit(model, samples, length)
+    fold = folds(samples.configurations)
+    model, base_model = models(arm, samples, in_file, chosen)
+    found, base_found = fit(model, samples, length), fit(base_model, samples, length)
     new = rounded(model.changed(found.steps))
     original = Model(in_file, chosen)
     kept, still = samples.only(found.kept), np.zeros(len(chosen))
+    unseen, unseen_base = held_out(arm, samples, in_file, chosen, fold)
     return Calibration(
         samples=len(samples.tips),
         aside=tuple(samples.lines[~found.kept].tolist()),
         before=misfit([(original, kept, still)]),
+        base_only=misfit([(base_model, kept, base_found.steps)]),
         after=misfit([(Model(new, chosen), kept, still)]),
-        held_out=misfit(held_out(model, samples, length, found)),
+        held_out=misfit(unseen),
+        held_out_base_only=misfit(unseen_base),
+        better=better(unseen, unseen_base),
         noise=found.noise,
         loose=found.loose,
         changes=tuple(
@@ -163,18 +178,62 @@ def onto(points: Array, others: Array) -> Frame:
     return frame
 
 
-def held_out(model: Model, samples: Samples, length: float, found: Fit) -> list[tuple[Model, Samples, Array]]:
-    """Returns models fitted without some samples, each with those, and the parameters' changes."""
-    fold = np.arange(len(samples.tips)) % FOLDS
-    result = []
+def models(arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Parameter]) -> tuple[Model, Model]:
+    """Returns the models whose numbers are fitted: all of them, and those of the base."""
+    description = {**in_file, "base": base_under(arm, samples)}
+    return Model(description, chosen), Model(description, [parameter for parameter in chosen if parameter.part == 0])
+
+
+def folds(configurations: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns the fold of each sample, shape (n,): samples of one configuration (B,) are in one fold.
+
+    Raises:
+        CannotFit: there are fewer configurations than folds.
+    """
+    _, group, sizes = np.unique(configurations, axis=0, return_inverse=True, return_counts=True)
+    if len(sizes) < FOLDS:
+        raise CannotFit(f"{len(sizes)} different configurations, at least {FOLDS} are needed")
+    drawn = np.random.default_rng(0).permutation(len(sizes))
+    fold, filled = np.empty(len(sizes), dtype=np.int64), np.zeros(FOLDS, dtype=np.int64)
+    for k in drawn[np.argsort(-sizes[drawn], kind="stable")]:  # the largest first, each to the emptiest fold
+        fold[k] = filled.argmin()
+        filled[fold[k]] += sizes[k]
+    return fold[group.ravel()]
+
+
+Compared = list[tuple[Model, Samples, Array]]
+
+
+def held_out(
+    arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Parameter], fold: NDArray[np.int64]
+) -> tuple[Compared, Compared]:
+    """Returns models fitted without each fold, each with the fold and the parameters' changes; and of the base alone.
+
+    A sample of the fold is left out of both only if it is too far off to be noise for both: then it is an outlier
+    whatever the modules are.
+    """
+    length, every, base_only = arm.manipulator.length, Compared(), Compared()
     for k in range(FOLDS):
-        if (unseen := found.kept & (fold == k)).any():
-            steps = fit(model, samples.only(fold != k), length, found.steps).steps
-            result.append((model, samples.only(unseen), steps))
-    return result
+        seen, unseen = samples.only(fold != k), samples.only(fold == k)
+        model, base_model = models(arm, seen, in_file, chosen)
+        found, base_found = fit(model, seen, length), fit(base_model, seen, length)
+        near = plausible(model, unseen, length, found) | plausible(base_model, unseen, length, base_found)
+        if near.any():
+            every.append((model, unseen.only(near), found.steps))
+            base_only.append((base_model, unseen.only(near), base_found.steps))
+    if not every:
+        raise CannotFit("no sample is met by an arm that is fitted to the others")
+    return every, base_only
 
 
-def misfit(compared: list[tuple[Model, Samples, Array]]) -> Misfit:
+def better(compared: Compared, others: Compared) -> bool:
+    """Returns whether models meet the same samples better than others do, by more than two standard errors."""
+    first, second = (np.concatenate([distances(*each) for each in part]) ** 2 for part in (compared, others))
+    gain = second - first
+    return bool(gain.mean() > 2 * gain.std() / np.sqrt(len(gain)))
+
+
+def misfit(compared: Compared) -> Misfit:
     """Returns the residuals of models with changes over samples, all together."""
     position = np.concatenate([distances(*each) for each in compared])
     if not compared[0][1].oriented:

@@ -116,20 +116,19 @@ class Problem:
         return np.asarray((square <= 2 * gammaincinv(residuals.shape[1] / 2, GATE)) & ~turned)
 
 
-def fit(model: Model, samples: Samples, length: float, begin: Array | None = None) -> Fit:
+def fit(model: Model, samples: Samples, length: float) -> Fit:
     """Returns the changes of the parameters that suit the samples best.
 
     Args:
         model: of the arm.
         samples: what was measured.
         length: of the arm.
-        begin: changes to begin with, shape (P,).
 
     Raises:
         CannotFit: there are too few samples, or the least squares fail.
     """
     problem = Problem(model, samples, length)
-    x = np.zeros(len(model.parameters)) if begin is None else begin / problem.priors
+    x = np.zeros(len(model.parameters))
     check_enough(problem, x)
     every = np.ones(len(samples.tips), dtype=bool)
     noise, told = problem.scales(problem.residuals(x), robust=True, told=0.0), 0.0
@@ -159,6 +158,12 @@ def fit(model: Model, samples: Samples, length: float, begin: Array | None = Non
         kept=last,
         noise=noise,
     )
+
+
+def plausible(model: Model, samples: Samples, length: float, found: Fit) -> NDArray[np.bool_]:
+    """Returns which samples (n,) a fit to others meets as nearly as its noise allows."""
+    problem = Problem(model, samples, length)
+    return problem.within(found.steps / problem.priors, found.noise)
 
 
 def check_enough(problem: Problem, x: Array) -> None:

@@ -54,7 +54,9 @@ def calibrate(
     else:
         show(found)
     if not found.better:
-        raise Failed("the new numbers meet samples held out no better than the file's do; nothing is written")
+        raise Failed(
+            "the new numbers meet samples held out no better than the file's do with a fitted base; nothing is written"
+        )
 
 
 def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
@@ -104,7 +106,13 @@ def payload(found: Calibration) -> dict[str, Any]:
 
 def misfits(found: Calibration) -> dict[str, Misfit]:
     """Returns the residuals by their names."""
-    return {"before": found.before, "after": found.after, "held_out": found.held_out}
+    return {
+        "before": found.before,
+        "base_only": found.base_only,
+        "after": found.after,
+        "held_out": found.held_out,
+        "held_out_base_only": found.held_out_base_only,
+    }
 
 
 def show(found: Calibration) -> None:

@@ -28,7 +28,13 @@ def main() -> None:
         found = calibrated(arm, samples, each=each)
         seconds = time.perf_counter() - began
         print(f"{'every leg by itself' if each else 'as in the file'}: {len(found.changes)} numbers, {seconds:.1f} s")
-        for name, misfit in (("before", found.before), ("after", found.after), ("held out", found.held_out)):
+        for name, misfit in (
+            ("before", found.before),
+            ("base only", found.base_only),
+            ("after", found.after),
+            ("held out", found.held_out),
+            ("held out, base only", found.held_out_base_only),
+        ):
             values = ", ".join(
                 f"{kind} {r.rms:.3g} / {r.most:.3g} / {r.worst:.3g}"
                 for kind, r in (("position", misfit.position), ("orientation", misfit.orientation))

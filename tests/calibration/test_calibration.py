@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from controller.calibration.calibration import calibrated
+from controller.calibration import calibration
+from controller.calibration.calibration import FOLDS, calibrated, folds
 from controller.calibration.fit import CannotFit
 from controller.calibration.model import Model
 from controller.calibration.parameters import described, parameters, value_at
@@ -16,6 +17,7 @@ from controller.manipulator import frames
 from tests.calibration.making import ARMS, NOISE, TRUSSES, TURN, arm_of, erring, measured
 
 KINDS = pytest.mark.parametrize("kind", ARMS)
+pytestmark = pytest.mark.timeout(900)  # a calibration is twelve fits: seconds alone, minutes beside other programs
 
 
 @KINDS
@@ -52,7 +54,7 @@ def test_tips_of_the_real_arm_are_met_as_well_as_they_were_measured(tmp_path, ki
 
 def test_parameters_are_as_near_as_their_deviations_say(tmp_path):
     arm, off = arm_of(tmp_path, TRUSSES), []
-    for seed in range(8):
+    for seed in range(5):
         rng = np.random.default_rng(seed)
         real = erring(arm, rng)
         for change in calibrated(arm, measured(arm, real, rng, 60), each=False).changes:
@@ -134,3 +136,58 @@ def test_samples_of_another_arm_suit_none(tmp_path):
         assert not calibrated(arm, samples, each=False).held_out.position.rms < 100 * NOISE
     except CannotFit as error:
         assert "far off" in str(error)  # noqa: PT017
+
+
+def test_a_new_base_alone_is_not_called_better(tmp_path):
+    """A tracker in another frame: the file's modules meet its tips as well as any, once the base is fitted."""
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(7)
+    samples = measured(arm, erring(arm, rng, size=0.0, base=0.0), rng, 60)
+    found = calibrated(arm, replace(samples, tips=frames.planar(20, -30, 1.0) @ samples.tips), each=False)
+    assert found.before.position.rms > 10
+    assert found.base_only.position.rms == pytest.approx(NOISE * np.sqrt(2), rel=0.3)
+    assert not found.better
+
+
+def test_modules_that_err_are_called_better_than_a_new_base(tmp_path):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(1)
+    found = calibrated(arm, measured(arm, erring(arm, rng), rng, 100), each=False)
+    assert found.held_out.position.rms < 0.5 * found.held_out_base_only.position.rms
+    assert found.better
+
+
+def test_folds_keep_measurements_of_one_configuration_together():
+    rows = np.random.default_rng(0).integers(0, 3, (40, 4))
+    order = np.random.default_rng(1).permutation(np.repeat(np.arange(40), 5))
+    fold = folds(rows[order])
+    assert set(fold.tolist()) == set(range(FOLDS))
+    for row in np.unique(rows, axis=0):
+        assert len(set(fold[(rows[order] == row).all(axis=1)].tolist())) == 1
+    assert np.bincount(fold).min() > 0.5 * len(fold) / FOLDS
+
+
+def test_no_fold_learns_from_the_samples_it_is_judged_by(tmp_path, monkeypatch):
+    """Neither by a start from the fit to all samples, nor by a base or a set of outliers found with all."""
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(2)
+    samples = measured(arm, erring(arm, rng), rng, 60)
+    asked, real = [], calibration.fit
+
+    def watched(model, own, length, *others):
+        asked.append((len(own.tips), model.description["base"]))
+        assert not others
+        return real(model, own, length)
+
+    monkeypatch.setattr(calibration, "fit", watched)
+    calibrated(arm, samples, each=False)
+    fold = folds(samples.configurations)
+    sizes = [int((fold != k).sum()) for k in range(FOLDS)]
+    assert [count for count, _ in asked] == [60, 60] + [size for size in sizes for _ in range(2)]
+    for k, (_, base) in enumerate(asked[2::2]):
+        assert base == calibration.base_under(arm, samples.only(fold != k))
+
+
+def test_too_few_configurations(tmp_path):
+    arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(8)
+    samples = measured(arm, erring(arm, rng), rng, 40)
+    samples.configurations[:] = samples.configurations[np.arange(40) % 4]
+    with pytest.raises(CannotFit, match="4 different configurations, at least 5 are needed"):
+        calibrated(arm, samples, each=False)

@@ -34,6 +34,7 @@ def written(folder, arm, samples):
     return file
 
 
+pytestmark = pytest.mark.timeout(900)  # a calibration is twelve fits: seconds alone, minutes beside other programs
 SPATIAL = "configuration,x,y,z,qx,qy,qz,qw"
 
 
