@@ -25,7 +25,8 @@ Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # more is degrees, or a s
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
-Method = Literal["minimum-switch", PaperMethod]
+Variant = Literal["ipop-fewest-switches", "ipop-fewest-extended"]  # the paper's IPOP, counting actuators
+Method = Literal["minimum-switch", PaperMethod, Variant]
 OnLoss = Literal["hold", "contract"]
 ErrorState = Literal["off", "hold", "device"] | bool  # YAML reads a plain off as false
 

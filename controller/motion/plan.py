@@ -179,7 +179,7 @@ def aside(
     goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
     until = time.perf_counter() + ASIDE
     others, costs = solver.candidates(goal, previous, tolerance, OTHERS, turn)
-    methods: tuple[Method, ...] = ("ipop-previous", "pop")
+    methods: tuple[Method, ...] = ("ipop-fewest-switches", "pop")
     ranked = [others[n] for n in np.argsort(costs, kind="stable")]
     ranked += [solver.solve(goal, previous, tolerance, method, turn=turn).configuration for method in methods]
     distinct = {c.tobytes(): c for c in (cheapest.configuration, *ranked)}

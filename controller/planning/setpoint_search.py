@@ -58,7 +58,7 @@ class SetpointSearch:
         """Returns what the arm's method finds, or IPOP where that misses by far: a longer search would, too."""
         method, (solver, _, _, start, goal, tolerance) = self._arm.settings.method, query
         if method == "minimum-switch":
-            first = solver.solve(goal, start, tolerance, "ipop-previous", patience=SEARCH_TIME)
+            first = solver.solve(goal, start, tolerance, "ipop-fewest-switches", patience=SEARCH_TIME)
             if first.error > FAR * tolerance:
                 return first
         return solver.solve(goal, start, tolerance, method, SEARCH_TIME, patience=SEARCH_TIME)

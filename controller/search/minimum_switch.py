@@ -149,7 +149,7 @@ class MinimumSwitch:
         if incumbent.cost < np.inf:
             return
         target, modules = problem.target, np.arange(len(problem.seed))
-        configuration = self._paths.follow(target, problem.seed, "ipop-previous")
+        configuration = self._paths.follow(target, problem.seed, "ipop-fewest-switches")
         clear = target.scene is None or not collides(target.scene, configuration)
         served = clear and target.met(configuration)
         cost = float(problem.costs[modules, configuration].sum()) if served else np.inf

@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.descent import beam_search, descend
 from controller.search.distal_table import Wanted, build_distal_table, finish
-from controller.search.method import PaperMethod, Penalties, contraction, indifferent, mean_cost, similarity
+from controller.search.method import (
+    PaperMethod,
+    Penalties,
+    Variant,
+    contraction,
+    fewest_extended,
+    fewest_switches,
+    indifferent,
+    mean_cost,
+    similarity,
+)
 from controller.search.scene import Scene
 from controller.search.solution import Incumbent
 from controller.search.target import Target
@@ -39,7 +49,7 @@ class Paths:
         self._arm, self._levels = tables_of(manipulator), levels_of(densities)
         self._edge = densities.edge()
 
-    def follow(self, target: Target, previous: Configuration, method: PaperMethod) -> Configuration:
+    def follow(self, target: Target, previous: Configuration, method: PaperMethod | Variant) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, else the nearest seen.
 
         Among obstacles only configurations within the tolerances are sought at first, also by a beam search, and the
@@ -57,8 +67,12 @@ class Paths:
             penalties = indifferent(self.manipulator)
         elif method == "ipop-previous":
             penalties = similarity(self.manipulator, previous)
-        else:
+        elif method == "ipop-contracted":
             penalties = contraction(self.manipulator)
+        elif method == "ipop-fewest-switches":
+            penalties = fewest_switches(self.manipulator, previous)
+        else:
+            penalties = fewest_extended(self.manipulator)
         for enough in ladder:
             configuration, square, within = self._descend(aim, penalties, enough, most)
             if square < least or within:

@@ -119,7 +119,7 @@ class Solver:
         seed = np.asarray(previous, dtype=np.int64)
         target = self._target(goal, tolerance, turn)
         incumbent = Incumbent(seed, began + deadline)
-        if method in ("minimum-switch", "ipop-previous") and self._served(target, seed):
+        if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self._served(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == "minimum-switch":
             costs = switching(self.manipulator, seed, self._weights)

@@ -49,7 +49,10 @@ def test_plan_leaves_an_actuator_that_is_declared_stuck(hyperbit, tmp_path):
     assert "--previous: 0000000000000000: as actuators are stuck, module 3 has no configuration" in err
 
 
-@pytest.mark.parametrize("method", ["minimum-switch", "pop", "ipop-previous", "ipop-contracted"])
+@pytest.mark.parametrize(
+    "method",
+    ["minimum-switch", "pop", "ipop-previous", "ipop-contracted", "ipop-fewest-switches", "ipop-fewest-extended"],
+)
 def test_plan_takes_method_tolerance_and_previous(hyperbit, method):
     words = (
         "--goal",

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
 from controller.search.descent import descend
-from controller.search.method import contraction, indifferent, similarity
+from controller.search.method import contraction, fewest_extended, fewest_switches, indifferent, similarity
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from controller.workspace.reachability import Levels, levels_of, measure, tables_of
@@ -94,10 +94,29 @@ def test_each_module_takes_the_branch_that_the_two_criteria_order_first(name, se
     assert wanted == pytest.approx(goal)
 
 
-def test_similarity_counts_switches_and_the_base_most(manipulator):
+def test_similarity_counts_modules_that_do_not_remain_and_the_base_most(manipulator):
+    """As printed: "the weighted number of modules that remain in the same state as in the previous configuration"."""
+    previous = np.random.default_rng(0).integers(0, 8, 16)
+    penalties = similarity(manipulator, previous)
+    weights = np.linspace(2, 1, 16)
+    for module in range(16):
+        expected = np.full(8, weights[module])
+        expected[previous[module]] = 0
+        assert penalties[module].tolist() == expected.tolist()
+
+
+def test_contraction_counts_modules_that_are_not_fully_contracted(manipulator):
+    """As printed: "the weighted number of modules that are fully contracted (i.e. binary state 0)"."""
+    penalties = contraction(manipulator)
+    assert penalties[0].tolist() == [0, 2, 2, 2, 2, 2, 2, 2]
+    assert penalties[15].tolist() == [0, 1, 1, 1, 1, 1, 1, 1]
+    assert not indifferent(manipulator).any()
+
+
+def test_our_variant_counts_switches_and_the_base_most(manipulator):
     rng = np.random.default_rng(0)
     previous, other = rng.integers(0, 8, (2, 16))
-    penalties = similarity(manipulator, previous)
+    penalties = fewest_switches(manipulator, previous)
     module = np.arange(16)
     assert (penalties[module, previous] == 0).all()
     own = penalties[module, other] / np.linspace(2, 1, 16)
@@ -105,9 +124,8 @@ def test_similarity_counts_switches_and_the_base_most(manipulator):
     assert penalties[0, previous[0] ^ 1] == 2 * penalties[15, previous[15] ^ 1] == 2
 
 
-def test_contraction_counts_extended_actuators(manipulator):
-    penalties = contraction(manipulator)
+def test_our_variant_counts_extended_actuators(manipulator):
+    penalties = fewest_extended(manipulator)
     assert (penalties[:, 0] == 0).all()
     assert penalties[0].tolist() == [0, 2, 2, 4, 2, 4, 4, 6]
     assert penalties[15].tolist() == [0, 1, 1, 2, 1, 2, 2, 3]
-    assert not indifferent(manipulator).any()

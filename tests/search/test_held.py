@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from controller.manipulator.held import carried, hold
 from controller.motion.lookahead import LookAhead
 from controller.motion.trajectory import through
+from controller.search.method import METHODS
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
@@ -41,7 +42,7 @@ def test_brute_force_agrees_and_what_is_held_stays(case, seed, tolerance):
 
 
 @settings(max_examples=40)
-@given(held_arms(), st.integers(0, 2**32 - 1), st.sampled_from(["pop", "ipop-previous", "ipop-contracted"]))
+@given(held_arms(), st.integers(0, 2**32 - 1), st.sampled_from(METHODS[1:]))
 def test_the_papers_methods_reach_what_a_tip_of_the_arm_that_is_left_marks(case, seed, method):
     arm, held = case
     left = hold(arm, held)

@@ -96,7 +96,7 @@ def test_goals_in_sequence_are_met_proven_and_cheaper_than_ipop(arm, densities):
     previous = np.zeros(16, dtype=np.int64)
     proven = 0
     for goal in goals:
-        ipop = solver.solve(goal, previous, 0.002, "ipop-previous")
+        ipop = solver.solve(goal, previous, 0.002, "ipop-fewest-switches")
         found = solver.solve(goal, previous, 0.002, deadline=10.0)
         assert found.within_tolerance
         assert found.bound <= found.cost == found.switches <= ipop.switches
@@ -126,7 +126,7 @@ def test_no_time_at_all_still_gives_ipops_answer_or_better(arm, densities):
     previous = np.zeros(16, dtype=np.int64)
     found = solver.solve((0.55, 2.9), previous, 0.002, deadline=0.0)
     assert found.within_tolerance
-    assert found.switches <= solver.solve((0.55, 2.9), previous, 0.002, "ipop-previous").switches
+    assert found.switches <= solver.solve((0.55, 2.9), previous, 0.002, "ipop-fewest-switches").switches
 
 
 def test_heavy_actuators_rest(arm, densities):
@@ -158,7 +158,7 @@ def test_long_and_spatial_arms():
         previous = rng.integers(0, arm.states)
         for _ in range(3):
             goal = arm.tip(rng.integers(0, arm.states))[: arm.dimension, 3]
-            ipop = solver.solve(goal, previous, tolerance, "ipop-previous")
+            ipop = solver.solve(goal, previous, tolerance, "ipop-fewest-switches")
             found = solver.solve(goal, previous, tolerance)
             assert found.within_tolerance >= ipop.within_tolerance
             assert not ipop.within_tolerance or found.cost <= ipop.cost
@@ -210,7 +210,7 @@ def test_the_beam_saves_a_long_arm_most_of_ipops_switches():
     saved = []
     for _ in range(5):
         goal = arm.tip(rng.integers(0, arm.states))[:2, 3]
-        ipop = solver.solve(goal, previous, 0.005, "ipop-previous")
+        ipop = solver.solve(goal, previous, 0.005, "ipop-fewest-switches")
         found = solver.solve(goal, previous, 0.005, deadline=10.0)
         assert found.within_tolerance
         saved.append(found.switches / ipop.switches)
