@@ -28,7 +28,7 @@ command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt
 # A running program imports modules late and must not find those of another version. Whether the boards may lose the
 # heartbeat now is the operator's decision.
 running=
-for service in hyperbit hyperbit-executor; do
+for service in hyperbit hyperbit-executor hyperbit-panel; do
   case $(systemctl is-active "$service.service" 2>/dev/null) in
   active | activating | reloading | deactivating) running="$running $service" ;;
   esac
@@ -40,8 +40,11 @@ running="$running ${instances% }"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
-"$prefix/bin/pip" install --quiet --upgrade "$project"
-install -m 644 "$project/README.md" "$prefix/README.md"
+"$prefix/bin/pip" install --quiet --upgrade "$project[panel]"
+rm -rf "$prefix/README.md" "$prefix/doc"
+(cd "$project" && find README.md controller deploy drivers tests -name README.md) | while IFS= read -r page; do
+  install -D -m 644 "$project/$page" "$prefix/doc/$page"
+done
 ln -sf "$prefix/bin/hyperbit" /usr/local/bin/hyperbit
 
 echo "checking $arm"
@@ -77,7 +80,7 @@ keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # Static: the planner's user and operators reach the executor's socket by this group.
 systemd-sysusers --inline 'g hyperbit -'
-for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@; do
+for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
 
@@ -93,5 +96,6 @@ Installed and enabled. Next:
   systemctl start hyperbit                               start planner and executor
   journalctl -f -u hyperbit -u hyperbit-executor         read their messages
   hyperbit watch /etc/hyperbit/arm.yaml                  watch the arm
+  systemctl start hyperbit-panel                         serve the operator's page, see README.md
   usermod --append --groups hyperbit USER                let USER run `hyperbit halt --local`
 TEXT

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import logging
 import signal
 import sys
 import threading
@@ -32,22 +31,28 @@ def run(
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
     zenoh_file: ZenohFile = None,
     ledger: Annotated[Path | None, typer.Option(help="Where the ledger is kept, the switch journal beside it.")] = None,
+    panel: Annotated[
+        bool, typer.Option("--panel", help="Serve the operator's page, too, and print its address.")
+    ] = False,
 ) -> None:
     """Run the daemon: goals over Zenoh to an executor, which moves the arm, until SIGTERM."""
     if simulate and socket is not None:
         raise InputFaults(Path("run"), ["give --simulate to the executor at --socket, not to this command"])
     if board and not simulate:
         raise InputFaults(Path("run"), ["--board is for simulated boards: give --simulate as well"])
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    if panel and zenoh_file is not None:
+        raise InputFaults(Path("run"), ["with --zenoh start the page by itself: hyperbit panel --zenoh FILE"])
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
 
     from controller.actuators import ending_time, read_wired
-    from controller.gateway.executor_process import PATIENCE, ExecutorProcess
+    from controller.gateway.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
+    from controller.journal import start_logging
     from controller.scheduling import shorten_slice
     from controller.sockets import socket_path
 
     shorten_slice()  # of this process's threads, so that a stop waits less for other processes
     settings, actuators, _ = read_wired(file)
+    start_logging({"HYPERBIT_ARM": settings.name})
     path = socket_path(socket, settings.name)
     with contextlib.ExitStack() as stack:
         executor = None
@@ -55,7 +60,17 @@ def run(
             journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # the counts of this ledger alone
             executor = ExecutorProcess(file, path, simulate=simulate, journal=journal, board=board)
             stack.callback(executor.close, PATIENCE + ending_time(settings, len(actuators)))
+        if panel:
+            page = [sys.executable, "-m", "controller.cli", "panel", "--connect", reachable(listen)]
+            stack.callback(end_child, start_child(page))
         serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
+
+
+def reachable(listen: str) -> str:
+    """Returns the endpoint by which this computer connects to one that is listened at."""
+    for every in ("/0.0.0.0:", "/[::]:"):
+        listen = listen.replace(every, "/127.0.0.1:")
+    return listen
 
 
 def serve(

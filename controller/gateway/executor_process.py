@@ -1,4 +1,4 @@
-"""The executor as a child process of `hyperbit run`, for those who have no service manager."""
+"""Child processes of `hyperbit run`, the executor first of all, for those who have no service manager."""
 
 import ctypes
 import os
@@ -33,16 +33,7 @@ class ExecutorProcess:
         command = [sys.executable, "-m", "controller.cli", "execute", str(file), "--socket", str(path)]
         command += ["--journal", str(journal)] if journal else []
         command += [f"--board={word}" for word in board]
-        parent, prctl = os.getpid(), ctypes.CDLL(None).prctl  # looked up before the fork
-
-        def die_with_parent() -> None:
-            prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-            if os.getppid() != parent:  # it was killed meanwhile
-                os._exit(1)
-
-        self._process = subprocess.Popen(
-            command + ["--simulate"] * simulate, preexec_fn=die_with_parent, start_new_session=True, env=environment()
-        )
+        self._process = start_child(command + ["--simulate"] * simulate)
 
     @property
     def pid(self) -> int:
@@ -55,12 +46,29 @@ class ExecutorProcess:
 
     def close(self, timeout: float = PATIENCE) -> None:
         """Ends the executor, by force after `timeout` seconds."""
-        self._process.terminate()
-        try:
-            self._process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_child(self._process, timeout)
+
+
+def start_child(command: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Starts a program in a session of its own, which the kernel ends with this process."""
+    parent, prctl = os.getpid(), ctypes.CDLL(None).prctl  # looked up before the fork
+
+    def die_with_parent() -> None:
+        prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:  # it was killed meanwhile
+            os._exit(1)
+
+    return subprocess.Popen(command, preexec_fn=die_with_parent, start_new_session=True, env=environment())
+
+
+def end_child(process: subprocess.Popen[bytes], timeout: float = PATIENCE) -> None:
+    """Ends a program, by force after `timeout` seconds."""
+    process.terminate()
+    try:
+        process.wait(timeout)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def environment() -> dict[str, str]:

@@ -16,6 +16,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from controller.gateway import session
+from controller.notify import Notifier
 from controller.panel.access import Access, Listed, cookie_key, digest_of, new_token, read_people
 from controller.panel.app import Panel
 from controller.panel.requests import MOST_BYTES
@@ -24,6 +25,7 @@ from controller.strict import InputFaults
 log = logging.getLogger(__name__)
 
 MOST_CONNECTIONS = 500
+WATCHDOG_EVERY = 2.0  # [s]
 
 
 class Address(NamedTuple):
@@ -144,7 +146,8 @@ async def _serve(panel: Panel, address: Address, tls: Tls | None, tokens: dict[s
 
 
 async def _announce(server: uvicorn.Server, address: Address, secure: bool, tokens: dict[str, str]) -> None:
-    """Prints the address once it is listened at; without a file of people, with the tokens of this start."""
+    """Prints the address once it is listened at, with the tokens of this start, if any; then feeds the watchdog."""
+    notifier = Notifier()
     while not server.started:
         await asyncio.sleep(0.02)
     port = server.servers[0].sockets[0].getsockname()[1]
@@ -153,6 +156,11 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
     for line in lines:
         sys.stdout.write(f"hyperbit panel, {line}\n")
     sys.stdout.flush()
+    notifier.send("READY=1")
+    notifier.send(f"STATUS=serving at {url}")
+    while True:
+        notifier.send("WATCHDOG=1")
+        await asyncio.sleep(WATCHDOG_EVERY)
 
 
 def common_name(transport: Any) -> str | None:

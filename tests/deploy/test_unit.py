@@ -11,12 +11,13 @@ import pytest
 
 from tests.keys import DEPLOY
 
-EXECUTOR, PLANNER = 1.2, 1.6  # greatest exposure allowed, of `systemd-analyze security`
+EXECUTOR, PLANNER, PANEL = 1.2, 1.6, 1.5  # greatest exposure allowed, of `systemd-analyze security`
 EXPOSURE = {
     "hyperbit-executor": EXECUTOR,
     "hyperbit": PLANNER,
     "hyperbit-executor@": EXECUTOR,  # of one of several arms
     "hyperbit@": PLANNER,
+    "hyperbit-panel": PANEL,
 }
 UNITS = {name: DEPLOY / f"{name}.service" for name in EXPOSURE}
 
@@ -108,6 +109,18 @@ def test_service_is_watched_and_restarted(name: str) -> None:
     unit = settings(UNITS[name])
     assert (unit["Type"], unit["Restart"], unit["StartLimitIntervalSec"]) == (["notify"], ["always"], ["0"])
     assert 0 < int(unit["WatchdogSec"][0]) <= 10
+
+
+def test_the_panel_is_off_at_first_and_reaches_no_can() -> None:
+    panel = settings(UNITS["hyperbit-panel"])
+    install = (DEPLOY / "install.sh").read_text()
+    assert "hyperbit-panel" in install
+    assert "enable hyperbit-panel" not in install.replace("--now ", "")
+    assert "AF_CAN" not in panel["RestrictAddressFamilies"][0]
+    assert panel["DynamicUser"] == ["yes"]
+    assert "Group" not in panel, "the executor's socket is not for it"
+    assert "--people" in panel["ExecStart"][0]
+    assert "--listen" not in panel["ExecStart"][0], "the loopback interface, as long as nobody asks for another"
 
 
 def test_units_of_instances_differ_in_names_and_folders_only() -> None:
