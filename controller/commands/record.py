@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -50,14 +49,15 @@ def record(
     most, kept = parse_size(size, "--size"), None if keep is None else parse_size(keep, "--keep")
     if not 0.0 < minutes < 1e6:
         raise InputFaults(Path("--minutes"), [f"a number above 0 is needed, got {minutes:g}"])
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     require("mcap")
 
+    from controller.journal import start_logging
     from controller.notify import Notifier
     from controller.recorder.folder import CAN_LOG, Folder, FolderInUse
     from controller.recorder.heard import Ear
     from controller.recorder.recorder import Limits, Recorder
 
+    start_logging({"HYPERBIT_ARM": name})
     ending, notifier = threading.Event(), Notifier()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ending.set())

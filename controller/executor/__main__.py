@@ -72,7 +72,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     except ValueError as error:
         raise InputFaults(Path("--board"), [str(error)]) from None
     with contextlib.ExitStack() as closing:  # the log last
-        closing.callback(start_logging())
+        closing.callback(start_logging(arm.name))
         counts = FileJournal(journal or default_path(arm.name), arm.actuators)
         closing.callback(counts.close)
         server = Server(socket_path(socket, arm.name))

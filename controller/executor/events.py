@@ -1,5 +1,7 @@
 """What goes into the executor's core and what comes out, as plain data."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from controller.program import Down, Up
@@ -74,10 +76,11 @@ class Notify(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A line of the log, with a level of the module logging."""
+    """A line of the log, with a level of the module logging, and fields for the journal."""
 
     level: int
     text: str
+    fields: Mapping[str, str] = MappingProxyType({})
 
 
 Action = Send | ToClient | Notify | Log

@@ -15,6 +15,8 @@ from collections import deque
 from collections.abc import Callable
 from logging.handlers import QueueHandler, QueueListener
 
+from controller.journal import JournalHandler, is_journal
+
 MOST_WAITING = 1_000  # log lines; more are dropped
 MOST_WRITTEN = 4_096  # bytes at once; a pipe that can be written takes so many without waiting
 PATIENCE = 0.5  # [s] for lines that wait at the end
@@ -69,8 +71,15 @@ class QueuedLines(QueueHandler):
             return
 
 
-def start_logging() -> Callable[[], None]:
-    """Has all log lines written to the standard error; returns what writes the lines that wait at the end."""
+def start_logging(arm: str) -> Callable[[], None]:
+    """Has all log lines written to the standard error, or to the journal if that is what the standard error is.
+
+    Args:
+        arm: its name, a field of each line in the journal.
+
+    Returns:
+        What writes the lines that wait at the end.
+    """
     output, form = sys.stderr.fileno(), logging.Formatter("%(levelname)s %(name)s: %(message)s")
     handler: logging.Handler = LogLines(output)
     end = handler.close
@@ -82,6 +91,9 @@ def start_logging() -> Callable[[], None]:
         listener.start()
         end = listener.stop
     handler.setFormatter(form)
+    if is_journal(output):
+        handler = JournalHandler(handler, {"HYPERBIT_ARM": arm})
+        end = handler.close
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     for name in ("can", "canopen"):  # each SDO of simulated boards, for one
         logging.getLogger(name).setLevel(logging.WARNING)

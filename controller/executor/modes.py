@@ -7,6 +7,7 @@ from controller.executor.events import Action, Log, Notify
 from controller.executor.locked import LockedActuators
 from controller.executor.motion import Motion
 from controller.executor.reports import Reports
+from controller.journal import fields_of_fault, fields_of_mode
 from controller.program import Mode
 from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
@@ -85,7 +86,8 @@ class Modes:
     def enter(self, mode: Mode, reason: str) -> None:
         """Enters a mode, and says so in the log and to systemd."""
         if (mode, reason) != (self.mode, self.reason):
-            self._act(Log(logging.WARNING if mode in ("fault", "stopped") else logging.INFO, f"{mode}: {reason}"))
+            level = logging.WARNING if mode in ("fault", "stopped") else logging.INFO
+            self._act(Log(level, f"{mode}: {reason}", fields_of_mode(mode)))
             self._act(Notify(f"STATUS={mode}: {reason}"))
         self.mode, self.reason, self._reports.changed = mode, reason, True
 
@@ -118,7 +120,7 @@ class Modes:
     def fail(self, fault: Fault, now: float) -> None:
         """Holds, ends the program, and waits for Reset or recovery; during a boot, the end of the boot decides."""
         if self.faults.add(fault):
-            self._act(Log(logging.ERROR, f"{fault.code}: {fault.message}"))
+            self._log(logging.ERROR, fault)
         self._reports.changed = True
         self._motion.end("aborted", fault.message)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._booting):
@@ -151,9 +153,9 @@ class Modes:
     def _booted(self, now: float) -> None:
         for fault in (*self._master.boot_faults, *self._motion.interlocks()):
             if self.faults.add(fault):
-                self._act(Log(logging.ERROR, f"{fault.code}: {fault.message}"))
+                self._log(logging.ERROR, fault)
         for warning in self._master.warnings():
-            self._act(Log(logging.WARNING, f"{warning.code}: {warning.message}"))
+            self._log(logging.WARNING, warning)
         if self.faults:
             self._enter_fault(self.faults.sentence(), now)
         else:
@@ -161,6 +163,9 @@ class Modes:
             motion = self._motion
             motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
             self.go_on(now)
+
+    def _log(self, level: int, fault: Fault) -> None:
+        self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))
 
     def _enter_fault(self, reason: str, now: float) -> None:
         self.new_epoch()

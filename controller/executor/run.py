@@ -140,7 +140,7 @@ class EventLoop:
             case Notify():
                 self._notifier.send(action.text)
             case Log():
-                log.log(action.level, "%s", action.text)
+                log.log(action.level, "%s", action.text, extra={"journal": action.fields})
             case _:
                 pass
 

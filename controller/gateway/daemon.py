@@ -19,6 +19,7 @@ from controller.gateway.server import Server
 from controller.gateway.session import connects, lease, reachable
 from controller.gateway.status_reporter import StatusReporter
 from controller.gateway.warnings import Warnings
+from controller.journal import fields_of_result
 from controller.notify import Notifier
 from controller.planning.ledger import Ledger
 from controller.planning.link import ExecutorLink
@@ -74,6 +75,8 @@ def running(
         def publish(key: str, payload: Payload) -> None:
             if key != "feedback":
                 goals.ended(payload.get("id"))
+                told, words = fields_of_result(payload), payload.get("message")
+                log.info("goal %s %s: %s", payload.get("id"), payload.get("status"), words, extra={"journal": told})
             outbox.publish(key, payload)
 
         link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)

@@ -10,6 +10,7 @@ import msgspec
 import zenoh
 
 from controller.gateway.encoding import JSON, encode
+from controller.journal import fields_of_fault, message_id
 from controller.notify import Notifier
 from controller.planning.messages import Payload
 from controller.program import Fault
@@ -52,6 +53,7 @@ class StatusReporter:
         self._of_state, self._of_diagnostics, self._changed = state, diagnostics, changed
         self._warnings, self._outbox, self._notifier = warnings, outbox, notifier
         self._status = ""
+        self._faults = set[tuple[str, str]]()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="status-reporter", daemon=True)
         self._thread.start()
@@ -81,11 +83,23 @@ class StatusReporter:
             payload = {**state, "faults": merged(state.get("faults", ()), warnings)}
             self._state.put(encode(payload))
             status = f"{state.get('mode')}: {state.get('reason')}"
+            self._log_faults(payload["faults"])
             if status != self._status:
                 self._status = status
                 self._notifier.send(f"STATUS={status}")
         except Exception:
             log.exception("the state was not published")
+
+    def _log_faults(self, faults: Iterable[Mapping[str, Any]]) -> None:
+        """Writes faults that begin, and those that are over, into the journal, with the fields to look for them."""
+        active = {(fault["code"], fault["source"]): fault["message"] for fault in faults}
+        for (code, source), message in active.items():
+            if (code, source) not in self._faults:
+                log.error("%s: %s", code, message, extra={"journal": fields_of_fault(code, source)})
+        for code, source in self._faults - active.keys():
+            fields = {**fields_of_fault(code, source), "MESSAGE_ID": message_id("fault-over")}
+            log.info("%s at %s is over", code, source, extra={"journal": fields})
+        self._faults = set(active)
 
     def _diagnose(self) -> None:
         try:

@@ -1,0 +1,149 @@
+"""Log lines for systemd's journal, with fields: `journalctl -u hyperbit HYPERBIT_BOARD=3`, and MESSAGE_IDs for -x.
+
+A kind of message has one id for ever, made of its name; deploy/hyperbit.catalog explains the kinds. The journal's
+native protocol is a datagram of NAME=value lines; a value with a line break has its length before it.
+"""
+
+import logging
+import os
+import re
+import socket
+import stat
+import sys
+import uuid
+from collections import deque
+from collections.abc import Mapping
+
+SOCKET = "/run/systemd/journal/socket"
+KINDS = uuid.UUID("5d1f2f6c-6b0e-4c53-9d0a-7b1f3b7c9a21")  # the name space of the ids
+MOST_WAITING = 1_000  # datagrams; more are dropped
+MOST_TEXT = 60_000  # bytes of a message; a datagram of a few times that is taken at once
+PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))  # syslog's
+BOARD = re.compile(r"(?P<bus>[\w.-]+)/(?P<board>\d+)\b")
+ACTUATOR = re.compile(r"(?P<actuator>\d+\.[\w-]+)(?: |\Z)")
+BUS = re.compile(r"[\w.-]+\Z")
+
+Fields = Mapping[str, str]
+
+
+def message_id(kind: str) -> str:
+    """Returns the MESSAGE_ID of a kind of message, such as a fault's code: 32 hexadecimal digits."""
+    return uuid.uuid5(KINDS, kind).hex
+
+
+def fields_of_fault(code: str, source: str) -> dict[str, str]:
+    """Returns the fields of a fault or warning by its code and source: fault, board, bus, actuator."""
+    fields = {"MESSAGE_ID": message_id(code), "HYPERBIT_FAULT": code, "HYPERBIT_SOURCE": source}
+    if (actuator := ACTUATOR.match(source)) is not None:
+        fields["HYPERBIT_ACTUATOR"] = actuator["actuator"]
+    if (board := BOARD.search(source)) is not None:
+        fields |= {"HYPERBIT_BUS": board["bus"], "HYPERBIT_BOARD": board["board"]}
+    elif actuator is None and BUS.match(source) and code.startswith(("bus-", "foreign-")):
+        fields["HYPERBIT_BUS"] = source
+    return fields
+
+
+def fields_of_mode(mode: str) -> dict[str, str]:
+    """Returns the fields of a change of the mode."""
+    return {"MESSAGE_ID": message_id(f"mode-{mode}"), "HYPERBIT_MODE": mode}
+
+
+def fields_of_result(payload: Mapping[str, object]) -> dict[str, str]:
+    """Returns the fields of a goal's result by its payload."""
+    told = {f"HYPERBIT_{name}": str(payload.get(name.lower())) for name in ("STATUS", "CODE")}
+    return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **told}
+
+
+class JournalHandler(logging.Handler):
+    """Sends each record to the journal without waiting: what it does not take now goes before the next record.
+
+    Where the journal's socket is missing, or refuses, the records go to another handler.
+
+    Args:
+        other: takes the records that the journal does not.
+        common: fields of every record.
+        path: of the journal's socket.
+    """
+
+    def __init__(self, other: logging.Handler, common: Fields, path: str = SOCKET) -> None:
+        super().__init__()
+        self._other, self._path = other, path
+        self._common = {"SYSLOG_IDENTIFIER": "hyperbit", **common}
+        self._waiting = deque[bytes](maxlen=MOST_WAITING)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Sends a record, or keeps it, or hands it to the other handler."""
+        try:
+            data = datagram({**self._common, **fields_of(record)})
+        except Exception:  # a message that does not fit its arguments must not stop the arm
+            self._other.handle(record)
+            return
+        self._waiting.append(data)
+        try:
+            while self._waiting:
+                self._socket.sendto(self._waiting[0], self._path)
+                self._waiting.popleft()
+        except BlockingIOError:
+            return
+        except OSError:  # there is no journal any more
+            self._waiting.clear()
+            self._other.handle(record)
+
+    def setFormatter(self, fmt: logging.Formatter | None) -> None:  # as logging has it
+        """Sets the format of the lines that the other handler takes."""
+        self._other.setFormatter(fmt)
+
+    def close(self) -> None:
+        """Closes the socket, and the other handler."""
+        self._socket.close()
+        self._other.close()
+        super().close()
+
+
+def start_logging(common: Fields) -> None:
+    """Has log lines written to the journal, if the standard error is the journal's, else to the standard error."""
+    lines = logging.StreamHandler(sys.stderr)
+    lines.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    handler = JournalHandler(lines, common) if is_journal(sys.stderr.fileno()) else lines
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+
+
+def is_journal(output: int) -> bool:
+    """Returns whether a file descriptor is the stream to the journal that systemd has opened for this process."""
+    device, _, inode = os.environ.get("JOURNAL_STREAM", "").partition(":")
+    if not device.isdecimal() or not inode.isdecimal():
+        return False
+    try:
+        about = os.fstat(output)
+    except OSError:
+        return False
+    return stat.S_ISSOCK(about.st_mode) and (about.st_dev, about.st_ino) == (int(device), int(inode))
+
+
+def fields_of(record: logging.LogRecord) -> dict[str, str]:
+    """Returns the fields of a record; those of its attribute `journal` among them."""
+    text = record.getMessage()
+    if record.exc_info:
+        text += "\n" + logging.Formatter().formatException(record.exc_info)
+    return {
+        "MESSAGE": text,
+        "PRIORITY": str(next((number for level, number in PRIORITIES if record.levelno >= level), 7)),
+        "LOGGER": record.name,
+        "CODE_FILE": record.pathname,
+        "CODE_LINE": str(record.lineno),
+        "CODE_FUNC": record.funcName or "",
+        **getattr(record, "journal", {}),
+    }
+
+
+def datagram(fields: Fields) -> bytes:
+    """Returns fields in the journal's native protocol."""
+    data = bytearray()
+    for name, value in fields.items():
+        encoded = value.encode(errors="backslashreplace")[:MOST_TEXT]
+        if b"\n" in encoded:
+            data += name.encode() + b"\n" + len(encoded).to_bytes(8, "little") + encoded + b"\n"
+        else:
+            data += name.encode() + b"=" + encoded + b"\n"
+    return bytes(data)
