@@ -13,7 +13,6 @@ from matplotlib.image import imread
 from controller.config import load
 from controller.panel.access import Access, Listed, Person, TooManyWrong, digest_of, read_people
 from controller.panel.drawing import Drawing, cloud, picture
-from controller.panel.faults import ADVICE
 from controller.panel.pages import Allowance, Page
 from controller.panel.serve import parse_address, serve, zenoh_configuration
 from controller.planning.description import density, description, drawing
@@ -158,15 +157,6 @@ def test_densities_are_pictures_in_the_plane_and_clouds_in_space() -> None:
     low, high = densities.box(0)
     assert (points[:, :3] >= low - 1e-3).all()
     assert (points[:, :3] <= high + 1e-3).all()
-
-
-def test_every_fault_has_advice() -> None:
-    root = DEPLOY.parent
-    table = (root / "README.md").read_text().split("| what happened | `faults` |")[1].split("**Actuators that fail")[0]
-    codes = set(re.findall(r"`([a-z]+(?:-[a-z]+)+)`", table)) - {"bus-down`"}
-    known = {code for code in codes if code not in ("restart-ms",)}
-    assert {"bus-down", "foreign-master", "end-stops", "in-obstacle"} <= known
-    assert known <= ADVICE.keys(), known - ADVICE.keys()
 
 
 @pytest.mark.parametrize("text", ["", "7480", ":7480", "localhost", "localhost:x", "localhost:70000", "a:²"])
