@@ -13,6 +13,8 @@ A mark is an HTML comment on the line before an example or a table. Fenced block
     <!-- prints -->              each line of the text is a line that the example before prints; `...` is any text
     <!-- table: NAME -->         the names in the first column are those that `facts.TABLES[NAME]` has
     <!-- table: NAME, column 2 -->   those of the second column; several tables of one name are one table
+
+In a table "fields of S" a column headed "example" has fields in backticks, as in `inrush: 4`, that suit the struct S.
 """
 
 from __future__ import annotations
@@ -49,11 +51,13 @@ class Table(NamedTuple):
         line: number of its first line.
         name: of the mark.
         names: in backticks in the column of the mark.
+        examples: in backticks in the column that is headed "example".
     """
 
     line: int
     name: str
     names: list[str]
+    examples: list[str]
 
 
 class Page(NamedTuple):
@@ -113,7 +117,9 @@ def read(path: Path) -> Page:
             while k < len(lines) and lines[k].startswith("|"):
                 k += 1
             name, _, column = marks["table"].partition(", column ")
-            tables.append(Table(begin, name, named(lines[begin + 1 : k], int(column or 1))))
+            rows, headings = lines[begin + 1 : k], [cell.strip() for cell in lines[begin - 1].split("|")]
+            given = named(rows, headings.index("example")) if "example" in headings else []
+            tables.append(Table(begin, name, named(rows, int(column or 1)), given))
             prose += lines[begin - 1 : k]
             marks = {}
         elif marks and line:

@@ -105,13 +105,14 @@ def read_fields(text: str, file: Path, where: str) -> None:
     given = yaml.safe_load(text)
     assert isinstance(given, dict), f"{where}: no fields of an arm's file"
     whole = {name: copy.deepcopy(document()[name]) for name in ("name", "modules", "tolerance", "buses", "actuators")}
-    wired = whole.pop("actuators")
-    if "modules" not in given or "actuators" in given:
-        given_wired = {(entry["module"], entry["actuator"]): entry for entry in given.get("actuators", [])}
-        kept = [] if "modules" in given else [e for e in wired if (e["module"], e["actuator"]) not in given_wired]
-        given["actuators"] = kept + list(given_wired.values())
-        if "buses" in given:
-            given["buses"] += [bus for bus in whole["buses"] if bus["name"] not in {b["name"] for b in given["buses"]}]
+    if "modules" in given:
+        whole = {
+            name: whole[name] for name in ("name", "tolerance", "buses") if name != "buses" or "actuators" in given
+        }
+    wired = {(entry["module"], entry["actuator"]): entry for entry in whole.get("actuators", [])}
+    wired |= {(entry["module"], entry["actuator"]): entry for entry in given.pop("actuators", [])}
+    buses = {bus["name"]: bus for bus in [*whole.pop("buses", []), *given.pop("buses", [])]}
+    whole |= {"actuators": list(wired.values()), "buses": list(buses.values())}
     file.write_text(yaml.safe_dump({**whole, **given}))
     load(file)
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+from collections import defaultdict
+from typing import get_type_hints
 
+import msgspec
 import pytest
+import yaml
 
 from tests.pages import facts, page, running
 
@@ -69,12 +73,16 @@ def test_each_target_of_make_exists(path):
 
 def tables() -> dict[str, list[tuple[str, page.Table]]]:
     """Returns the tables of all pages by name, each with its page's name."""
-    found: dict[str, list[tuple[str, page.Table]]] = {name: [] for name in facts.TABLES}
+    found = defaultdict[str, list[tuple[str, page.Table]]](list)
     for read in map(page.read, PAGES):
         for table in read.tables:
-            assert table.name in found, f"{read.name}:{table.line}: facts.TABLES has no {table.name!r}"
             found[table.name].append((read.name, table))
     return found
+
+
+@named
+def test_each_table_is_known(path):
+    assert {table.name for table in page.read(path).tables} <= facts.TABLES.keys()
 
 
 @pytest.mark.parametrize("name", facts.TABLES)
@@ -85,6 +93,17 @@ def test_the_table_is_that_of_the_code(name):
     assert len(places) == 1 or (not places and name not in REQUIRED), f"{name}: on {places or 'no page'}"
     if places:
         assert sorted(names) == sorted(facts.TABLES[name]()), f"{places}: the table of {name} differs from the code"
+
+
+@named
+def test_each_example_of_a_field_suits_its_type(path):
+    read = page.read(path)
+    for table in read.tables:
+        for text in table.examples:
+            ((name, value),) = yaml.safe_load(text).items()
+            struct = facts.STRUCTS[table.name.removeprefix("fields of ")]
+            assert name in table.names
+            msgspec.convert(value, get_type_hints(struct, include_extras=True)[name])
 
 
 def test_each_fault_that_the_code_makes_is_known():
