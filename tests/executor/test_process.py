@@ -35,7 +35,7 @@ from tests.keys import DEPLOY
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
 ROOMS = {
     "controller." + name
-    for name in ("actuators", "executor", "notify", "program", "scheduling", "settings", "sockets", "strict")
+    for name in ("actuators", "executor", "journal", "notify", "program", "scheduling", "settings", "sockets", "strict")
 }
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIZE = 48
