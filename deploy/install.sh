@@ -28,7 +28,7 @@ command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt
 # A running program imports modules late and must not find those of another version. Whether the boards may lose the
 # heartbeat now is the operator's decision.
 running=
-for service in hyperbit hyperbit-executor hyperbit-panel; do
+for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder; do
   case $(systemctl is-active "$service.service" 2>/dev/null) in
   active | activating | reloading | deactivating) running="$running $service" ;;
   esac
@@ -40,7 +40,7 @@ running="$running ${instances% }"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
-"$prefix/bin/pip" install --quiet --upgrade "$project[panel]"
+"$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder]"
 rm -rf "$prefix/README.md" "$prefix/doc"
 (cd "$project" && find README.md controller deploy drivers tests -name README.md) | while IFS= read -r page; do
   install -D -m 644 "$project/$page" "$prefix/doc/$page"
@@ -80,9 +80,12 @@ keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # Static: the planner's user and operators reach the executor's socket by this group.
 systemd-sysusers --inline 'g hyperbit -'
-for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel; do
+for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
+# What `journalctl -x` explains.
+install -D -m 644 "$project/deploy/hyperbit.catalog" /usr/local/lib/systemd/catalog/hyperbit.catalog
+journalctl --update-catalog
 
 # The version of one service left a link to a folder that its successor cannot use.
 [ ! -L /run/hyperbit ] || rm /run/hyperbit
@@ -97,5 +100,6 @@ Installed and enabled. Next:
   journalctl -f -u hyperbit -u hyperbit-executor         read their messages
   hyperbit watch /etc/hyperbit/arm.yaml                  watch the arm
   systemctl start hyperbit-panel                         serve the operator's page, see README.md
+  systemctl start hyperbit-recorder                      record the arm into /var/lib/hyperbit-recorder
   usermod --append --groups hyperbit USER                let USER run `hyperbit halt --local`
 TEXT

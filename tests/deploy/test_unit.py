@@ -11,13 +11,14 @@ import pytest
 
 from tests.keys import DEPLOY
 
-EXECUTOR, PLANNER, PANEL = 1.2, 1.6, 1.5  # greatest exposure allowed, of `systemd-analyze security`
+EXECUTOR, PLANNER, PANEL, RECORDER = 1.2, 1.6, 1.5, 1.5  # greatest exposure allowed, of `systemd-analyze security`
 EXPOSURE = {
     "hyperbit-executor": EXECUTOR,
     "hyperbit": PLANNER,
     "hyperbit-executor@": EXECUTOR,  # of one of several arms
     "hyperbit@": PLANNER,
     "hyperbit-panel": PANEL,
+    "hyperbit-recorder": RECORDER,
 }
 UNITS = {name: DEPLOY / f"{name}.service" for name in EXPOSURE}
 
@@ -121,6 +122,17 @@ def test_the_panel_is_off_at_first_and_reaches_no_can() -> None:
     assert "Group" not in panel, "the executor's socket is not for it"
     assert "--people" in panel["ExecStart"][0]
     assert "--listen" not in panel["ExecStart"][0], "the loopback interface, as long as nobody asks for another"
+
+
+def test_the_recorder_is_off_at_first_and_reaches_this_computer_only() -> None:
+    recorder, install = settings(UNITS["hyperbit-recorder"]), (DEPLOY / "install.sh").read_text()
+    assert "hyperbit-recorder" in install
+    assert "enable hyperbit-recorder" not in install.replace("--now ", "")
+    assert (recorder["IPAddressDeny"], recorder["IPAddressAllow"]) == (["any"], ["localhost"])
+    assert "AF_CAN" not in recorder["RestrictAddressFamilies"][0]
+    assert "Group" not in recorder, "the executor's socket is not for it"
+    assert recorder["MemoryDenyWriteExecute"] == ["yes"]
+    assert "--keep" in recorder["ExecStart"][0], "recordings must not fill the disk"
 
 
 def test_units_of_instances_differ_in_names_and_folders_only() -> None:
