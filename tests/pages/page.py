@@ -157,7 +157,8 @@ def commands(page: Page) -> list[str]:
 
 def modules(page: Page) -> list[str]:
     """Returns what a page runs with `python -m`."""
-    return [found for line in code(page) for found in re.findall(r"python3? -m ([\w.]+)", line)]
+    found = [name for line in code(page) for name in re.findall(r"python3? -m ([\w.]+)", line)]
+    return [name for name in found if name.islower()]  # NAME stands for any
 
 
 def targets(page: Page) -> list[str]:

@@ -99,6 +99,8 @@ def test_the_table_is_that_of_the_code(name):
 def test_each_example_of_a_field_suits_its_type(path):
     read = page.read(path)
     for table in read.tables:
+        if table.name.removeprefix("fields of ") not in facts.STRUCTS:
+            continue
         for text in table.examples:
             ((name, value),) = yaml.safe_load(text).items()
             struct = facts.STRUCTS[table.name.removeprefix("fields of ")]
