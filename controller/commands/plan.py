@@ -21,7 +21,7 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.commands.searching import Goals, Orientation, follow_lines, given, search
+from controller.commands.searching import Goals, Orientation, follow, given, search
 from controller.config import Arm, load
 from controller.manipulator.held import carried
 from controller.manipulator.manipulator import Configuration
@@ -68,21 +68,27 @@ def plan(
         wanted = [(*parse_goal(goal, arm.manipulator.dimension, "--goal"), None)]
     elif goals is not None:
         wanted = read_goals(arm, goals)
-    corners = [] if path_tolerance is None else on_lines(wanted, goals or Path())
+    if path_tolerance is not None:
+        check_lines(wanted, goals or Path())
     solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.left))
     solver.prepare()
     own, chosen = tolerance or arm.tolerance, method or arm.settings.method
     if end is not None:
         answers = iter([given(solver, end, start, own)])
-    elif path_tolerance is None:
+    elif goal is not None:
         answers = search(solver, wanted, start, own, turn or arm.turn, chosen)
     else:
-        answers = follow_lines(arm, solver, corners, start, own, path_tolerance, chosen)
+        answers = follow(arm, solver, wanted, start, (own, turn or arm.turn), path_tolerance, chosen)
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
-    for position, orientation, found, between in answers:
+    wholes = list[dict[str, Any]]()
+    for position, orientation, found, between, whole in answers:
         line = answer(arm, position, orientation, found)
         if path_tolerance is not None:
             line["between"] = between
+        if goals is not None:
+            line["trajectory"] = whole
+        if whole is not None and not any(whole is known for known in wholes):
+            wholes.append(whole)
         if as_json:
             print_json(line)
         table.add_row(
@@ -97,6 +103,8 @@ def plan(
         )
     if not as_json:
         console.print(table)
+        for whole in wholes:
+            console.print(sentence(whole))
     if goal is not None and not found.within_tolerance:
         away = f"{found.error:.4f} away" + ("" if orientation is None else f" and turned {found.angle:.4f} rad")
         raise Failed(f"goal {goal} is out of reach: nearest point found {shown(line['position'])}, {away}")
@@ -121,8 +129,15 @@ def answer(arm: Arm, position: list[float], orientation: Orientation, found: Sol
     }
 
 
-def on_lines(wanted: Goals, path: Path) -> list[list[float]]:
-    """Returns the positions of goals that lines run between.
+def sentence(whole: dict[str, Any]) -> str:
+    """Returns in words what is proven of a whole trajectory."""
+    proven = {"optimal": "proven to be the fewest", "bound": f"proven: at least {whole['lower_bound'] or 0:g}"}
+    weighted = "" if whole["cost"] == whole["switches"] else f" of cost {whole['cost']:.6g}"
+    return f"{whole['switches']} switches{weighted} in all; {proven.get(whole['certificate'], 'nothing is proven')}"
+
+
+def check_lines(wanted: Goals, path: Path) -> None:
+    """Checks that lines can run between goals.
 
     Raises:
         InputFaults: the goals of the file ask for what lines have not.
@@ -131,7 +146,6 @@ def on_lines(wanted: Goals, path: Path) -> list[list[float]]:
         raise InputFaults(path, ["column previous: a line begins where the one before ended"])
     if any(orientation is not None for _, orientation, _ in wanted):
         raise InputFaults(path, ["orientations: lines are followed by position only"])
-    return [position for position, _, _ in wanted]
 
 
 def turned(orientation: Orientation) -> list[float]:

@@ -1,13 +1,13 @@
-"""Goals of `plan`: each for itself, or followed along straight lines."""
+"""Goals of `plan`: each for itself, or all as one trajectory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from controller.commands.common import Failed
+from controller.commands.common import Failed, errors
 from controller.config import Arm
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Configuration
@@ -15,12 +15,32 @@ from controller.motion.codes import Refusal
 from controller.search.method import Method
 
 if TYPE_CHECKING:  # its kernels take a second to import: only those who search wait for it
+    from controller.motion.whole import Goals as Positions
     from controller.search.solution import Solution
     from controller.search.solver import Solver
 
 Orientation = float | list[float] | None
 Goals = list[tuple[list[float], Orientation, Configuration | None]]
-Answer = tuple[list[float], Orientation, "Solution", bool]
+
+
+class Answer(NamedTuple):
+    """What was found for a goal.
+
+    Attributes:
+        position: that was asked for.
+        orientation: that was asked for.
+        solution: what was found.
+        between: whether it is a point of a line between goals.
+        whole: what is proven of the whole trajectory, for JSON; None: the goal was searched for itself.
+    """
+
+    position: list[float]
+    orientation: Orientation
+    solution: Solution
+    between: bool = False
+    whole: dict[str, Any] | None = None
+
+
 Answers = Iterator[Answer]
 
 
@@ -33,13 +53,13 @@ def search(
         own = start if given is None else given
         found = solver.solve(goal, own, tolerance, method, turn=np.inf if orientation is None else turn)
         start = found.configuration
-        yield position, orientation, found, False
+        yield Answer(position, orientation, found)
 
 
 def given(solver: Solver, configuration: Configuration, start: Configuration, tolerance: float) -> Answer:
     """Returns a configuration as the solution for the position of its own tip; no search."""
     position = solver.manipulator.tip(configuration)[: solver.manipulator.dimension, 3]
-    return position.tolist(), None, solver.described(configuration, position, start, tolerance), False
+    return Answer(position.tolist(), None, solver.described(configuration, position, start, tolerance))
 
 
 def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:
@@ -49,33 +69,56 @@ def frame(position: list[float], orientation: float | list[float]) -> frames.Fra
     return frames.spatial(position, orientation)
 
 
-def follow_lines(
+def follow(
     arm: Arm,
     solver: Solver,
-    positions: list[list[float]],
+    wanted: Goals,
     start: Configuration,
-    tolerance: float,
-    path_tolerance: float,
+    tolerances: tuple[float, float],
+    path_tolerance: float | None,
     method: Method,
 ) -> Answers:
-    """Gives each point with its solution, and whether it is between goals, as a daemon with time enough plans them.
+    """Gives each point of a trajectory with its solution, as a daemon answers `plan` for a goal with enough time.
+
+    A goal with a previous configuration begins a trajectory of its own.
 
     Raises:
-        Failed: the lines cannot be followed, why.
+        Failed: the lines between the goals cannot be followed, why.
     """
-    from controller.motion.pacing import Pace
-    from controller.motion.plan import plan
-    from controller.motion.trajectory import MOST_POINTS, along
-    from controller.planning.improvement import Improvement
+    from controller.motion.pacing import pace_of
+    from controller.motion.whole import plan_whole, unhurried
 
-    pace = Pace(arm.travel_time, arm.settings.inrush, arm.settings.rest_time)
-    times = pace.unhurried * MOST_POINTS * np.arange(len(positions), dtype=np.float64)
-    try:
-        trajectory = along(times, np.array(positions, dtype=np.float64), tolerance, path_tolerance, pace)
-        found = plan(solver, trajectory, start, method, pace=pace)
-    except Refusal as refusal:
-        raise Failed(str(refusal)) from None
-    if method == "minimum-switch":
-        found = Improvement(solver, found, pace).whole()
-    for k, solution in enumerate(found.solutions):
-        yield trajectory.positions[k].tolist(), None, solution, trajectory.between(k)
+    pace = pace_of(arm.settings)
+    begins = [k for k, (_, _, given) in enumerate(wanted) if k == 0 or given is not None]
+    for first, end in zip(begins, [*begins[1:], len(wanted)], strict=True):
+        part, before = wanted[first:end], wanted[first][2]
+        start = start if before is None else before
+        try:
+            trajectory = unhurried(as_arrays(part, *tolerances), pace, path_tolerance)
+            found = plan_whole(solver, trajectory, start, method, pace)
+        except Refusal as refusal:
+            if path_tolerance is not None:
+                raise Failed(str(refusal)) from None
+            errors.print(f"not one trajectory: {refusal}; each goal is searched for itself")
+            for answer in search(solver, [(p, o, None) for p, o, _ in part], start, *tolerances, method):
+                start = answer.solution.configuration
+                yield answer
+            continue
+        whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
+        for k, solution in enumerate(found.solutions):
+            between = trajectory.between(k)
+            position, orientation, _ = part[trajectory.next(k)]
+            if between:
+                position = trajectory.positions[k].tolist()
+            yield Answer(position, orientation, solution, between, whole)
+        start = found.solutions[-1].configuration
+
+
+def as_arrays(wanted: Goals, tolerance: float, turn: float) -> Positions:
+    """Returns goals as arrays, with tolerances of their positions and orientations."""
+    from controller.motion.whole import Goals as Positions
+
+    turns = np.array([np.inf if orientation is None else turn for _, orientation, _ in wanted])
+    rotations = [np.eye(3) if o is None else frame(p, o)[:3, :3] for p, o, _ in wanted]
+    positions = np.array([position for position, _, _ in wanted], dtype=np.float64)
+    return Positions(positions, np.full(len(wanted), tolerance), np.array(rotations), turns)

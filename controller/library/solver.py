@@ -17,15 +17,14 @@ from controller.library.goals import Goal, Request, request
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
-from controller.motion.pacing import Pace
-from controller.motion.plan import plan
-from controller.motion.trajectory import MOST_POINTS, Trajectory, along
-from controller.planning.improvement import Improvement
+from controller.motion.pacing import pace_of
+from controller.motion.trajectory import MOST_POINTS
+from controller.motion.whole import WHOLE_TIME, Goals, plan_whole, unhurried
 from controller.search import solver as search
 from controller.search.method import METHODS, Method
-from controller.search.solution import Certificate, Solution, certificate
+from controller.search.solution import Certificate, Solution
 
-DEADLINE = search.DEADLINE
+DEADLINE, PATH_DEADLINE = search.DEADLINE, WHOLE_TIME
 
 Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
 
@@ -65,6 +64,11 @@ class Path:
     def cost(self) -> float:
         """Weighted number of switches along the path."""
         return sum(solution.cost for solution in self.solutions)
+
+    @property
+    def lower_bound(self) -> float | None:
+        """The bound; None if nothing is proven."""
+        return None if self.certificate == "unknown" else self.bound
 
 
 class Solver:
@@ -128,21 +132,24 @@ class Solver:
         *,
         path_tolerance: float | None = None,
         method: Method = "minimum-switch",
+        deadline: float = DEADLINE,
+        path_deadline: float = PATH_DEADLINE,
     ) -> Path:
-        """Returns a path through goals, planned as the daemon plans a trajectory with enough time.
+        """Returns a path through goals.
 
-        The method minimum-switch looks ahead: it keeps the cheapest ways to each goal, and leads them on to the next.
-        The first answers have the daemon's planning time of 0.03 s for the whole path, looking ahead has 2 s. Among
-        obstacles a goal that `solve` reaches may therefore be refused here.
+        The goals are solved one after the other, as by `solve`. Then the method minimum-switch searches for fewest
+        switches over the whole path, and for a proof. The daemon's `plan` and `hyperbit plan --goals` do the same.
 
         Args:
             goals: in their order.
             start: configuration (B,) as an array or text, solution, or path to start from; the arm's `home` if None.
             path_tolerance: the tip follows the straight lines between the goals within this distance; None: any way.
             method: one of `METHODS`.
+            deadline: time for each point's search [s], on the average.
+            path_deadline: time for the search over the whole path [s]; the order of the switches is sought after it.
 
         Raises:
-            GoalError: there is no goal, or one does not suit the arm.
+            GoalError: there is no goal, one does not suit the arm, or a deadline is no positive number.
             ConfigurationError: the start is no configuration of the arm.
             PathError: a goal is out of reach, or something is in the way.
         """
@@ -150,20 +157,20 @@ class Solver:
             raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
         if not 1 <= len(goals) <= MOST_POINTS:
             raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
+        for name, value in (("deadline", deadline), ("path_deadline", path_deadline)):
+            if not 0 < value < math.inf:
+                raise GoalError(f"{name}: a positive number of seconds is needed, got {value!r}")
         asked = [self._request(goal) for goal in goals]
-        before, pace = self._start(start), self._pace
+        before, pace = self._start(start), pace_of(self.arm._arm.settings)
         try:
-            trajectory = self._trajectory(asked, path_tolerance)
-            found = plan(self._search, trajectory, before, method, pace=pace)
-            if method == "minimum-switch":
-                found = Improvement(self._search, found, pace).whole()
+            trajectory = unhurried(self._goals(asked, path_tolerance), pace, path_tolerance)
+            first = deadline * len(trajectory.times)
+            found = plan_whole(self._search, trajectory, before, method, pace, first, path_deadline)
         except Refusal as refusal:
             raise PathError(str(refusal)) from None
         solutions = tuple(self._whole(solution) for solution in found.solutions)
-        bound, cost = solutions[0].bound, sum(solution.cost for solution in solutions)
-        proven = certificate(all(solution.within_tolerance for solution in solutions), bound, cost)
         own = tuple(one.goal for one in asked)
-        return Path(own, trajectory.positions, solutions, trajectory.waypoints, proven, bound)
+        return Path(own, trajectory.positions, solutions, trajectory.waypoints, found.certificate, found.bound)
 
     def contact(self, configuration: ArrayLike | str) -> str | None:
         """Returns what touches first in a configuration (B,), such as "module 7 is in disc 'pillar'"; None if nothing.
@@ -182,11 +189,6 @@ class Solver:
         solver.prepare()
         return solver
 
-    @property
-    def _pace(self) -> Pace:
-        arm = self.arm._arm
-        return Pace(arm.travel_time, arm.settings.inrush, arm.settings.rest_time)
-
     def _request(self, goal: Goal | ArrayLike) -> Request:
         return request(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
@@ -198,23 +200,19 @@ class Solver:
             self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
         )
 
-    def _trajectory(self, asked: Sequence[Request], path_tolerance: float | None) -> Trajectory:
-        """Returns the trajectory through goals, with more time than the actuators need."""
-        size = self.arm.dimension
-        step = self._pace.unhurried * MOST_POINTS
-        times = step * np.arange(len(asked), dtype=np.float64)
-        positions = np.array([np.asarray(one.goal.position, dtype=float) for one in asked])
+    def _goals(self, asked: Sequence[Request], path_tolerance: float | None) -> Goals:
+        """Returns goals as arrays."""
         if path_tolerance is not None:
             if any(math.isfinite(one.angle_tolerance) for one in asked):
                 raise GoalError("path_tolerance: lines are followed by position only, leave out orientations")
             if not 1e-9 <= path_tolerance <= 1e6:
                 raise GoalError(f"path_tolerance: a number from 1e-9 to 1e6 is needed, got {path_tolerance!r}")
-            tolerance = min(one.tolerance for one in asked)
-            return along(times, positions, tolerance, path_tolerance, self._pace)
-        rotations = np.array([one.target[:3, :3] if one.target.shape == (4, 4) else np.eye(3) for one in asked])
-        tolerances = np.array([one.tolerance for one in asked])
-        turns = np.array([one.angle_tolerance for one in asked])
-        return Trajectory(None, times, positions[:, :size], tolerances, rotations, turns, np.arange(len(asked)))
+        return Goals(
+            np.array([np.asarray(one.goal.position, dtype=float)[: self.arm.dimension] for one in asked]),
+            np.array([one.tolerance for one in asked]),
+            np.array([one.target[:3, :3] if one.target.shape == (4, 4) else np.eye(3) for one in asked]),
+            np.array([one.angle_tolerance for one in asked]),
+        )
 
     def _whole(self, found: Solution) -> Solution:
         """Returns a solution with its configuration in the numbers of the whole arm."""

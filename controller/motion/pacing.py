@@ -7,12 +7,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.actuators import longest_travel
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.stages import SKIPPED, order_stages, peaks
 from controller.motion.transition import build_transition
 from controller.motion.ways import PATIENCE, Ways
 from controller.obstacles.sweep import Sweep
+from controller.settings import ArmSettings
 
+PERIOD = 0.01  # [s] of the executor's loop
 MOST_STAGES = 8  # of a transition, unless the bound needs more: the tip then strays little less
 
 
@@ -169,6 +172,11 @@ class Pace:
     def _fewest(self, switches: int) -> int:
         """Returns the fewest stages."""
         return -(-switches // (self.inrush or max(switches, 1)))
+
+
+def pace_of(settings: ArmSettings) -> Pace:
+    """Returns the pace of an arm's transitions."""
+    return Pace(longest_travel(settings) + PERIOD, settings.inrush, settings.rest_time)
 
 
 def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:

@@ -16,7 +16,7 @@ from controller.motion.ways import PATIENCE
 from controller.motion.without_search import fixed, held
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
-from controller.search.solution import Solution, certificate, proof
+from controller.search.solution import Certificate, Solution, certificate, proof
 from controller.search.solver import DEADLINE, Solver
 
 # [s] for the whole of a trajectory: the arm is to begin soon. First answers are kept time for, and given when the rest
@@ -37,11 +37,13 @@ class Plan:
         trajectory: the goal.
         solutions: one for each point.
         transitions: how each point's configuration is switched to from the one before.
+        bound: proven: no plan costs less; 0 if nothing is proven.
     """
 
     trajectory: Trajectory
     solutions: tuple[Solution, ...]
     transitions: tuple[Staged, ...]
+    bound: float = 0.0
 
     @property
     def actuator_states(self) -> NDArray[np.uint8]:
@@ -53,43 +55,73 @@ class Plan:
         """Actuators that switch, all points together."""
         return sum(solution.switches for solution in self.solutions)
 
+    @property
+    def cost(self) -> float:
+        """Weighted number of switches, all points together."""
+        return sum(solution.cost for solution in self.solutions)
+
+    @property
+    def certificate(self) -> Certificate:
+        """What is proven of the cost of the whole plan, see Solution.certificate."""
+        return certificate(all(s.within_tolerance for s in self.solutions), self.bound, self.cost)
+
     def proof(self) -> dict[str, str | bool | float | None]:
-        """Returns what is proven of the cost of the whole plan, as fields for JSON.
+        """Returns what is proven of the cost of the whole plan, as fields for JSON."""
+        return proof(self.certificate, self.bound)
 
-        The arm must come to the first point, so the whole costs no less than is proven of that.
-        """
-        bound, cost = self.solutions[0].bound, sum(solution.cost for solution in self.solutions)
-        return proof(certificate(all(s.within_tolerance for s in self.solutions), bound, cost), bound)
+    def proven(self, bound: float) -> "Plan":
+        """Returns the plan with what else is proven."""
+        return replace(self, bound=max(self.bound, bound))
 
-    def improved(self, solver: Solver, pace: Pace, first: int, configurations: Sequence[Configuration]) -> "Plan":
-        """Returns the plan with other configurations from point `first`, at least 1, on; the rest stays as it is.
+    def improved(
+        self,
+        solver: Solver,
+        pace: Pace,
+        first: int,
+        configurations: Sequence[Configuration],
+        previous: Configuration | None = None,
+    ) -> "Plan":
+        """Returns the plan with other configurations from point `first` on; the rest stays as it is.
 
-        So does a part that would miss a point, or whose transitions would not fit in the time there is.
+        So does a part that would miss a point, or whose transitions would not fit in the time there is. The
+        configuration before the first point, shape (B,), is needed only if that changes, too.
         """
         try:
-            return self._changed(solver, pace, first, configurations)
-        except Unfit:
+            return self._changed(solver, pace, first, configurations, previous)
+        except (Unfit, Refusal):
             half = len(configurations) // 2
             if half == 0:
                 return self
-            beginning = self.improved(solver, pace, first, configurations[:half])
+            beginning = self.improved(solver, pace, first, configurations[:half], previous)
             return beginning.improved(solver, pace, first + half, configurations[half:])
 
-    def _changed(self, solver: Solver, pace: Pace, first: int, configurations: Sequence[Configuration]) -> "Plan":
+    def _changed(
+        self,
+        solver: Solver,
+        pace: Pace,
+        first: int,
+        configurations: Sequence[Configuration],
+        previous: Configuration | None,
+    ) -> "Plan":
         solutions, transitions, times = list(self.solutions), list(self.transitions), self.trajectory.times
         end = first + len(configurations)
         chosen = [*configurations, *(s.configuration for s in self.solutions[end : end + 1])]
         for k, configuration in enumerate(chosen, first):
-            goal, before = self.trajectory.goal(k), solutions[k - 1].configuration
+            goal, before = self.trajectory.goal(k), solutions[k - 1].configuration if k else previous
+            if before is None:
+                raise ValueError("the configuration before the first point is needed")
             tolerance, turn = float(self.trajectory.tolerances[k]), float(self.trajectory.turns[k])
             solutions[k] = solver.described(configuration, goal, before, tolerance, turn)
             if not solutions[k].within_tolerance:
                 raise Unfit(f"{solutions[k].error:.4f} from point {k}")
+            if k == 0:
+                transitions[k] = staged(solver, self.trajectory, before, solutions[k], k, pace)
+                continue
             available = float(times[k] - times[k - 1])
             transitions[k] = pace.staged(
                 solver.manipulator, before, configuration, available, sweep=sweep_for(solver), patience=0.0
             )
-        return Plan(self.trajectory, tuple(solutions), tuple(transitions))
+        return Plan(self.trajectory, tuple(solutions), tuple(transitions), self.bound)
 
 
 def plan(
@@ -99,6 +131,7 @@ def plan(
     method: Method,
     proceed: Callable[[], None] = lambda: None,
     pace: Pace = AT_ONCE,
+    seconds: float = PLANNING_TIME,
 ) -> Plan:
     """Returns the plan of a trajectory.
 
@@ -109,6 +142,7 @@ def plan(
         method: the algorithm.
         proceed: called before each point; a Refusal it raises ends the planning.
         pace: of the transitions.
+        seconds: time for the searches of all points [s].
 
     Raises:
         Refusal: a point is out of reach, the message has the nearest point found; there is no way to it that touches
@@ -117,8 +151,9 @@ def plan(
     if solver.clearance is not None and (where := solver.clearance.where(previous)) is not None:
         raise Refusal(INVALID_GOAL, f"the arm may not move from where it stands: {where}")
     solutions, transitions = list[Solution](), list[Staged]()
-    reserved = min(FIRST_ANSWER * len(trajectory.times), 0.8 * PLANNING_TIME)
-    until = time.perf_counter() + PLANNING_TIME - reserved
+    reserved = min(FIRST_ANSWER * len(trajectory.times), 0.8 * seconds)
+    until = time.perf_counter() + seconds - reserved
+    longest = max(DEADLINE, seconds / len(trajectory.times))
     for k, position in enumerate(trajectory.positions):
         proceed()
         goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
@@ -138,7 +173,7 @@ def plan(
             solutions.append(solution)
             previous = solution.configuration
             continue
-        solution = solver.solve(goal, previous, tolerance, method, min(DEADLINE, left), turn)
+        solution = solver.solve(goal, previous, tolerance, method, min(longest, left), turn)
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:
@@ -154,7 +189,7 @@ def plan(
         solutions.append(solution)
         transitions.append(transition)
         previous = solution.configuration
-    return Plan(trajectory, tuple(solutions), tuple(transitions))
+    return Plan(trajectory, tuple(solutions), tuple(transitions), solutions[0].bound)
 
 
 def sweep_for(solver: Solver) -> Sweep | None:

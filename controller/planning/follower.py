@@ -15,13 +15,13 @@ import numpy as np
 from controller.config import Arm
 from controller.motion.codes import Refusal
 from controller.motion.goal_motion import tracking_of
-from controller.motion.pacing import Blocked
+from controller.motion.pacing import PERIOD, Blocked, pace_of
 from controller.motion.setpoint import Setpoint, decode
 from controller.motion.tracking import GoalTracker
 from controller.planning.admission import Admission, Ticket
 from controller.planning.arm_state import ArmState, States
 from controller.planning.connection import NotConnected
-from controller.planning.goal_planning import PERIOD, Bias, pace_of
+from controller.planning.goal_planning import Bias
 from controller.planning.goals import RunningGoals
 from controller.planning.keep_out import CollisionAwareSolver
 from controller.planning.messages import Payload
@@ -78,7 +78,7 @@ class Follower:
         self._dimension, self._tolerance = arm.manipulator.dimension, arm.tolerance
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
-        self._pace = pace_of(arm)
+        self._pace = pace_of(arm.settings)
         self._search = SetpointSearch(arm, self._pace)
         self._stream: Ticket | None = None  # of its first set-point; None: there is none, or it is followed no more
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME / 2

@@ -12,8 +12,8 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.goal import GoalMessage, parse, schedule
-from controller.motion.pacing import Pace
-from controller.motion.plan import Plan, plan
+from controller.motion.pacing import pace_of
+from controller.motion.plan import PLANNING_TIME, Plan, plan
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import ArmState
 from controller.planning.keep_out import CollisionAwareSolver, KeepOutSet
@@ -22,16 +22,9 @@ from controller.planning.program_feed import most_stages
 from controller.program import MOST_PROGRAM_STAGES
 from controller.search.solver import Solver
 
-PERIOD = 0.01  # [s] of the executor's loop
 TRIES = 3  # plans of a goal, while the arm moves on or the obstacles change
 
 Bias = Callable[[], NDArray[np.float64] | None]
-
-
-def pace_of(arm: Arm) -> Pace:
-    """Returns the pace of an arm's transitions."""
-    settings = arm.settings
-    return Pace(arm.travel_time + PERIOD, settings.inrush, settings.rest_time)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +57,7 @@ class GoalPlanning:
     """
 
     def __init__(self, arm: Arm, solver: CollisionAwareSolver, monitor: ArmMonitor, bias: Bias) -> None:
-        self.arm, self.pace = arm, pace_of(arm)
+        self.arm, self.pace = arm, pace_of(arm.settings)
         self._solver, self._monitor, self._bias = solver, monitor, bias
         manipulator, tracker = arm.manipulator, arm.settings.tracker
         self._base = manipulator.base[: manipulator.dimension, 3]
@@ -107,30 +100,33 @@ class GoalPlanning:
         scheduled = schedule(message, manipulator.dimension, arm.tolerance, arm.turn, self.pace, received, manipulator)
         return scheduled.corrected(self._bias())
 
-    def plan(self, trajectory: Trajectory, proceed: Callable[[], None], run: bool) -> Planned:
+    def plan(
+        self, trajectory: Trajectory, proceed: Callable[[], None], run: bool, seconds: float = PLANNING_TIME
+    ) -> Planned:
         """Returns a plan from where the arm is; a new one if the arm or the obstacles moved on meanwhile.
 
         Args:
             trajectory: what is asked for.
             proceed: called before each point; a Refusal that it raises ends the planning.
             run: whether the plan is to be run.
+            seconds: time for the searches of all points [s].
 
         Raises:
             Refusal: there is none.
         """
         for _ in range(TRIES):
-            found = self._plan(trajectory, proceed, run)
+            found = self._plan(trajectory, proceed, run, seconds)
             now = self._monitor.state
             moved = now is None or now.snapshot.outputs != found.state.snapshot.outputs
             if found.keep_out is self._solver.now()[1] and (found.keep_out.free or not moved):
                 break
         return found
 
-    def _plan(self, trajectory: Trajectory, proceed: Callable[[], None], run: bool) -> Planned:
+    def _plan(self, trajectory: Trajectory, proceed: Callable[[], None], run: bool, seconds: float) -> Planned:
         state = self._monitor.require(run)
         solver, keep_out = self._solver.now()
         previous = self._monitor.start(state, solver.manipulator)
-        found = plan(solver, trajectory, previous, self.arm.settings.method, proceed, self.pace)
+        found = plan(solver, trajectory, previous, self.arm.settings.method, proceed, self.pace, seconds)
         self._check_size(found)
         touched = keep_out.touched(solver.manipulator.actuator_states(previous), stages_of(found))
         if touched is not None:  # checked once more, so that the executor need not ask

@@ -1,7 +1,7 @@
 """Better plans while the arm moves: look-ahead over the points still to come, each in time for its own."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from controller.search.solver import Solver
 
 MARGIN = 0.1  # [s] before a point's actuators switch, at which its configuration is handed over at the latest
 BATCH = 4  # points staged at a time: each may take some hundredths of a second, and the next is due soonest
-WHOLE_TIME = 2.0  # [s] for a plan that is only asked for
 
 
 class Improvement:
@@ -59,14 +58,6 @@ class Improvement:
                 yield self._plan
                 if told == len(decided):
                     break
-
-    def whole(self, hurry: Callable[[], bool] = lambda: False) -> Plan:
-        """Returns the plan improved to its end, or as far as there is time and no `hurry`."""
-        until = time.perf_counter() + WHOLE_TIME
-        for better in self.plans():
-            if time.perf_counter() > until or hurry():
-                return better
-        return self._plan
 
     def _improve(self, first: int, configurations: list[Configuration]) -> None:
         """Takes configurations from point `first` on, if there are any."""

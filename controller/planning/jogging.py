@@ -8,9 +8,9 @@ import numpy as np
 from controller.config import Arm
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.jog import STATES, decode
+from controller.motion.pacing import pace_of
 from controller.motion.program import in_groups, pack_states
 from controller.planning.arm_state import ArmState
-from controller.planning.goal_planning import pace_of
 from controller.planning.keep_out import KeepOut
 from controller.planning.messages import Reply, done
 from controller.planning.reports import JogReport
@@ -31,7 +31,7 @@ class Jogging:
     """
 
     def __init__(self, arm: Arm, keep_out: KeepOut) -> None:
-        self._manipulator, self._keep_out, self._pace = arm.manipulator, keep_out, pace_of(arm)
+        self._manipulator, self._keep_out, self._pace = arm.manipulator, keep_out, pace_of(arm.settings)
 
     def decode(self, payload: bytes) -> Switches:
         """Returns the actuators of a request and their states.

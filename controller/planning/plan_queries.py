@@ -14,8 +14,8 @@ from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.goal import GoalMessage
 from controller.motion.plan import Plan
+from controller.motion.whole import first_time, look_ahead
 from controller.planning.goal_planning import GoalPlanning
-from controller.planning.improvement import Improvement
 from controller.planning.messages import CLOSING, Payload, Reply, done
 from controller.planning.request_queue import RequestQueue
 
@@ -74,10 +74,10 @@ class PlanQueries:
             return self.requests.closing or self._busy() or self.requests.waiting() > 0
 
         trajectory = self._planning.trajectory(query.message, query.received)
-        found = self._planning.plan(trajectory, proceed, run=False)
+        found = self._planning.plan(trajectory, proceed, run=False, seconds=first_time(trajectory))
         plan = found.plan
         if self._planning.arm.settings.method == "minimum-switch":
-            plan = Improvement(found.solver, plan, self._planning.pace).whole(hurry)
+            plan = look_ahead(found.solver, plan, found.previous, self._planning.pace, stop=hurry)
         reduced = found.solver.manipulator
         query.reply(described(self._planning.arm.manipulator, reduced, found.previous, plan))
 

@@ -12,13 +12,14 @@ from controller.config import Arm
 from controller.manipulator.held import Held, hold
 from controller.motion import degrade, obstacles
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
+from controller.motion.pacing import pace_of
 from controller.planning.admission import Admission, Receive
 from controller.planning.clearance_worker import ClearanceWorker, RestCheck
 from controller.planning.description import density, description, drawing, file
 from controller.planning.executor_listener import ExecutorListener
 from controller.planning.follower import Follower
 from controller.planning.goal_check import Verdict
-from controller.planning.goal_planning import GoalPlanning, pace_of
+from controller.planning.goal_planning import GoalPlanning
 from controller.planning.goals import RunningGoals
 from controller.planning.jogging import Jogging
 from controller.planning.keep_out import CollisionAwareSolver, KeepOut
@@ -82,7 +83,7 @@ class Planning:
         self._solvers = [
             CollisionAwareSolver(arm, solver, self._keep_out) for solver in self._tables(arm.held, densities)
         ]
-        self._monitor = ArmMonitor(manipulator, link, arm.travel_time, pace_of(arm))
+        self._monitor = ArmMonitor(manipulator, link, arm.travel_time, pace_of(arm.settings))
         self._locked = LockedActuators(manipulator, arm.held, self._rebuild, on_change)
         self._monitor.go_by(self._locked)
         self._tip_bias = TipBiasWorker(self._monitor, arm.settings.tracker) if arm.settings.tracker else None

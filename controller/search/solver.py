@@ -2,9 +2,10 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +15,10 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.search.method import Method, switching
 from controller.search.minimum_switch import MinimumSwitch, Problem
+from controller.search.neighbours import Listed, Neighbours
 from controller.search.paths import Paths
 from controller.search.scene import scene_of
-from controller.search.solution import Incumbent, Solution
+from controller.search.solution import EPSILON, Incumbent, Solution
 from controller.search.target import Target, build_hull, distance
 from controller.search.two_list import Candidates
 from controller.workspace.densities import Densities
@@ -34,6 +36,7 @@ class Solver:
         manipulator: the arm.
         densities: of its intermediate workspaces.
         least_weight: of any actuator's switches.
+        whole_weights: whether all weights are multiples of the least.
         clearance: what configurations keep clear of; None if nothing.
     """
 
@@ -57,6 +60,8 @@ class Solver:
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
+        multiples = own / own.min()
+        self.whole_weights = bool(np.all(np.abs(multiples - np.round(multiples)) < EPSILON / 10))
         self._paths = Paths(manipulator, densities)
         self._hull = build_hull(manipulator)
         self._to_base = inverse(manipulator.base)
@@ -74,7 +79,8 @@ class Solver:
     def another(self) -> "Solver":
         """Returns a solver with the same tables and memory of its own: both may search at the same time."""
         other = copy(self)
-        vars(other).pop("_minimum", None)
+        for memory in ("_minimum", "_neighbours"):
+            vars(other).pop(memory, None)
         other._candidates, other._scene = None, scene_of(self.manipulator, self.clearance)
         return other
 
@@ -160,6 +166,22 @@ class Solver:
             self._target(goal, tolerance, turn), np.asarray(previous, dtype=np.int64), costs
         )
 
+    def neighbours(
+        self,
+        goal: ArrayLike,
+        tolerance: float,
+        turn: float,
+        sources: NDArray[np.uint16],
+        budgets: Vector,
+        most: int,
+        late: Callable[[], bool],
+    ) -> Listed | None:
+        """Returns all clear configurations within the tolerances that cost at most a budget from one of several.
+
+        See Neighbours.find for the arguments and for when it is None.
+        """
+        return self._neighbours.find(self._target(goal, tolerance, turn), sources, budgets, most, late)
+
     def _described(
         self,
         configuration: Configuration,
@@ -169,7 +191,7 @@ class Solver:
         bound: float = 0.0,
     ) -> Solution:
         tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
-        cost = self._cost(configuration, previous)
+        cost = float(self.cost(configuration, previous))
         served = clear and target.met(configuration)
         return Solution(
             configuration=configuration,
@@ -218,11 +240,15 @@ class Solver:
         local = self._to_base @ frame
         return Target(local, frame, self.manipulator, tolerance, turn, weight, self._scene)
 
-    def _cost(self, configuration: Configuration, previous: Configuration) -> float:
-        """Returns the weighted number of switches between two configurations."""
-        own = self.manipulator.bits[np.arange(len(previous)), previous]
-        new = self.manipulator.bits[np.arange(len(previous)), configuration]
-        return float(((own != new) * self._weights).sum())
+    def cost(self, configurations: ArrayLike, previous: ArrayLike) -> Any:
+        """Returns the weighted number of switches between configurations, both of shape (..., B), shape (...)."""
+        bits, modules = self.manipulator.bits, np.arange(len(self.manipulator.modules))
+        differ = bits[modules, np.asarray(previous)] != bits[modules, np.asarray(configurations)]
+        return (differ * self._weights).sum(axis=(-2, -1))
+
+    @cached_property
+    def _neighbours(self) -> Neighbours:
+        return Neighbours(self.manipulator, self._weights)
 
     @cached_property
     def _minimum(self) -> MinimumSwitch:

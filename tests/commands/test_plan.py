@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+import hyperbit as hb
+from controller.motion import whole
+
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 
 pytestmark = pytest.mark.usefixtures("own_folders")
@@ -81,6 +84,26 @@ def test_goals_of_a_file_start_where_the_one_before_ended_unless_told(hyperbit, 
     assert third["switches"] == first["switches"] > 0
 
 
+def test_goals_of_a_file_are_planned_as_the_library_plans_a_path(hyperbit, tmp_path, monkeypatch):
+    monkeypatch.setattr(whole, "WHOLE_TIME", 60.0)  # so that both prove the fewest switches on any machine
+    file = tmp_path / "short.yaml"
+    file.write_text(
+        "name: short\ntolerance: {position: 0.01}\nmodules: [{type: vgt, count: 4, width: 0.2, lengths: [0.2, 0.25]}]\n"
+    )
+    arm = hb.load(file)
+    rows = arm.sample(3, seed=2)
+    goals = tmp_path / "goals.csv"
+    goals.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in arm.frames(rows)[:, :2, 3].tolist()))
+    lines = [json.loads(text) for text in hyperbit("plan", str(file), "--goals", str(goals), "--json")[1].splitlines()]
+    path = hb.Solver(arm).follow(list(arm.frames(rows)[:, :2, 3]))
+    proven = {"switches": path.switches, "cost": path.cost, "optimal": True}
+    proven |= {"lower_bound": path.lower_bound, "certificate": "optimal"}
+    assert [line["trajectory"] for line in lines] == [proven] * 3
+    assert sum(line["switches"] for line in lines) == path.switches == path.lower_bound
+    words = hyperbit("plan", str(file), "--goals", str(goals))[1]
+    assert f"{path.switches} switches in all; proven to be the fewest" in words
+
+
 def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(hyperbit, tmp_path):
     code, out, err = hyperbit("plan", ARM, "--goal", "9,9", "--json")
     assert code == 1
@@ -88,9 +111,10 @@ def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(hyperbit, tmp
     assert "nearest" in err
     goals = tmp_path / "goals.csv"
     goals.write_text("x,y\n9,9\n0.5,2.5\n")
-    code, out, _ = hyperbit("plan", ARM, "--goals", str(goals), "--json")
+    code, out, err = hyperbit("plan", ARM, "--goals", str(goals), "--json")
     assert code == 0
     assert [json.loads(text)["within_tolerance"] for text in out.splitlines()] == [False, True]
+    assert "not one trajectory: waypoints[0]" in err
 
 
 def test_plan_takes_an_angle_and_its_tolerance(hyperbit, tmp_path):

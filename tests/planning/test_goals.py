@@ -3,11 +3,14 @@
 import json
 import threading
 
+import numpy as np
 import pytest
 
-from controller.motion import codes
+from controller.motion import codes, whole
+from controller.motion.pacing import pace_of
 from controller.planning.messages import BARRED
 from controller.program import Acknowledge, Cancel, Halt, Hello, Program, Replacement, Reset
+from controller.search.solver import Solver
 from tests.planning.conftest import Desk
 from tests.waiting import eventually
 
@@ -228,6 +231,21 @@ def test_a_plan_query_is_answered_while_goals_wait(desk: Desk) -> None:
     assert [w["t"] for w in answer["waypoints"]] == [0]
     desk.executor.accept(program)
     assert desk.inbox.next("reply")["accepted"]
+
+
+def test_a_plan_query_is_answered_as_plans_are_made_elsewhere(desk: Desk, small_densities, monkeypatch) -> None:
+    monkeypatch.setattr(whole, "WHOLE_TIME", 60.0)  # so that both prove the fewest switches on any machine
+    manipulator = desk.arm.left
+    positions = np.array([desk.tip(*row) for row in ((1, 2, 3, 4), (5, 6, 7, 0), (1, 2, 0, 0))])
+    waypoints = [{"t": 10 * k, "position": position.tolist()} for k, position in enumerate(positions)]
+    desk.planning.plan(json.dumps({"waypoints": waypoints}).encode(), desk.inbox.replying("plan"))
+    answer = desk.inbox.next("plan")
+    goals = whole.Goals(positions, np.full(3, 0.002), np.tile(np.eye(3), (3, 1, 1)), np.full(3, np.inf))
+    pace = pace_of(desk.arm.settings)
+    solver, home = Solver(manipulator, small_densities), np.zeros(4, dtype=np.int64)
+    plan = whole.plan_whole(solver, whole.unhurried(goals, pace), home, "minimum-switch", pace)
+    assert answer["certificate"] == plan.certificate == "optimal"
+    assert answer["switches"] == answer["lower_bound"] == plan.switches
 
 
 def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
