@@ -68,6 +68,22 @@ class Access:
         Raises:
             TooManyWrong: too many wrong tokens came.
         """
+        if (found := self._holder(token)) is None:
+            return None
+        content = f"{found.name}.{int(self._clock() + LASTS)}"
+        return f"{content}.{self._signature(content, found)}"
+
+    def bearer(self, token: str) -> Person | None:
+        """Returns whose token it is; None if it is nobody's.
+
+        Raises:
+            TooManyWrong: too many wrong tokens came.
+        """
+        found = self._holder(token)
+        return None if found is None else Person(found.name, found.role)
+
+    def _holder(self, token: str) -> Listed | None:
+        """Returns the entry of a token, and counts wrong ones."""
         now = self._clock()
         self._wrong = [at for at in self._wrong if now - at < WRONG_WITHIN]
         if len(self._wrong) >= MOST_WRONG:
@@ -78,9 +94,7 @@ class Access:
                 found = entry
         if found is None:
             self._wrong.append(now)
-            return None
-        content = f"{found.name}.{int(now + LASTS)}"
-        return f"{content}.{self._signature(content, found)}"
+        return found
 
     def person(self, cookie: str | None) -> Person | None:
         """Returns whose cookie it is; None if it is nobody's, or too old."""

@@ -24,6 +24,7 @@ from controller.panel.access import LASTS, Access, Person, TooManyWrong
 from controller.panel.arm_view import ArmView
 from controller.panel.arms import Arms, valid
 from controller.panel.desk import Desk, Desks, Flood, encoded
+from controller.panel.metrics import endpoint
 from controller.panel.pages import Page
 from controller.panel.shield import Shield, TooLarge, policy
 
@@ -65,6 +66,7 @@ class Panel:
             Route("/arms/{name}", self._shell, methods=["GET"]),
             Route("/arms/{name}/density", self._density, methods=["GET"]),
             Route("/arms/{name}/stop", self._stop, methods=["POST"]),
+            Route("/metrics", self._metrics, methods=["GET"]),
             Route("/session", self._enter, methods=["POST"]),
             Route("/session", self._leave, methods=["DELETE"]),
             WebSocketRoute("/live", self._live),
@@ -115,6 +117,18 @@ class Panel:
             raise HTTPException(404, "The density is not known.")
         kind, data = view.background
         return Response(data, media_type=kind)
+
+    async def _metrics(self, request: Request) -> Response:
+        """Answers the figures of all arms in Prometheus' format, to people and to programs that bear a token."""
+        if self._person(request) is None:
+            kind, _, token = request.headers.get("authorization", "").partition(" ")
+            try:
+                person = self._access.bearer(token) if kind.lower() == "bearer" else None
+            except TooManyWrong:
+                raise HTTPException(429, "Too many wrong tokens came: wait a minute.") from None
+            if person is None:
+                raise HTTPException(401, "Log in first, or bear a token.", {"www-authenticate": "Bearer"})
+        return endpoint(self.arms.known, self.arms.tally)(request)
 
     async def _stop(self, request: Request) -> Response:
         """Stops an arm, for pages whose WebSocket is closed at the moment."""

@@ -57,6 +57,11 @@ class ArmView:
         self._asking: asyncio.Task[None] | None = None
         self._wanted, self._again = set[str](), False
 
+    @property
+    def actuators(self) -> list[str]:
+        """Labels of its actuators; empty until the daemon has told them."""
+        return list(self._arm.get("actuators") or ())
+
     def close(self) -> None:
         """Ends what is asked."""
         if self._asking is not None:

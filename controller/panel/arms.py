@@ -12,6 +12,7 @@ import zenoh
 
 from controller.gateway.client import Client
 from controller.panel.arm_view import ArmView
+from controller.panel.metrics import Tally
 from controller.panel.pages import Page
 
 log = logging.getLogger(__name__)
@@ -29,6 +30,7 @@ class Arms:
 
     Attributes:
         views: what is known of each arm, by name.
+        tally: counts what passes, for metrics.
 
     Args:
         session: open session.
@@ -37,6 +39,7 @@ class Arms:
 
     def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
         self.views: dict[str, ArmView] = {}
+        self.tally = Tally()
         self._session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()
@@ -57,6 +60,10 @@ class Arms:
             await asyncio.to_thread(self._declared.pop().undeclare)
         for view in self.views.values():
             view.close()
+
+    def known(self) -> list[ArmView]:
+        """Returns the arms that were heard of."""
+        return [view for view in self.views.values() if view.known]
 
     def open(self, page: Page, name: str | None) -> ArmView | None:
         """Adds a page on an arm, or on the list of all arms; returns the arm."""
@@ -132,6 +139,8 @@ class Arms:
         except (msgspec.MsgspecError, RecursionError):
             log.warning("arm %s: a message on %s is not JSON", name, key)
             return
+        if key == "result":
+            self.tally.result(name, message)
         view.hear(key, message)
 
     def _told_alive(self, name: str, alive: bool) -> None:
@@ -150,6 +159,7 @@ class Arms:
                 elif view.pages or told:
                     try:
                         view.hear_state(*self._latest.pop(name))
+                        self.tally.state(name, view.state or {})
                     except Exception:
                         log.exception("arm %s: a state is not understood", name)
             if told:
@@ -163,7 +173,7 @@ class Arms:
 
     def _list(self) -> bytes:
         now = time.monotonic()
-        known = [view.summary(now) for _, view in sorted(self.views.items()) if view.known]
+        known = sorted((view.summary(now) for view in self.known()), key=lambda told: str(told["name"]))
         return msgspec.json.encode({"section": "arms", "arms": known})
 
 

@@ -4,6 +4,7 @@ import asyncio
 import ipaddress
 import json
 import logging
+import signal
 import ssl
 import sys
 from collections.abc import Sequence
@@ -141,6 +142,8 @@ async def _serve(panel: Panel, address: Address, tls: Tls | None, tokens: dict[s
         )
     )
     announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
+    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises again what has ended it
+        signal.signal(number, lambda *_: None)
     await server.serve()
     announced.cancel()
 

@@ -159,3 +159,14 @@ def test_the_page_asks_no_other_server() -> None:
             assert "http://" not in text, path
             assert "https://" not in text, path
             assert "innerHTML" not in text, path
+
+
+def test_metrics_are_for_who_has_a_token(site: Site) -> None:
+    site.daemon.state()
+    assert site.browser.get("/metrics").status_code == 401
+    for word in ("Bearer wrong", f"Basic {VIEWER}", "Bearer"):
+        assert site.browser.get("/metrics", headers={"authorization": word}).status_code == 401
+    answer = site.browser.get("/metrics", headers={"authorization": f"Bearer {VIEWER}"})
+    assert answer.status_code == 200
+    assert f'arm="{ARM}"' in answer.text
+    assert site.browser.get("/metrics", headers=site.cookie(VIEWER)).status_code == 200

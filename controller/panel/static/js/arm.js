@@ -13,6 +13,7 @@ import { showHeader } from "./header.js";
 import { showGoals, showLog } from "./history.js";
 import { showObstacles, sketcher } from "./obstacles.js";
 import { PlaneView } from "./plane.js";
+import { showTimeline } from "./timeline.js";
 
 const MODES = {
   2: { goal: "Goal", curve: "Curve", obstacle: "Obstacle", look: "Move" },
@@ -35,6 +36,7 @@ export function showArm(name, onLogin) {
   showWear(connection);
   showBoards(connection);
   showLog(connection);
+  showTimeline(connection, notify);
   showPicture(connection, editor, append);
 }
 

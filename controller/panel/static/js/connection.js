@@ -39,7 +39,7 @@ export class Connection {
       this.waiting.delete(message.n);
       return;
     }
-    if (message.section === "state") this.heardAt = performance.now();
+    if (message.section === "state" || message.section === "timeline") this.heardAt = performance.now();
     if (message.section === "presence" && message.age !== null) {
       this.heardAt = performance.now() - message.age * 1000; // a state that is as before is not sent again
     }

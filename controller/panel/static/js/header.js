@@ -27,7 +27,8 @@ export function showHeader(name, connection, notify) {
   });
   pressToStop(part("stop"), name, connection, notify);
   onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
-  setInterval(() => {
+  const watch = setInterval(() => {
+    if (!part("silence")) return clearInterval(watch); // the page asks for a token now
     const silent = connection.silence();
     part("silence").hidden = silent === null;
     if (silent !== null) {

@@ -1,0 +1,34 @@
+// The time line of a replay: where it is, how fast, and whether it stands.
+
+import { clock, el, fill } from "./dom.js";
+
+export function showTimeline(connection, notify) {
+  const box = document.querySelector(".timeline");
+  const slider = el("input", { type: "range", min: 0, max: 1000, value: 0, "aria-label": "Time in the recording" });
+  const words = el("span", { class: "faint" });
+  const pause = el("button", { type: "button", id: "pause" });
+  const speed = el("select", { "aria-label": "Speed" }, ...[0.1, 0.5, 1, 2, 5, 20].map((factor) => el("option", { value: String(factor) }, `${factor}×`)));
+  fill(box, pause, slider, speed, words);
+  let told = null;
+  let sliding = false;
+  const seek = async (wish) => {
+    const answer = await connection.ask({ do: "seek", ...wish });
+    if (answer.accepted === false) notify(answer, "Replay");
+  };
+  pause.addEventListener("click", () => seek({ paused: !told.paused }));
+  speed.addEventListener("change", () => seek({ speed: Number(speed.value) }));
+  slider.addEventListener("input", () => (sliding = true));
+  slider.addEventListener("change", async () => {
+    await seek({ at: told.begin + (slider.value / 1000) * (told.end - told.begin) });
+    sliding = false;
+  });
+  connection.on("timeline", (message) => {
+    told = message;
+    box.hidden = false;
+    const share = told.end > told.begin ? (told.at - told.begin) / (told.end - told.begin) : 1;
+    if (!sliding) slider.value = String(Math.round(share * 1000));
+    pause.textContent = told.paused ? "▶ Play" : "❚❚ Pause";
+    speed.value = String(told.speed);
+    words.textContent = `replay of ${told.file ?? "a recording"}, ${clock(told.at)} of ${clock(told.begin)} to ${clock(told.end)}`;
+  });
+}

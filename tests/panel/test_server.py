@@ -1,0 +1,103 @@
+"""The server as a process of its own: what it prints, TLS, client certificates, and its end."""
+
+import contextlib
+import json
+import re
+import socket
+import ssl
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx2
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from controller.panel.access import digest_of
+from tests.keys import certificates, made
+from tests.waiting import PATIENCE, eventually
+
+
+@contextlib.contextmanager
+def running(folder: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    """Runs the panel until it has printed its addresses; no daemon is there."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    command = [sys.executable, "-m", "controller.cli", "panel", "--connect", endpoint, *words]
+    log = folder / "log"
+    with log.open("w") as out:
+        process = subprocess.Popen(command, stdout=out, stderr=out, text=True)
+    try:
+        eventually(lambda: "hyperbit panel, " in log.read_text() or process.poll() is not None)
+        yield process, re.findall(r"https?://\S+", log.read_text())
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+
+
+def test_without_people_each_start_has_its_tokens(tmp_path: Path) -> None:
+    with running(tmp_path, "--listen", "127.0.0.1:0") as (process, (operator, viewer)):
+        for address, role in ((operator, "operator"), (viewer, "viewer")):
+            url, token = address.split("#")
+            answer = httpx2.post(f"{url}session", json={"token": token}, headers={"origin": url.rstrip("/")})
+            assert answer.json()["role"] == role
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+@pytest.mark.skipif(not made(), reason="openssl is missing")
+def test_client_certificates_take_the_place_of_tokens(tmp_path: Path) -> None:
+    keys = certificates(tmp_path / "keys", "localhost", clients=("anna", "eve"))
+    people = tmp_path / "people.yaml"
+    people.write_text(f"people: [{{name: anna, role: operator}}, {{name: t, role: viewer, token: {digest_of('t')}}}]\n")
+    words = ["--listen", "0.0.0.0:0", "--certificate", str(keys / "daemon/certificate.pem")]
+    words += ["--key", str(keys / "daemon/key.pem"), "--client-ca", str(keys / "ca/certificate.pem")]
+    with running(tmp_path, *words, "--people", str(people)) as (_, (address,)):
+        port = int(address.rstrip("/").rpartition(":")[2])
+        origin = f"https://localhost:{port}"
+
+        def roles(client: str | None) -> str | int:
+            """What the page calls this client, or the code with which it is turned away."""
+            context = ssl.create_default_context(cafile=keys / "ca/certificate.pem")
+            if client is not None:
+                context.load_cert_chain(keys / client / "certificate.pem", keys / client / "key.pem")
+            with connect(f"wss://localhost:{port}/live", ssl=context, origin=origin) as live:  # type: ignore[arg-type]
+                try:
+                    while True:
+                        for part in json.loads(live.recv(PATIENCE)):
+                            if part["section"] == "you":
+                                return str(part["role"])
+                except ConnectionClosed as closed:
+                    return closed.rcvd.code if closed.rcvd else 0
+
+        assert roles("anna") == "operator"
+        assert roles("eve") == 4401, "certified, but not listed"
+        assert roles(None) == 4401
+        context = ssl.create_default_context(cafile=keys / "ca/certificate.pem")
+        answer = httpx2.post(f"{origin}/session", json={"token": "t"}, headers={"origin": origin}, verify=context)
+        assert answer.json()["role"] == "viewer"
+        parts = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")}
+        assert {"secure", "httponly", "samesite=strict", "path=/"} <= parts
+        assert answer.headers["set-cookie"].startswith("__Host-hyperbit=")
+        assert "max-age" in answer.headers["strict-transport-security"]
+        with pytest.raises(httpx2.RemoteProtocolError):
+            httpx2.get(f"http://localhost:{port}/")
+
+
+def test_bad_options_are_named(tmp_path: Path) -> None:
+    for words, sentence in (
+        (["--listen", "0.0.0.0:0"], "TLS is needed"),
+        (["--certificate", "c.pem"], "--certificate and --key go together"),
+        (["--people", str(tmp_path / "nobody.yaml")], "no such file"),
+    ):
+        command = [sys.executable, "-m", "controller.cli", "panel", *words]
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+        assert (ended.returncode, sentence in ended.stderr) == (2, True), ended.stderr
+    made_up = subprocess.run(
+        [sys.executable, "-m", "controller.cli", "panel", "--new-token", "anna"], capture_output=True, text=True
+    )
+    token = re.findall(r"token of anna: (\S+)", made_up.stdout)[0]
+    assert digest_of(token) in made_up.stdout
