@@ -45,6 +45,11 @@ COMMANDS = {
     "record": Entry(
         "record", "record", "Record all that an arm publishes, and its requests, to MCAP files until SIGTERM."
     ),
+    "replay": Entry(
+        "replay",
+        "replay",
+        "Republish a recording below another prefix, or send its goals to a simulated arm and compare.",
+    ),
     "cancel": Entry("tell", "cancel", "End the running goal or stream of setpoints; the arm holds and takes the next."),
     "stop": Entry(
         "tell",

@@ -1,0 +1,258 @@
+"""Recorded goals sent to a simulated arm: does it come to the same configurations?"""
+
+import contextlib
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple
+
+import msgspec
+import zenoh
+
+from controller.gateway import session
+from controller.gateway.client import Client, Unanswered
+from controller.planning.ledger import Ledger
+from controller.recorder.history import Change, Goal, history
+from controller.recorder.past import Past
+
+Message = Mapping[str, Any]
+
+STARTING = 900.0  # [s] for the simulated arm to be ready: it may have to compile kernels and map the workspace
+ANSWER, SETTLING, POLL = 20.0, 20.0, 0.02  # [s]
+LAST_LINES = 5  # of what a daemon that does not start says
+
+
+class ArmFailed(Exception):
+    """The simulated arm does not start, or is gone; in a sentence."""
+
+
+class Compared(NamedTuple):
+    """What became of a recorded goal.
+
+    Attributes:
+        id: of the goal.
+        outcome: "equal"; "differs"; "unproven" if it differs, and the fewest switches were not proven, so that the
+            computer's speed decides; "skipped" if it cannot be compared.
+        reason: a sentence on a difference, or why it was skipped.
+    """
+
+    id: str
+    outcome: str
+    reason: str = ""
+
+
+class SimulatedArm:
+    """A daemon with simulated boards, that nobody else can reach.
+
+    Args:
+        client: talks to it.
+        ended: returns the exit code of its process; None while it runs.
+    """
+
+    def __init__(self, client: Client, ended: Callable[[], int | None]) -> None:
+        self._client, self._ended = client, ended
+        self._state: Message = {}
+        self._since = 0.0  # UNIX time of the last answer or result [s]; states before it are old
+        self._subscriber = client.subscribe("state", self._hear)
+
+    def _hear(self, message: Message) -> None:
+        self._state = message
+
+    def wait_ready(self, patience: float = SETTLING) -> Message:
+        """Returns the state of the arm as soon as it holds and takes goals.
+
+        Raises:
+            ArmFailed: that does not come.
+        """
+        until = time.monotonic() + patience
+        while time.monotonic() < until:
+            if (code := self._ended()) is not None:
+                raise ArmFailed(f"the simulated arm ended with code {code}")
+            if self._state.get("mode") == "ready" and self._state.get("stamp", 0.0) > self._since:
+                return self._state
+            time.sleep(POLL)
+        raise ArmFailed(f"the simulated arm is not ready: {self._state.get('reason', 'it does not answer')}")
+
+    def ask(self, key: str, payload: Mapping[str, Any]) -> Message:
+        """Returns the answer to a request.
+
+        Raises:
+            ArmFailed: there is none.
+        """
+        try:
+            return self._client.request(key, payload, ANSWER)
+        except Unanswered as error:
+            raise ArmFailed(str(error)) from None
+        finally:
+            self._since = time.time()
+
+    def bring(self, configuration: str) -> bool:
+        """Brings the arm to a configuration; returns whether it is there."""
+        if self.wait_ready().get("configuration") == configuration:
+            return True
+        self.run({"waypoints": [{"configuration": configuration}]})
+        return self.wait_ready().get("configuration") == configuration
+
+    def run(self, goal: Mapping[str, Any]) -> tuple[Message, dict[int, str | None]]:
+        """Returns the result of a goal, and the configuration at each of its waypoints.
+
+        Raises:
+            ArmFailed: there is none.
+        """
+        reached: dict[int, str | None] = {}
+
+        def tell(message: Message) -> None:
+            if "waypoint" in message:
+                reached[message["waypoint"]] = message.get("configuration")
+
+        self.wait_ready()
+        try:
+            return self._client.run(goal, tell, silence=SETTLING), reached
+        except Unanswered as error:
+            raise ArmFailed(str(error)) from None
+        finally:
+            self._since = time.time()
+
+
+def compare(past: Past, file: Path | None, tell: Callable[[Compared], None]) -> None:
+    """Sends the goals of a recording to a simulated arm, one after the other, and tells what became of each.
+
+    Args:
+        past: the recording.
+        file: of the arm, in place of the recorded one.
+        tell: takes one entry for each recorded goal.
+
+    Raises:
+        ArmFailed: the arm does not start, or is gone.
+        BadRecording: the file is damaged.
+    """
+    steps, anytime = history(past), (past.description or {}).get("method") == "minimum-switch"
+    with simulated(past, file) as arm:
+        for step in steps:
+            if isinstance(step, Change):
+                if not (answer := arm.ask(step.key, step.payload)).get("accepted"):
+                    raise ArmFailed(f"the simulated arm refuses a recorded {step.key}: {answer.get('message')}")
+                arm.wait_ready(STARTING)  # planning is made ready for other locked actuators
+            else:
+                tell(compared(arm, step, anytime=anytime))
+
+
+def compared(arm: SimulatedArm, goal: Goal, *, anytime: bool) -> Compared:
+    """Sends one goal from where the arm was, and returns whether it led to the same.
+
+    Args:
+        arm: to send it to.
+        goal: that was recorded.
+        anytime: whether the search goes on as long as there is time, so that only proven plans come again for certain.
+    """
+    if goal.obstacle is not None:
+        return Compared(goal.id, "skipped", goal.obstacle)
+    if goal.start is not None and not arm.bring(goal.start):
+        return Compared(goal.id, "skipped", f"the simulated arm does not come to {goal.start}, where it began")
+    stamp = goal.payload.get("stamp") or 0.0
+    later = {"stamp": time.time() + stamp - goal.stamp} if stamp else {}
+    result, reached = arm.run({**goal.payload, "id": goal.id, **later})
+    if not goal.accepted:
+        if result.get("accepted") is False:
+            return Compared(goal.id, "equal")
+        return Compared(goal.id, "differs", "it was refused, and is accepted now")
+    if result.get("status") != "succeeded":
+        return Compared(goal.id, "differs", f"it succeeded, and now: {result.get('message')}")
+    then = goal.result or {}
+    if (difference := differs(goal, then, result, reached)) is None:
+        return Compared(goal.id, "equal")
+    proven = then.get("certificate") == result.get("certificate") == "optimal"
+    return Compared(goal.id, "differs" if proven or not anytime else "unproven", difference)
+
+
+def differs(goal: Goal, then: Message, now: Message, reached: Mapping[int, str | None]) -> str | None:
+    """Returns where configurations differ, in words; None if nowhere."""
+    for waypoint, configuration in sorted(goal.configurations.items()):
+        if reached.get(waypoint) != configuration:
+            return f"waypoint {waypoint + 1}: {configuration} then, {reached.get(waypoint)} now"
+    if now.get("configuration") != then.get("configuration"):
+        return f"at the end: {then.get('configuration')} then, {now.get('configuration')} now"
+    return None
+
+
+@contextlib.contextmanager
+def simulated(past: Past, file: Path | None) -> Iterator[SimulatedArm]:
+    """Runs a daemon with simulated boards for a recording, in a folder and on sockets of its own.
+
+    Raises:
+        ArmFailed: it does not start.
+    """
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyperbit-")))
+        path = arm_file(past, folder) if file is None else file
+        endpoint, said = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
+        ledger = folder / "ledger.db"
+        counted(past, ledger)
+        command = [sys.executable, "-m", "controller.cli", "run", str(path), "--simulate", "--listen", endpoint]
+        process = subprocess.Popen(
+            [*command, "--ledger", str(ledger)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=stack.enter_context(said.open("wb")),
+            env={**os.environ, "RUNTIME_DIRECTORY": str(folder)},
+            start_new_session=True,  # Ctrl-C ends this process first, which then ends that one
+        )
+        stack.callback(process.wait)
+        stack.callback(process.send_signal, signal.SIGTERM)
+        config = session.configuration("client", connect=endpoint)
+        live, until = None, time.monotonic() + STARTING
+        while live is None:
+            if process.poll() is not None or time.monotonic() > until:
+                words = said.read_text(errors="replace").strip().splitlines()[-LAST_LINES:]
+                raise ArmFailed("the simulated arm does not start: " + "\n".join(words))
+            with contextlib.suppress(zenoh.ZError):
+                live = stack.enter_context(zenoh.open(config))
+            time.sleep(POLL)
+        client = stack.enter_context(contextlib.closing(Client(live, past.arm, lambda: zenoh.open(config))))
+        arm = SimulatedArm(client, process.poll)
+        arm.wait_ready(STARTING)
+        yield arm
+
+
+def arm_file(past: Past, folder: Path) -> Path:
+    """Writes the recorded arm's file and its tables into a folder; returns the file's path.
+
+    Raises:
+        ArmFailed: the recording has none.
+    """
+    file = (past.description or {}).get("file")
+    if not isinstance(file, dict) or not isinstance(file.get("text"), str):
+        raise ArmFailed(f"{past.path} does not have the arm's file: give it with --arm")
+    if hashlib.sha256(file["text"].encode()).hexdigest() != file.get("sha256"):
+        raise ArmFailed(f"{past.path}: the arm's file in it was changed: give it with --arm")
+    for name, text in (file.get("tables") or {}).items():
+        if PurePath(name).is_absolute() or ".." in PurePath(name).parts:
+            raise ArmFailed(f"{past.path}: a table of the arm's file would be written to {name}")
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+    path = folder / "arm.yaml"
+    path.write_text(file["text"], encoding="utf-8")
+    return path
+
+
+def counted(past: Past, path: Path) -> None:
+    """Writes a ledger with the switches of each actuator when the recording began: weights may go by them."""
+    labels = (past.description or {}).get("actuators") or ()
+    counts = next((it for it in first_counts(past) if len(it) == len(labels)), None)
+    if counts is not None:
+        ledger = Ledger(path, labels)
+        ledger.counts(counts)
+        ledger.close()
+
+
+def first_counts(past: Past) -> Iterator[list[int]]:
+    """Yields the counts of the recording's diagnostics."""
+    for told in past.messages():
+        if told.key == "diagnostics" and (counts := msgspec.json.decode(told.data).get("counts")):
+            yield counts

@@ -1,0 +1,184 @@
+"""Recorded goals on a simulated arm: the same configurations, or a sentence on the difference."""
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from controller.config import load
+from controller.recorder.folder import Folder
+from controller.recorder.heard import Ear
+from controller.recorder.history import Change, Goal, history
+from controller.recorder.past import Past
+from controller.recorder.recorder import Limits, Recorder
+from controller.recorder.regression import ArmFailed, Compared, arm_file, compare, compared, simulated
+from tests.keys import DEPLOY
+from tests.recorder.samples import heard, planar, told
+from tests.waiting import eventually
+
+GOAL = {"waypoints": [{"position": [0.5, 2.8]}]}
+
+
+def recorded(folder: Path, fill: Callable[[Recorder], None], arm: dict[str, Any] | None = None) -> Path:
+    """A recording of the paper's arm."""
+    began: list[Path] = []
+    place = Folder(folder, "planar16")
+    recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
+    recorder.take(heard(0.0, "arm", arm or told(planar())))
+    fill(recorder)
+    recorder.close()
+    place.close()
+    return began[0]
+
+
+def outcomes(path: Path) -> list[Compared]:
+    past, found = Past(path), list[Compared]()
+    compare(past, None, found.append)
+    past.close()
+    return found
+
+
+@pytest.mark.timeout(900)
+def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Path) -> None:
+    document = yaml.safe_load((DEPLOY / "planar16.yaml").read_text())
+    file = tmp_path / "planar16.yaml"
+    file.write_text(yaml.safe_dump({**document, "method": "ipop-previous"}))  # no search that time ends
+    empty = Past(recorded(tmp_path / "empty", lambda recorder: None, told(load(file))))
+    place, began = Folder(tmp_path / "lived", "planar16"), list[Path]()
+    recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
+    ending = threading.Event()
+    with simulated(empty, None) as arm:
+        ear = Ear(arm._client._session, "planar16")
+        thread = threading.Thread(target=recorder.run, args=(ear, ending.is_set, lambda: None))
+        thread.start()
+        try:
+            arm.wait_ready()
+            eventually(lambda: recorder._arm_told)
+            waypoints = [{"t": 0.5 * k, "position": [0.5 + 0.1 * k, 2.8]} for k in range(3)]
+            ids = ["one", "far", "many", "locked", "around"]
+            assert arm.run({"id": "one", **GOAL})[0]["status"] == "succeeded"
+            assert arm.run({"id": "far", "waypoints": [{"position": [9.0, 9.0]}]})[0]["code"] == -5
+            assert arm.run({"id": "many", "waypoints": waypoints})[0]["status"] == "succeeded"
+            for key, payload in (
+                ("degrade", {"actuator": "3.left", "state": 0}),
+                ("obstacles", {"regions": [{"disc": {"centre": [3.0, 3.0], "radius": 0.2}}]}),
+            ):
+                name = "locked" if key == "degrade" else "around"
+                assert arm.ask(key, payload)["accepted"]
+                arm.wait_ready(600.0)
+                assert arm.run({"id": name, "waypoints": [{"position": [0.3, 2.9]}]})[0]["status"] == "succeeded"
+                assert arm.run({"waypoints": [{"position": [0.6, 2.8]}]})[0]["status"] == "succeeded"
+            path = began[0]
+
+            def noted() -> bool:
+                recorder_has = Past(path)
+                names = {goal.id for goal in history(recorder_has) if isinstance(goal, Goal) and goal.result}
+                return names >= set(ids) - {"far"}
+
+            eventually(noted, every=0.5)
+        finally:
+            ending.set()
+            thread.join()
+            ear.close()
+            recorder.close()
+    assert {it.outcome for it in outcomes(path)} == {"equal"}
+    assert len(outcomes(path)) == 7
+
+
+class Played:
+    """A simulated arm that comes wherever the test says."""
+
+    def __init__(self, result: dict[str, Any], reached: dict[int, str | None], *, there: bool = True) -> None:
+        self.result, self.reached, self.there = result, reached, there
+        self.sent: list[dict[str, Any]] = []
+
+    def bring(self, configuration: str) -> bool:
+        return self.there
+
+    def run(self, goal: dict[str, Any]) -> tuple[dict[str, Any], dict[int, str | None]]:
+        self.sent.append(goal)
+        return self.result, self.reached
+
+
+DONE = {"status": "succeeded", "configuration": "11", "certificate": "optimal"}
+ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "played", "outcome", "reason"),
+    [
+        ({}, Played(DONE, {0: "11"}), "equal", ""),
+        ({}, Played(DONE, {0: "12"}), "differs", "waypoint 1: 11 then, 12 now"),
+        ({}, Played({**DONE, "certificate": "bound"}, {0: "12"}), "unproven", "waypoint 1: 11 then, 12 now"),
+        ({"result": {**DONE, "certificate": "bound"}}, Played(DONE, {0: "12"}), "unproven", "waypoint 1"),
+        ({}, Played({**DONE, "configuration": "12"}, {0: "11"}), "differs", "at the end: 11 then, 12 now"),
+        ({}, Played({"status": "aborted", "message": "stuck"}, {}), "differs", "it succeeded, and now: stuck"),
+        ({}, Played({"accepted": False, "message": "out of reach"}, {}), "differs", "and now: out of reach"),
+        ({}, Played(DONE, {}, there=False), "skipped", "does not come to 00"),
+        ({"accepted": False, "result": None}, Played({"accepted": False}, {}), "equal", ""),
+        ({"accepted": False, "result": None}, Played(DONE, {}), "differs", "it was refused, and is accepted now"),
+        ({"result": {**DONE, "status": "canceled"}}, Played(DONE, {}), "skipped", "it ended as canceled"),
+        ({"result": None}, Played(DONE, {}), "skipped", "the recording ends before it"),
+        ({"start": None}, Played(DONE, {}), "skipped", "no known configuration"),
+        ({"moving": True}, Played(DONE, {}), "skipped", "while the arm moved"),
+        ({"result": {**DONE, "bias": [0.0, 0.01]}}, Played(DONE, {}), "skipped", "by the tracker"),
+    ],
+)
+def test_what_becomes_of_a_goal_is_told(changes: dict[str, Any], played: Played, outcome: str, reason: str) -> None:
+    found = compared(played, ONCE._replace(**changes), anytime=True)  # type: ignore[arg-type]
+    assert (found.id, found.outcome) == ("a", outcome)
+    assert reason in found.reason
+
+
+def test_a_search_without_end_has_no_excuse() -> None:
+    played = Played({**DONE, "certificate": "bound"}, {0: "12"})
+    assert compared(played, ONCE, anytime=False).outcome == "differs"  # type: ignore[arg-type]
+
+
+def test_a_stamp_is_as_far_ahead_as_it_was() -> None:
+    played, before = Played(DONE, {0: "11"}), time.time()
+    compared(played, ONCE._replace(payload={**GOAL, "stamp": 103.0}), anytime=True)  # type: ignore[arg-type]
+    assert before + 3.0 <= played.sent[0]["stamp"] <= time.time() + 3.0
+
+
+def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
+    def fill(recorder: Recorder) -> None:
+        locked = [{"actuator": "1.left", "state": 1}]
+        recorder.take(heard(1.0, "state", {"stamp": 1.0, "mode": "ready", "configuration": "A", "degraded": locked}))
+        recorder.take(heard(2.1, "state", {"stamp": 2.1, "mode": "executing", "configuration": "A"}))
+        recorder.take(heard(2.2, "result", {"id": "x", "status": "succeeded", "configuration": "B"}))
+        answer = {"accepted": True, "id": "x"}
+        recorder.take(heard(2.3, "request", {"stamp": 2.0, "key": "goal", "payload": GOAL, "answer": answer}))
+        recorder.take(heard(2.4, "request", {"stamp": 2.15, "key": "goal", "payload": GOAL, "answer": answer}))
+        recorder.take(heard(3.0, "request", {"stamp": 2.9, "key": "degrade", "payload": {"a": 1}, "answer": answer}))
+        recorder.take(heard(3.1, "request", {"stamp": 3.0, "key": "stop", "payload": None, "answer": answer}))
+        refused = {"accepted": False, "id": "y", "code": -5}
+        recorder.take(heard(3.2, "request", {"stamp": 3.1, "key": "goal", "payload": GOAL, "answer": refused}))
+        recorder.take(heard(3.3, "request", {"stamp": 3.2, "key": "goal", "payload": None, "answer": refused}))
+
+    lock, first, second, change, far = history(Past(recorded(tmp_path, fill)))
+    assert lock == Change("degrade", {"actuator": "1.left", "state": 1})
+    assert isinstance(first, Goal)
+    assert isinstance(second, Goal)
+    assert isinstance(far, Goal)
+    assert (first.start, first.moving, first.obstacle) == ("A", False, None)
+    assert second.obstacle == "it began while the arm moved"
+    assert change == Change("degrade", {"a": 1})
+    assert (far.accepted, far.obstacle) == (False, None)
+
+
+def test_a_recorded_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
+    arm = told(planar())
+    arm["file"]["tables"] = {"../evil.csv": "x"}
+    with pytest.raises(ArmFailed, match=r"evil\.csv"):
+        arm_file(Past(recorded(tmp_path / "a", lambda _: None, arm)), tmp_path)
+    arm["file"]["tables"], arm["file"]["text"] = {}, "name: changed"
+    with pytest.raises(ArmFailed, match="was changed"):
+        arm_file(Past(recorded(tmp_path / "b", lambda _: None, arm)), tmp_path)
+    arm["file"] = None
+    with pytest.raises(ArmFailed, match="--arm"):
+        arm_file(Past(recorded(tmp_path / "c", lambda _: None, arm)), tmp_path)
