@@ -1,18 +1,27 @@
 """Locked actuators: found stuck by their end-stops, or locked over Zenoh; the arm goes on without them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from controller.config import Arm
+from controller.gateway.client import Message
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.arms import QUICK
 from tests.system.observer import Observer
 from tests.system.places import LEFT, MIDDLE, RIGHT, first_to_switch, tip
+from tests.waiting import eventually
 
 NEAR = (0.3, 2.8)
 
 pytestmark = pytest.mark.arm(on_stuck="continue", boards=QUICK)
+
+
+def locked(client: Observer, actuators: list[Any]) -> Message:
+    """Waits for a state in which an arm that is ready tells just these locked actuators; returns it."""
+    return eventually(lambda: s if (s := client.wait_now("ready"))["degraded"] == actuators else None)
 
 
 def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(
@@ -42,8 +51,7 @@ def test_goals_go_on_without_a_stuck_actuator_and_with_it_when_it_is_repaired(
 
     boards.fault("release", label)
     assert client.ask("degrade", actuator=label, state=None)["accepted"]
-    state = client.wait_now("ready")
-    assert (state["degraded"], state["faults"]) == ([], [])
+    assert locked(client, [])["faults"] == []
     client.move(RIGHT, goal="c")
 
 
@@ -59,11 +67,11 @@ def test_an_actuator_that_an_operator_locks_is_left_as_it_is_and_nothing_moves_b
     refused = client.ask("degrade", actuator=label, state=1 - state_now)
     assert (refused["accepted"], f"the end-stop of {label} reads" in refused["message"]) == (False, True)
     assert client.ask("degrade", actuator=label, state=state_now)["accepted"]
-    assert client.wait_now("ready")["degraded"] == [{"actuator": label, "state": state_now}]
+    locked(client, [{"actuator": label, "state": state_now}])
     assert boards.switches().tolist() == before
     client.move(LEFT, NEAR, goal="b")
     assert boards.switches()[k] == before[k]
     jogged = client.ask("jog", actuators={label: ("extended", "contracted")[state_now]})
     assert (jogged["accepted"], label in jogged["message"]) == (False, True)
     assert client.ask("degrade", actuator=label, state=None)["accepted"]
-    assert client.wait_now("ready")["degraded"] == []
+    locked(client, [])
