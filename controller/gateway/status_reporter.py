@@ -83,7 +83,7 @@ class StatusReporter:
             payload = {**state, "faults": merged(state.get("faults", ()), warnings)}
             self._state.put(encode(payload))
             status = f"{state.get('mode')}: {state.get('reason')}"
-            self._log_faults(payload["faults"])
+            self._log_faults(state.get("faults", ()))
             if status != self._status:
                 self._status = status
                 self._notifier.send(f"STATUS={status}")
@@ -91,7 +91,7 @@ class StatusReporter:
             log.exception("the state was not published")
 
     def _log_faults(self, faults: Iterable[Mapping[str, Any]]) -> None:
-        """Writes faults that begin, and those that are over, into the journal, with the fields to look for them."""
+        """Writes faults that begin, and those that are over, into the journal; warnings are written by who warns."""
         active = {(fault["code"], fault["source"]): fault["message"] for fault in faults}
         for (code, source), message in active.items():
             if (code, source) not in self._faults:

@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Callable
 
+from controller.journal import fields_of_fault
 from controller.program import Fault
 
 log = logging.getLogger(__name__)
@@ -41,7 +42,8 @@ class Warnings:
         own = (*self._clock_set(now), *self._network_lost(now))
         for fault in own:
             if (fault.code, fault.source) not in self._logged:
-                log.warning("%s: %s", fault.code, fault.message)
+                fields = fields_of_fault(fault.code, fault.source)
+                log.warning("%s: %s", fault.code, fault.message, extra={"journal": fields})
         self._logged = {(fault.code, fault.source) for fault in own}
         return own + self._others()
 

@@ -1,6 +1,7 @@
 """State and diagnostics: the latest, with warnings, and reports to systemd."""
 
 import json
+import logging
 import socket
 import tempfile
 import threading
@@ -60,6 +61,25 @@ def test_warnings_are_added_to_the_faults_once(bench: Bench) -> None:
     state = eventually(lambda: bench.heard("state"))[0]
     unwritten = {"code": "ledger-unwritten", "source": "ledger", "message": "the disk is full"}
     assert state["faults"] == [STUCK, unwritten]
+
+
+def test_faults_are_written_into_the_journal_once_with_their_fields(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    lost = {"code": "board-lost", "source": "can0/3", "message": "no heartbeat"}
+    bench.state = {"mode": "fault", "reason": "a board is lost", "faults": [lost]}
+    bench.warnings = (Fault("clock-set", "clock", "the clock was set"),)
+    bench.report()
+    eventually(lambda: len(bench.heard("state")) > 2)
+    bench.state = {"mode": "ready", "reason": "holding", "faults": []}
+    eventually(lambda: len(caplog.records) == 2)
+    (begun, over) = caplog.records
+    assert (begun.levelname, begun.getMessage()) == ("ERROR", "board-lost: no heartbeat")
+    assert (over.levelname, over.getMessage()) == ("INFO", "board-lost at can0/3 is over")
+    for record in (begun, over):
+        assert record.journal["HYPERBIT_BOARD"] == "3"  # type: ignore[attr-defined]
+    assert begun.journal["MESSAGE_ID"] != over.journal["MESSAGE_ID"]  # type: ignore[attr-defined]
 
 
 def test_diagnostics_have_the_outbox_beside_the_queues_of_the_planner(bench: Bench) -> None:
