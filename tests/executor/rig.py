@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
 from controller.executor.arm import ExecutedArm
@@ -79,6 +79,7 @@ class Rig:
         self.heard: list[tuple[Client, Any]] = []
         self.notified: list[str] = []
         self.logged: list[tuple[int, str]] = []
+        self.fields: list[Mapping[str, str]] = []  # of the same lines, for the journal
         self.alive = False
         self._programs = 0
 
@@ -91,6 +92,7 @@ class Rig:
                     self.notified.append(action.text)
                 case Log():
                     self.logged.append((action.level, action.text))
+                    self.fields.append(action.fields)
 
     def send(self, message: Any, client: Client = PLANNER) -> None:
         self.do(FromClient(client, message))

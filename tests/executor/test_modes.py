@@ -98,6 +98,16 @@ def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
     assert (rig.mode, rig.snapshot.faults, rig.switched) == ("ready", (), [A])
 
 
+def test_lines_on_modes_and_faults_have_fields_for_the_journal(rig: Rig) -> None:
+    rig.master.fail(Fault("emergency", "can0/3", "short circuit"))
+    rig.do(CAN)
+    fields = {text: it for (_, text), it in zip(rig.logged, rig.fields, strict=True)}
+    fault, mode = fields["emergency: short circuit"], fields["fault: short circuit"]
+    assert (fault["HYPERBIT_FAULT"], fault["HYPERBIT_BUS"], fault["HYPERBIT_BOARD"]) == ("emergency", "can0", "3")
+    assert mode["HYPERBIT_MODE"] == "fault"
+    assert len({fault["MESSAGE_ID"], mode["MESSAGE_ID"]}) == 2
+
+
 @pytest.mark.parametrize("code", sorted(PASSING))
 def test_what_passes_is_left_by_itself(rig: Rig, code: str) -> None:
     rig.run(A, B)
