@@ -48,6 +48,7 @@ PATIENCE = 180.0  # [s] for the daemon to be ready, or to end; the first start c
 def demo(
     file: Annotated[Path | None, typer.Argument(metavar="ARM.yaml", help="The paper's arm if absent.")] = None,
     picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("demo.png"),
+    animation: Annotated[Path | None, typer.Option(help="Where an animation goes: .gif, .png or .webp.")] = None,
 ) -> None:
     """Run the whole chain on simulated boards: three targets, then a closed curve, a table and a picture."""
     arm = load_wired(file or shipped("planar16.yaml"))
@@ -64,21 +65,55 @@ def demo(
         connected(arm.settings.name, endpoint, None) as client,
     ):
         wait_until_ready(client, daemon.poll)
+        states, pauses = Watched(), list[int]()
+        watching = client.subscribe("state", states.take)
         for target in targets:
             began = time.perf_counter()
             result = run(client, [{"position": target}], f"target ({written(target)})")
             rows.append((written(target), result, time.perf_counter() - began))
             reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
+            pauses.append(states.find(states_of(arm, result)))
         step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
         waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
         began = time.perf_counter()
         result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
         rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
+        pauses.append(states.find(states_of(arm, result)))
+        watching.undeclare()  # type: ignore[no-untyped-call]
     console.print(summary(arm, rows))
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
     panels = [plots.Panel(title, reached, targets, curve)]
     plots.save(picture, arm.manipulator, densities, panels, regions=arm.regions)
     console.print(f"picture: {picture}")
+    if animation is not None:
+        from controller.animation import animate
+
+        panel = plots.Panel(title, targets=targets, curve=curve)
+        animate(animation, arm.manipulator, densities, states, pauses, panel, arm.regions)
+        console.print(f"animation: {animation}")
+
+
+def states_of(arm: Arm, result: Message) -> list[int]:
+    """Returns the states of the actuators, shape (A,), at the end of a goal."""
+    configuration = parse_configuration(arm.manipulator, result["configuration"])
+    return [int(state) for state in arm.manipulator.actuator_states(configuration)]
+
+
+class Watched(list[list[int]]):
+    """Commanded states of the actuators, shape (A,) each, as they changed."""
+
+    def take(self, state: Message) -> None:
+        """Appends the states of a message if they are known and new."""
+        commanded = state["commanded"]
+        if commanded is not None and self[-1:] != [commanded]:
+            self.append(commanded)
+
+    def find(self, states: list[int]) -> int:
+        """Returns the index of the last states, once they are these; messages come 20 times a second."""
+        until = time.monotonic() + PATIENT
+        while self[-1:] != [states] and time.monotonic() < until:
+            time.sleep(0.02)
+        return len(self) - 1
 
 
 def sample(arm: Arm, count: int) -> list[list[float]]:
