@@ -98,7 +98,7 @@ def configuration_of(given: Any, manipulator: Manipulator) -> Configuration:
             return parse_configuration(manipulator, given)
         except ValueError as error:
             raise Nonsense(str(error)) from None
-    array = guarded(lambda: np.array(given))
+    array = guarded(lambda: np.asarray(given))
     if array.shape != manipulator.states.shape or not np.issubdtype(array.dtype, np.integer):
         raise Nonsense(
             f"integers of shape {manipulator.states.shape} are needed, got {array.dtype} of shape {array.shape}"

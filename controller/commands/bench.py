@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -143,7 +144,8 @@ def measured(name: str, tasks: list[Task], methods: dict[str, Prepare], limit: f
     arms = {arm: bench_arm(arm) for arm in {task.arm for task in tasks}}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     silent = not common.errors.is_terminal
-    with Progress(*columns, console=common.errors, transient=True, disable=silent) as progress:
+    bars = Progress(*columns, console=common.errors, transient=True, disable=silent)
+    with bars as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
         rows = []
         for method, prepare in methods.items():
             bar = progress.add_task(f"{name}: {method}", total=len(tasks))
@@ -178,4 +180,4 @@ def print_names(sets: dict[str, str]) -> None:
     for title, about in (("sets", sets), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
         common.console.print(f"{title}:")
         for name, text in about.items():
-            common.console.print(f"  {name:20}{text}", markup=False)
+            common.console.print(f"  {name:24}{text}", markup=False)

@@ -76,7 +76,7 @@ class Hostile:
     def configuration(self):
         raise RuntimeError("no")
 
-    def __array__(self, *given):
+    def __array__(self, *given, **more):
         raise RuntimeError("no")
 
 
@@ -194,5 +194,5 @@ def test_each_method_of_the_benchmark_runs(name):
     tasks += read("planar16")[:1]
     arms = {task.arm: bench_arm(task.arm) for task in tasks}
     row = run(name, find_method(METHODS[name].target), tasks, arms, 60.0)
-    assert (row.goals + row.left_out, row.errors, row.impossible, row.wrong_certificates) == (6, {}, 0, 0)
+    assert (row.goals + row.left_out, row.errors, row.impossible, row.wrong_certificates) == (5, {}, 0, 0)
     assert row.goals >= 1
