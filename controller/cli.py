@@ -12,6 +12,8 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from controller.commands.groups import EXAMPLES, GROUPS
+
 
 class Entry(NamedTuple):
     """Where a command is implemented.
@@ -41,7 +43,7 @@ COMMANDS = {
         "Run the whole chain on simulated boards: three targets, then a closed curve, a table and a picture.",
     ),
     "send": Entry("talk", "send", "Send a goal and follow it to its result; Ctrl-C cancels the goal."),
-    "watch": Entry("talk", "watch", "Show a running arm until interrupted; with --json, a line for each state."),
+    "watch": Entry("talk", "watch", "Show a running arm until interrupted; with --json, print a line for each state."),
     "record": Entry(
         "record", "record", "Record all that an arm publishes, and its requests, to MCAP files until SIGTERM."
     ),
@@ -50,25 +52,25 @@ COMMANDS = {
         "replay",
         "Republish a recording below another prefix, or send its goals to a simulated arm and compare.",
     ),
-    "cancel": Entry("tell", "cancel", "End the running goal or stream of setpoints; the arm holds and takes the next."),
+    "cancel": Entry(
+        "tell", "cancel", "End the running goal or stream of set-points; the arm holds and accepts the next."
+    ),
     "stop": Entry(
         "tell",
         "stop",
-        "Have the arm hold and take nothing until reset. No substitute for a switch that cuts the power.",
+        "Stop the arm: it holds and accepts no motion until reset. No substitute for a switch that cuts the power.",
     ),
     "halt": Entry(
         "halt",
         "halt",
-        "Have the arm hold and take nothing until reset, as `stop`. No substitute for a switch that cuts the power.",
+        "Stop the arm as `stop`, or --local past planner and Zenoh. No substitute for a switch that cuts the power.",
     ),
-    "reset": Entry("tell", "reset", "Leave a stop or a fault; nothing moves by that."),
-    "degrade": Entry(
-        "tell", "degrade", "Go on without actuators that are stuck, or use them again; nothing moves by that."
-    ),
+    "reset": Entry("tell", "reset", "Leave a stop or a fault; nothing moves."),
+    "degrade": Entry("tell", "degrade", "Lock actuators that are stuck, or unlock them; nothing moves."),
     "lock": Entry(
-        "tell", "lock", "Lock actuators in a state, or unlock them with `free`, as `degrade`; nothing moves by that."
+        "tell", "lock", "Lock actuators in a state, or unlock them with `free`; nothing moves. The same as `degrade`."
     ),
-    "jog": Entry("jog", "jog", "Switch single actuators, also where the arm is in no configuration; the arm moves."),
+    "jog": Entry("jog", "jog", "Switch single actuators, also if the arm is in no configuration. The arm moves."),
     "exercise": Entry(
         "exercise",
         "exercise",
@@ -77,10 +79,10 @@ COMMANDS = {
     "obstacles": Entry(
         "tell",
         "obstacles",
-        "Keep out of regions beside those of the arm's file, in place of what was sent before; nothing moves by that.",
+        "Send obstacles in place of those sent before; those of the arm's file remain. Nothing moves.",
     ),
     "plan": Entry("plan", "plan", "Search configurations for goals, without any hardware."),
-    "fk": Entry("report", "fk", "Say where a configuration brings the tip."),
+    "fk": Entry("report", "fk", "Print position and orientation of the tip for a configuration."),
     "map": Entry("report", "map_", "Map the point densities of all intermediate workspaces into the cache."),
     "workspace": Entry(
         "workspace",
@@ -90,11 +92,13 @@ COMMANDS = {
     "figure5": Entry(
         "report", "figure5", "Repeat the paper's experiment of section 4: three targets, three algorithms."
     ),
-    "bench": Entry("bench", "bench", "Compare methods of inverse kinematics on goals whose fewest switches are proven."),
-    "check": Entry("health", "check", "Say all that is wrong in an arm's file, by field."),
-    "probe": Entry(
-        "probe", "probe", "Find the nodes of a CAN bus and tell what each is and holds; writes nothing on them."
+    "bench": Entry(
+        "bench", "bench", "Compare methods of inverse kinematics on goals whose fewest switches are proven."
     ),
+    "check": Entry(
+        "health", "check", "Check an arm's file and name each fault by its field; --bus also reads the boards."
+    ),
+    "probe": Entry("probe", "probe", "Find the nodes of a CAN bus and print what each is and holds; writes nothing."),
     "node-id": Entry(
         "node_id",
         "node_id",
@@ -106,7 +110,7 @@ COMMANDS = {
         "panel",
         "Serve the operator's page, which shows and commands all arms that it is connected to, until SIGTERM.",
     ),
-    "wear": Entry("health", "wear", "Say how often each actuator has switched, and how goals ended."),
+    "wear": Entry("health", "wear", "Print how often each actuator has switched, and how goals ended."),
     "calibrate": Entry(
         "calibrate",
         "calibrate",
@@ -170,12 +174,13 @@ class DeferredCommand(TyperCommand):
         """Returns the context of the imported command, which the group then invokes in place of this one."""
         module = importlib.import_module(f"controller.commands.{self._entry.module}")
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-        single.command(self.name, cls=QuickCommand)(getattr(module, self._entry.function))
+        epilog = f"Example: {EXAMPLES[self.name]}" if self.name in EXAMPLES else None
+        single.command(self.name, cls=QuickCommand, epilog=epilog)(getattr(module, self._entry.function))
         return typer.main.get_command(single).make_context(info_name, args, parent, **extra)
 
 
 class Commands(TyperGroup):
-    """The commands of the table, in its order."""
+    """The commands of the table; `--help` shows them in groups."""
 
     def __init__(self, **settings: Any) -> None:
         """Adds the deferred commands."""
@@ -187,13 +192,22 @@ class Commands(TyperGroup):
         """Returns the parameters that precede a command."""
         return [quick(parameter) for parameter in super().get_params(ctx)]
 
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Writes each group with its commands and one example."""
+        width = max(map(len, COMMANDS))
+        for title, examples in GROUPS.items():
+            with formatter.section(title):
+                shown = [name for name in examples if name in COMMANDS]
+                formatter.write_dl([(name.ljust(width), COMMANDS[name].summary) for name in shown])
+                formatter.write_paragraph()
+                formatter.write_text(f"Example: {next(iter(examples.values()))}")
+
 
 app = typer.Typer(
     name="hyperbit",
     help="Drives arms made of many two-state actuators: goals over Zenoh in, switch commands over CANopen out.",
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich's help takes longer to import than all else that `--help` needs
 )

@@ -25,7 +25,7 @@ def halt(
     zenoh_file: Annotated[Path | None, typer.Option("--zenoh", help=ZENOH)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Have the arm hold and take nothing until reset, as `stop`. No substitute for a switch that cuts the power."""
+    """Stop the arm as `stop`, or --local past planner and Zenoh. No substitute for a switch that cuts the power."""
     if local:
         halt_here(arm, socket, as_json)
         return

@@ -29,7 +29,7 @@ def check(
     node: Annotated[str | None, typer.Option(help="As in can0/5: the one board that the EDS is of.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say all that is wrong in an arm's file, by field.
+    """Check an arm's file and name each fault by its field; --bus also reads the boards.
 
     Example: hyperbit check my-arm.yaml --eds 750-337.eds --node can0/5
     """
@@ -108,7 +108,7 @@ def wear(
     ledger: Annotated[Path | None, typer.Option(help="The ledger; the daemon's if absent.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say how often each actuator has switched, and how goals ended."""
+    """Print how often each actuator has switched, and how goals ended."""
     import sqlite3
 
     from rich.table import Table

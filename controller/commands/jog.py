@@ -22,7 +22,7 @@ def jog(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Switch single actuators, also where the arm is in no configuration; the arm moves."""
+    """Switch single actuators, also if the arm is in no configuration. The arm moves."""
     actuators = dict[str, str]()
     for change in changes:
         actuator, _, state = change.partition("=")

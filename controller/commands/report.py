@@ -26,7 +26,7 @@ def fk(
     states: Annotated[str, typer.Argument(metavar="CONFIGURATION", help="Module states, base first.")],
     as_json: AsJson = False,
 ) -> None:
-    """Say where a configuration brings the tip."""
+    """Print position and orientation of the tip for a configuration."""
     arm = load(file)
     found = pose(arm.manipulator, arm.manipulator.tip(configuration(arm, states, "CONFIGURATION")))
     if as_json:

@@ -161,7 +161,7 @@ def watch(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show a running arm until interrupted; with --json, a line for each state."""
+    """Show a running arm until interrupted; with --json, print a line for each state."""
     from rich.live import Live
 
     from controller.commands.view import View

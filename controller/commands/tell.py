@@ -30,19 +30,19 @@ REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacle
 
 
 def cancel(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
-    """End the running goal or stream of setpoints; the arm holds and takes the next."""
+    """End the running goal or stream of set-points; the arm holds and accepts the next."""
     with connected(arm, connect, zenoh_file) as client:
         ask(client, "cancel", {}, as_json)
 
 
 def stop(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
-    """Have the arm hold and take nothing until reset. No substitute for a switch that cuts the power."""
+    """Stop the arm: it holds and accepts no motion until reset. No substitute for a switch that cuts the power."""
     with connected(arm, connect, zenoh_file) as client:
         ask(client, "stop", {}, as_json)
 
 
 def reset(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
-    """Leave a stop or a fault; nothing moves by that."""
+    """Leave a stop or a fault; nothing moves."""
     with connected(arm, connect, zenoh_file) as client:
         ask(client, "reset", {}, as_json)
 
@@ -54,7 +54,7 @@ def degrade(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Go on without actuators that are stuck, or use them again; nothing moves by that."""
+    """Lock actuators that are stuck, or unlock them; nothing moves."""
     wishes = [wish(change) for change in changes]
     with connected(arm, connect, zenoh_file) as client:
         for payload in wishes:
@@ -69,7 +69,7 @@ def lock(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Lock actuators in a state, or unlock them with `free`, as `degrade`; nothing moves by that."""
+    """Lock actuators in a state, or unlock them with `free`; nothing moves. The same as `degrade`."""
     degrade(arm, changes, connect, zenoh_file, as_json)
 
 
@@ -81,7 +81,7 @@ def obstacles(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Keep out of regions beside those of the arm's file, in place of what was sent before; nothing moves by that."""
+    """Send obstacles in place of those sent before; those of the arm's file remain. Nothing moves."""
     if (file is None) != none:
         raise InputFaults(Path("obstacles"), ["give either a file of regions or --none"])
     payload: dict[str, Any] = {"regions": []} if file is None else read_payload(file, "regions", "regions")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -15,6 +17,7 @@ import pytest
 from controller import cli
 from controller.commands import tell
 from controller.commands.common import arm_name
+from controller.commands.groups import EXAMPLES, GROUPS
 from controller.manipulator import held
 from controller.strict import InputFaults
 
@@ -44,6 +47,40 @@ def test_the_table_agrees_with_the_commands():
         function = getattr(importlib.import_module(f"controller.commands.{entry.module}"), entry.function)
         assert (name, entry.function) == (function.__name__.rstrip("_").replace("_", "-"), function.__name__)
         assert entry.summary == inspect.getdoc(function).splitlines()[0]
+
+
+def test_each_command_is_in_one_group_and_has_an_example(hyperbit):
+    assert sorted(name for examples in GROUPS.values() for name in examples) == sorted(cli.COMMANDS)
+    assert all(example.split()[:2] == ["hyperbit", name] for name, example in EXAMPLES.items())
+    code, out, _ = hyperbit("--help")
+    assert code == 0
+    assert [line.removesuffix(":") for line in out.splitlines() if line.removesuffix(":") in GROUPS] == list(GROUPS)
+
+
+def test_the_page_of_the_commands_has_the_same_groups_and_examples():
+    sections = (Path(cli.__file__).parent / "commands" / "README.md").read_text().split("\n## ")
+    rows = {
+        section.partition("\n")[0]: re.findall(r"^\| (`.*?) \|.*\| `(.*?)` \|$", section, re.M) for section in sections
+    }
+    for title, examples in GROUPS.items():
+        assert sorted(name for row, _ in rows[title] for name in re.findall("`(.*?)`", row)) == sorted(examples)
+        assert {example for _, example in rows[title]} <= set(examples.values())
+
+
+def test_the_help_of_a_command_ends_with_its_example(hyperbit):
+    for name in ("stop", "halt", "wear"):
+        assert hyperbit(name, "--help")[1].rstrip().endswith(f"Example: {EXAMPLES[name]}")
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [("hyperbit st", "stop"), ("hyperbit stop --js", "--json"), ("hyperbit send --path", "--path-tolerance")],
+)
+def test_bash_completes_commands_and_options(words, completed):
+    asked = {"_HYPERBIT_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    run = [sys.executable, "-c", "import sys; sys.argv[0] = 'hyperbit'; from controller.cli import main; main()"]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=100, env={**os.environ, **asked})
+    assert done.stdout.split() == [completed], done.stderr
 
 
 @pytest.mark.parametrize("words", [("--help",), ("--version",)])
