@@ -1,0 +1,107 @@
+"""What the recorder hears over Zenoh: all keys of its arm, requests by name, and when the daemon comes and goes."""
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from controller.gateway import session
+from controller.recorder import heard
+from controller.recorder.heard import Ear, Heard, LogClock
+from tests.waiting import eventually
+
+ARM = json.dumps({"name": "a"}).encode()
+
+
+@pytest.fixture
+def ends(tmp_path: Path) -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
+    """The daemon's session, and the recorder's."""
+    endpoint = f"unixsock-stream/{tmp_path}/z.sock"
+    with ExitStack() as stack:
+        daemon = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
+        yield daemon, stack.enter_context(zenoh.open(session.configuration("client", connect=endpoint)))
+
+
+def until(ear: Ear, key: str, before: list[Heard]) -> Heard:
+    """The next message on a key; those before it are put to `before`."""
+
+    def found() -> Heard | None:
+        before.extend(ear.take(0.1))
+        return next((it for it in before if it.key == key), None)
+
+    item = eventually(found)
+    before.remove(item)
+    return item
+
+
+def test_all_that_concerns_the_arm_is_heard(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
+    daemon, own = ends
+    ear, items = Ear(own, "a"), list[Heard]()
+    publisher = daemon.declare_publisher("hyperbit/a/@request")
+    eventually(lambda: publisher.matching_status.matching)
+    daemon.put("hyperbit/a/state", b"1")
+    daemon.put("hyperbit/b/state", b"of another arm")
+    daemon.put("hyperbit/a/some/key", b"2")
+    daemon.put("hyperbit/a/arm", b"forged")
+    daemon.put("hyperbit/a/gone", b"forged")
+    publisher.put(b"3")
+    assert until(ear, "request", items).data == b"3"
+    assert until(ear, "state", items).data == b"1"
+    assert until(ear, "some/key", items).data == b"2"
+    assert items == []
+    ear.close()
+
+
+def test_the_daemon_is_heard_to_come_and_go_and_describes_the_arm(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
+    daemon, own = ends
+    asked: list[bytes] = []
+
+    def answer(query: zenoh.Query) -> None:
+        asked.append(query.payload.to_bytes() if query.payload else b"")
+        with query:
+            query.reply("hyperbit/a/arm", ARM)
+
+    queryable = daemon.declare_queryable("hyperbit/a/arm", answer)
+    token = daemon.liveliness().declare_token("hyperbit/a/alive")
+    ear, items = Ear(own, "a"), list[Heard]()
+    until(ear, "alive", items)
+
+    def described() -> bool:
+        ear.ask()  # a get may come before the routes are known
+        items.extend(ear.take(0.2))
+        return any(it == Heard(it.at, "arm", ARM) for it in items)
+
+    eventually(described)
+    assert json.loads(asked[0]) == {"with": ["drawing", "file"]}
+    token.undeclare()
+    until(ear, "gone", items)
+    token = daemon.liveliness().declare_token("hyperbit/a/alive")
+    until(ear, "alive", items)
+    ear.close()
+    token.undeclare()
+    queryable.undeclare()
+
+
+def test_what_nobody_writes_does_not_fill_the_memory(
+    ends: tuple[zenoh.Session, zenoh.Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heard, "MOST_WAITING", 100)
+    ear = Ear(ends[1], "a")
+    for _ in range(30):
+        ear._put("state", bytes(10))
+    assert (len(ear.take(0.0)), ear.dropped(), ear.dropped()) == (10, 20, 0)
+    ear._put("state", bytes(10))
+    assert len(ear.take(0.0)) == 1
+    ear.close()
+
+
+def test_log_times_are_unix_times_that_no_step_of_the_clock_reorders(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, before = LogClock(), time.time_ns()
+    assert abs(clock.now() - before) < 60 * 10**9
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    assert abs(clock.now() - before) < 60 * 10**9
+    assert clock.at(5) - clock.at(3) == 2
