@@ -85,9 +85,9 @@ class LabelSetting:
         """Whether nothing better can be found."""
         return proves(self.best.bound, self.best.cost)
 
-    def offer(self, configurations: Integers, cost: float, bound: float) -> None:
-        """Takes a sequence (n, B) if it is cheaper than the best, and what is proven of any sequence."""
-        self.best = self.best._replace(bound=max(self.best.bound, bound))
+    def offer(self, configurations: Integers, cost: float, first: float = 0.0) -> None:
+        """Takes a sequence (n, B) if it is cheaper than the best; `first`: least cost of coming to the first point."""
+        self.best = self.best._replace(bound=max(self.best.bound, first + float(self._rest[0])))
         if cost < self.best.cost * (1 - EPSILON):
             self.best = self.best._replace(configurations=configurations, cost=cost)
 
@@ -137,12 +137,12 @@ class LabelSetting:
             return
         costs = layers[-1].costs + self._solver.cost(layers[-1].configurations, rows[k])
         n, rest = int(np.argmin(costs)), float(self._solver.cost(rows[k + 1 :], rows[k:-1]).sum())
-        self.offer(np.vstack([trace(layers, n), rows[k:]]), float(costs[n]) + rest, 0.0)
+        self.offer(np.vstack([trace(layers, n), rows[k:]]), float(costs[n]) + rest)
 
     def _complete(self, ceiling: float) -> bool:
         """Proves that no sequence costs so little, or finds the cheapest; False if there is no time or room for it."""
         layers = [self._start]
-        for k, rest in enumerate(self._rest[1:]):
+        for k, rest in enumerate(self._rest):
             following = self._following(layers[-1], k, ceiling - float(rest), MOST)
             if following is None:
                 return False
@@ -159,7 +159,7 @@ class LabelSetting:
     def _offer_through(self, layers: list[Layer]) -> None:
         """Offers the cheapest sequence through layers."""
         n = int(np.argmin(layers[-1].costs))
-        self.offer(trace(layers, n), float(layers[-1].costs[n]), 0.0)
+        self.offer(trace(layers, n), float(layers[-1].costs[n]))
 
     def _cheapest(self, layer: Layer, k: int, width: int) -> Layer | None:
         """Returns about so many of the cheapest configurations for point k; None if there are none or it is late."""
@@ -247,14 +247,12 @@ def trace(layers: list[Layer], n: int) -> Integers:
 
 
 def least_rest(trajectory: Trajectory, least: float) -> Array:
-    """Returns what serving the points from each one on costs at least, any configuration being free there, (n + 1,).
-
-    The first is from the first point on; what leads there is not counted, nor is the last number, 0.
+    """Returns what the points after each one cost at least, whatever configuration serves that one, shape (n,).
 
     Two points that are farther apart than their tolerances need a switch between them.
     """
     count = len(trajectory.times)
-    result = np.zeros(count + 1)
+    result = np.zeros(count)
     slack = EPSILON * (1.0 + float(np.abs(trajectory.positions).max(initial=0.0)))
     for k in range(count - 2, -1, -1):
         result[k] = result[k + 1]

@@ -87,7 +87,9 @@ def look_ahead(
         stop: whether to end sooner.
     """
     search = LabelSetting(solver, found.trajectory, previous, stop)
-    search.offer(np.array([solution.configuration for solution in found.solutions]), found.cost, found.bound)
+    search.offer(
+        np.array([solution.configuration for solution in found.solutions]), found.cost, found.solutions[0].bound
+    )
     best = search.run(WHOLE_TIME if seconds is None else seconds)
     better = found
     if best.configurations is not None and best.cost < found.cost:
