@@ -1,0 +1,116 @@
+"""Whole trajectories of the paper's arm: switches, and what is proven of them: python -m tests.benchmarks.trajectories
+
+Random curves with 30 waypoints, each from where the arm stands. Beside the search over the whole trajectory, in the
+same run: the cheapest configuration for each waypoint (greedy), and the look-ahead of a running goal.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from controller.config import load
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.label_setting import LabelSetting
+from controller.motion.lookahead import LookAhead
+from controller.motion.trajectory import Trajectory, through
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+from tests.benchmarks.arms import DEPLOY
+
+WAYPOINTS = 30
+SPACINGS = (0.0005, 0.001, 0.02, 0.1)  # between waypoints
+GAP = 0.05
+
+
+def curve(manipulator: Manipulator, spacing: float, rng: np.random.Generator) -> tuple[Configuration, Trajectory]:
+    """Returns a random configuration, and a smooth random curve from its tip on that stays where the arm is dense."""
+    while True:
+        start = rng.integers(0, manipulator.states)
+        heading = rng.uniform(0, 2 * np.pi)
+        bend, wave = rng.uniform(-1, 1, 2) * min(spacing / 0.2, 0.5)
+        headings = heading + np.cumsum(bend + wave * np.sin(np.arange(WAYPOINTS) / 5))
+        steps = spacing * np.column_stack((np.cos(headings), np.sin(headings)))
+        points = manipulator.tip(start)[:2, 3] + np.cumsum(steps, axis=0)
+        if np.abs(points[:, 0]).max() < 1.0 and points[:, 1].min() > 1.8 and np.linalg.norm(points, axis=1).max() < 2.9:
+            return start, through(np.arange(float(WAYPOINTS)), points, 0.002)
+
+
+def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> float:
+    """Returns the cost of the cheapest configuration for each point in turn."""
+    total = 0.0
+    for k, tolerance in enumerate(trajectory.tolerances.tolist()):
+        found = solver.solve(trajectory.goal(k), start, tolerance)
+        total, start = total + found.cost, found.configuration
+    return total
+
+
+def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> float:
+    """Returns the cost of what the look-ahead of a running goal chooses with time enough."""
+    search = LookAhead(solver, start, trajectory)
+    for _ in trajectory.times:
+        search.extend()
+    rows = np.array([start, *search.decide(len(trajectory.times))])
+    return float(solver.cost(rows[1:], rows[:-1]).sum())
+
+
+def measured(solver: Solver, start: Configuration, trajectory: Trajectory, seconds: float) -> dict[str, float]:
+    """Returns the costs and times of one curve."""
+    times, costs = [time.perf_counter()], list[float]()
+    for method in (greedy, ahead):
+        costs.append(method(solver, start, trajectory))
+        times.append(time.perf_counter())
+    found = LabelSetting(solver, trajectory, start).run(seconds)
+    times.append(time.perf_counter())
+    spent: NDArray[np.float64] = np.diff(times)
+    return {
+        **dict(zip(("greedy", "ahead", "plan", "bound"), [*costs, found.cost, found.bound], strict=True)),
+        **dict(zip(("greedy_seconds", "ahead_seconds", "seconds"), spent.tolist(), strict=True)),
+    }
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--curves", type=int, default=20)
+    parser.add_argument("--seconds", type=float, default=4.0, help="for each curve, half of it for the proof")
+    parser.add_argument("--spacing", type=float, action="append", help="between waypoints; may be given again")
+    parser.add_argument("--json", type=Path, help="write the figures of each curve, too")
+    given = parser.parse_args()
+    arm = load(DEPLOY / "planar16.yaml")
+    m = arm.manipulator
+    solver = Solver(m, map_densities(m, arm.pixel, arm.level_pixels))
+    solver.prepare()
+    measured(solver, *curve(m, 0.001, np.random.default_rng(1)), 0.1)  # kernels are loaded
+    table = Table(
+        *("spacing", "switches: greedy", "ahead", "plan", "proven bound", "mean gap", f"gap at most {GAP:.0%}"),
+        *("optimal", "time [s]: greedy", "ahead", "plan and proof"),
+        title=f"{given.curves} curves of {WAYPOINTS} waypoints, means",
+    )
+    rows = []
+    for spacing in given.spacing or SPACINGS:
+        rng = np.random.default_rng(7)
+        own = [measured(solver, *curve(m, spacing, rng), given.seconds) for _ in range(given.curves)]
+        mean = {key: float(np.mean([row[key] for row in own])) for key in own[0]}
+        gaps = np.array([row["plan"] / row["bound"] - 1 for row in own])
+        table.add_row(
+            f"{spacing:g}",
+            *(f"{mean[key]:.1f}" for key in ("greedy", "ahead", "plan", "bound")),
+            f"{gaps.mean():.0%}",
+            str(int((gaps <= GAP + 1e-9).sum())),
+            str(int((gaps <= 1e-9).sum())),
+            *(f"{mean[key]:.2f}" for key in ("greedy_seconds", "ahead_seconds", "seconds")),
+        )
+        rows += [{"spacing": spacing, **row} for row in own]
+    Console(width=140).print(table)
+    if given.json is not None:
+        given.json.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
