@@ -6,7 +6,7 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test vm vm-test check bench fuzz soak clean
+.PHONY: demo test page-test vm vm-test check bench fuzz soak clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -15,7 +15,7 @@ demo: $(VENV)/kernels
 # processes leave BLAS no threads to gain by.
 REAL_TIME := tests/system
 test: check $(VENV)/kernels
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %) --ignore tests/page
 	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS)
 
 # Prepares the virtual machine, so that its tests begin at once.
@@ -27,6 +27,11 @@ vm: $(VENV)/installed
 vm-test: $(VENV)/installed
 	$(BIN)/python -m tests.vm.boot $(ARGS)
 
+# The operator's page in Debian's Chromium: apt-get install chromium chromium-driver
+page-test: $(VENV)/kernels $(VENV)/installed
+	$(BIN)/pip install --quiet --editable '.[dev,page]'
+	$(BIN)/pytest tests/page $(ARGS)
+
 check: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -37,6 +42,7 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.mapping
 	$(BIN)/python -m tests.benchmarks.search
 	$(BIN)/python -m tests.benchmarks.lines
+	$(BIN)/python -m tests.benchmarks.trajectories
 	$(BIN)/python -m tests.benchmarks.arms
 	$(BIN)/python -m tests.benchmarks.poses
 	$(BIN)/python -m tests.benchmarks.obstacles
