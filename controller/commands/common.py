@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,13 +50,38 @@ def __getattr__(name: str) -> Console:
 
 
 class Failed(Exception):
-    """What was asked for failed; the command ends with 1."""
+    """What was asked for failed; the command ends with 1.
+
+    Args:
+        message: what happened.
+        step: what the user can do next; "" if hyperbit does not know.
+    """
+
+    def __init__(self, message: str, step: str = "") -> None:
+        super().__init__(f"{message}\nNext: {step}" if step else message)
 
 
 class Named(Struct, frozen=True):
     """The one field of an arm's file that its clients need."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
+
+
+NEXT = {  # what to do next, by a part of the daemon's sentence
+    "the arm is stopped": "leave the stop by: hyperbit reset {arm}",
+    "the arm is fault": "remove the cause, then: hyperbit reset {arm}",
+    "the arm is starting": "wait until it is ready: hyperbit watch {arm}",
+    "is no configuration": "switch single actuators: hyperbit jog {arm} ACTUATOR=STATE",
+    "out of reach": "see where the arm can reach: hyperbit workspace ARM.yaml",
+    "the executor is not connected": "look at it: systemctl status hyperbit-executor",
+}
+
+
+def refusal(answer: Mapping[str, Any], arm: str) -> Failed:
+    """Returns the error for an answer or a result of an arm's daemon that is not a success."""
+    status, message = answer.get("status", "refused"), answer["message"]
+    step = next((step for part, step in NEXT.items() if part in message), "")
+    return Failed(f"{status} (code {answer['code']}): {message}", step.format(arm=arm))
 
 
 def print_json(value: object) -> None:

@@ -7,6 +7,8 @@ from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Halt, Hello
 from controller.sockets import found_sockets, socket_path
 
 ANSWER_WITHIN = 1.0  # [s]
+JOIN = "become a member of the group of the executor: sudo usermod --append --groups hyperbit USER, or use sudo"
+SEARCH = "name the executor's socket or its folder by --socket; an executor starts by: hyperbit run ARM.yaml"
 
 
 def halt_local(name: str = "", path: Path | None = None) -> str:
@@ -28,18 +30,20 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
         sockets = [path] if path.suffix == ".sock" else sorted(path.glob("*.sock"))
     else:
         sockets = found_sockets()
-    answers, failures = [], []
+    answers, failures, step = [], [], ""
     for own in sockets:
         try:
             answers.append(f"{own.stem}: {halt(own, name)}")
         except OSError as error:
+            step = JOIN if isinstance(error, PermissionError) else step
             failures.append(f"{own}: no executor answers ({error.strerror or error})")
         except Malformed as error:
             failures.append(f"{own}: {error}")
     if failures or not sockets:
         from controller.commands.common import Failed
 
-        raise Failed("\n".join([*answers, *failures]) or "no executor is running: there is no socket")
+        told = "\n".join([*answers, *failures])
+        raise Failed(told or "no executor is running: there is no socket", step if told else SEARCH)
     return "\n".join(answers)
 
 

@@ -33,4 +33,4 @@ def jog(
             raise InputFaults(Path("jog"), [f"{change!r}: {actuator} stands twice"])
         actuators[actuator] = state
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, "jog", {"actuators": actuators}, as_json)
+        ask(client, arm, "jog", {"actuators": actuators}, as_json)

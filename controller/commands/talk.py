@@ -23,12 +23,16 @@ from controller.commands.common import (
     arm_name,
     parse_goal,
     print_json,
+    refusal,
 )
 from controller.strict import InputFaults, read_yaml
 
 if TYPE_CHECKING:
+    import zenoh
+
     from controller.gateway.client import Client
 
+START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 ONE_GOAL = "Where to go now, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
 
 
@@ -53,12 +57,21 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     try:
         opened = zenoh.open(config)
     except zenoh.ZError as error:
-        raise Failed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}") from None
+        raise Failed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
     with opened as live, contextlib.closing(Client(live, name, lambda: zenoh.open(config))) as client:
         try:
             yield client
         except Unanswered as error:
-            raise Failed(str(error)) from None
+            raise Failed(str(error), others(live, name)) from None
+
+
+def others(session: zenoh.Session, arm: str) -> str:
+    """Returns what to do next where the daemon of an arm did not answer: the other arms that are there, if any."""
+    tokens = session.liveliness().get("hyperbit/*/alive", timeout=1.0)
+    names = sorted({str(token.ok.key_expr).split("/")[1] for token in tokens if token.ok is not None})
+    if arm in names:
+        return "allow this client its key, or wait and ask again"
+    return f"name an arm that is there: {', '.join(names)}" if names else START
 
 
 def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
@@ -123,7 +136,7 @@ def send(
     if as_json and "status" in result:
         print_json(result)
     if result["code"] != 0:
-        raise Failed(f"{result.get('status', 'refused')} (code {result['code']}): {result['message']}")
+        raise refusal(result, arm)
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
         common.console.print(f"reached ({position}), error {missed(result)}, {result['switches']} switches")
@@ -180,7 +193,7 @@ def watch(
                     key, message = news.get(timeout=2.0)
                 except queue.Empty:
                     if not client.alive():
-                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not there, or is gone") from None
+                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not there, or is gone", START) from None
                     continue
                 if live is None:
                     if key == "state":

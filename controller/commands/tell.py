@@ -13,9 +13,9 @@ from controller.commands.common import (
     ArmName,
     AsJson,
     Connect,
-    Failed,
     ZenohFile,
     print_json,
+    refusal,
 )
 from controller.commands.talk import connected, read_payload
 from controller.strict import InputFaults
@@ -32,19 +32,19 @@ REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacle
 def cancel(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """End the running goal or stream of set-points; the arm holds and accepts the next."""
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, "cancel", {}, as_json)
+        ask(client, arm, "cancel", {}, as_json)
 
 
 def stop(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """Stop the arm: it holds and accepts no motion until reset. No substitute for a switch that cuts the power."""
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, "stop", {}, as_json)
+        ask(client, arm, "stop", {}, as_json)
 
 
 def reset(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """Leave a stop or a fault; nothing moves."""
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, "reset", {}, as_json)
+        ask(client, arm, "reset", {}, as_json)
 
 
 def degrade(
@@ -58,7 +58,7 @@ def degrade(
     wishes = [wish(change) for change in changes]
     with connected(arm, connect, zenoh_file) as client:
         for payload in wishes:
-            ask(client, "degrade", payload, as_json)
+            ask(client, arm, "degrade", payload, as_json)
             time.sleep(PAUSE)
 
 
@@ -86,7 +86,7 @@ def obstacles(
         raise InputFaults(Path("obstacles"), ["give either a file of regions or --none"])
     payload: dict[str, Any] = {"regions": []} if file is None else read_payload(file, "regions", "regions")
     with connected(arm, connect, zenoh_file) as client:
-        ask(client, "obstacles", payload, as_json)
+        ask(client, arm, "obstacles", payload, as_json)
 
 
 def wish(change: str) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def wish(change: str) -> dict[str, Any]:
     return {"actuator": actuator, "state": states[state]}
 
 
-def ask(client: Client, key: str, payload: dict[str, Any], as_json: bool) -> None:
+def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bool) -> None:
     """Prints what the daemon answers.
 
     Raises:
@@ -114,6 +114,6 @@ def ask(client: Client, key: str, payload: dict[str, Any], as_json: bool) -> Non
     if as_json:
         print_json(answer)
     if not answer["accepted"]:
-        raise Failed(f"refused (code {answer['code']}): {answer['message']}")
+        raise refusal(answer, arm)
     if not as_json:
         typer.echo(answer["message"])

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from controller.commands import demo
+from controller.commands.common import refusal
 from controller.commands.talk import connected
 
 
@@ -116,3 +117,30 @@ def test_a_daemon_that_is_not_there_fails_in_words(hyperbit, words):
     code, _, err = hyperbit(*words, "--connect", "tcp/127.0.0.1:1")
     assert code == 1
     assert "no daemon at tcp/127.0.0.1:1" in err
+    assert "Next: start it by: hyperbit run ARM.yaml" in err
+
+
+def test_a_wrong_name_leads_to_the_arms_that_are_there(hyperbit, endpoint):
+    code, _, err = hyperbit("cancel", "nobody", "--connect", endpoint)
+    assert code == 1
+    assert "no daemon for arm 'nobody' answered" in err
+    assert err.rstrip().endswith("Next: name an arm that is there: planar16")
+
+
+@pytest.mark.parametrize(
+    ("message", "step"),
+    [
+        ("the arm is stopped: emergency stop", "\nNext: leave the stop by: hyperbit reset left"),
+        ("the arm is fault: board can0/5 is silent", "\nNext: remove the cause, then: hyperbit reset left"),
+        ("waypoints[0].t: -1 is less than 0", ""),
+    ],
+)
+def test_a_refusal_leads_to_the_next_step(message, step):
+    failed = refusal({"accepted": False, "code": -1, "message": message}, "left")
+    assert str(failed) == f"refused (code -1): {message}{step}"
+
+
+def test_a_halt_without_an_executor_leads_to_its_socket(hyperbit, tmp_path):
+    code, _, err = hyperbit("halt", "--local", "--socket", str(tmp_path))
+    assert code == 1
+    assert "Next: name the executor's socket" in err
