@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.frames import Frame, quaternion, spatial
+from controller.manipulator.stroke_rates import blended_rates, corner_states
 
 Array = NDArray[np.float64]
 Motion = Callable[[Array], tuple[Frame, Array]]
+Rates = Callable[[Array, NDArray[np.int64]], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,8 @@ class Module:
         planar: whether every frame stays in the plane z = 0.
         motion: returns frames (n, 4, 4) and bodies (n, L, 2, 3) where the actuators are at strokes (n, A), each between
             0, contracted, and 1, extended; not numbers where nobody knows. None: `blended` from the states around.
+        rates: returns proven bounds (k, 3) on what strokes do, see stroke_rates, from the strokes (A,) of actuators
+            that stay and those that move (k,). None: by `blended`, or unknown if `motion` is given.
     """
 
     frames: Frame
@@ -32,10 +36,25 @@ class Module:
     body: NDArray[np.float64]
     planar: bool
     motion: Motion | None = None
+    rates: Rates | None = None
 
     def between(self, strokes: Array) -> tuple[Frame, Array]:
         """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) in mid-stroke, see `motion`."""
         return blended(self, strokes) if self.motion is None else self.motion(strokes)
+
+    @property
+    def proven(self) -> bool:
+        """Whether bounds on what strokes do are proven."""
+        return self.rates is not None or self.motion is None
+
+    def bounds(self, fixed: Array, moving: NDArray[np.int64]) -> Array:
+        """Returns proven bounds (k, 3) on what strokes do, see `rates`; only if `proven`."""
+        if self.rates is not None:
+            return self.rates(fixed, moving)
+        if (states := corner_states(self.bits, fixed, moving)) is None:
+            return np.full((len(moving), 3), np.inf)
+        turns = np.array([quaternion(frame) for frame in self.frames[states]])
+        return blended_rates(self.frames[states, :3, 3], turns, self.body[states])
 
 
 def binary_code(states: int) -> NDArray[np.uint8]:
@@ -88,10 +107,12 @@ def midway(first: Array, second: Array, share: float) -> Array:
     return np.asarray(weights * first + others * signs * second)
 
 
-def spelled(stack: Frame, bits: NDArray[np.uint8], *, planar: bool, motion: Motion | None = None) -> Module:
+def spelled(
+    stack: Frame, bits: NDArray[np.uint8], *, planar: bool, motion: Motion | None = None, rates: Rates | None = None
+) -> Module:
     """Returns the module whose states are frames (K, 4, 4), spelled by actuators 1, 2, ... (K, A); its body a line."""
     names = tuple(str(k + 1) for k in range(bits.shape[1]))
-    return Module(stack, bits, names, lines(stack), planar, motion)
+    return Module(stack, bits, names, lines(stack), planar, motion, rates)
 
 
 def lines(stack: Frame) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.frames import Frame, planar
 from controller.manipulator.module import Array, Module, binary_code
+from controller.manipulator.stroke_rates import truss_rates
 from controller.settings import Diagonal
 
 Point = NDArray[np.float64]
@@ -39,8 +40,16 @@ def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right:
     def motion(strokes: Array) -> tuple[Frame, Array]:
         return assembly((legs[:, 0] + strokes * (legs[:, 1] - legs[:, 0])).tolist())
 
+    def rates(fixed: Array, moving: NDArray[np.int64]) -> Array:
+        ranges = legs[:, 0, None] + np.repeat(fixed[:, None], 2, axis=1) * (legs[:, 1] - legs[:, 0])[:, None]
+        ranges[moving] = legs[moving]
+        order = [0, 1, 2] if diagonal == "BC" else [2, 1, 0]
+        first, middle, second = ranges[order]
+        bounds = truss_rates(first, middle, second, width)[order]
+        return np.asarray(bounds[moving] * abs(legs[moving, 1] - legs[moving, 0])[:, None])
+
     frames, body = assembly(product(left, middle, right))
-    return Module(frames, binary_code(8), ACTUATORS, body, planar=True, motion=motion)
+    return Module(frames, binary_code(8), ACTUATORS, body, planar=True, motion=motion, rates=rates)
 
 
 def assembled(diagonal: Diagonal, width: float, ac: float, across: float, bd: float) -> tuple[Frame, Array]:

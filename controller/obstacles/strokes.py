@@ -10,7 +10,8 @@ from controller.manipulator.frames import Frame
 from controller.manipulator.module import Module
 from controller.obstacles.gaps import Array, Index
 
-FINE, COARSE = 5, 3  # samples of each stroke, of up to three that go on at once and of more
+FINE, COARSE = 5, 3  # samples of each stroke of a platform, of up to three that go on at once and of more
+ROUNDING = 1e-9  # of a bound: what rounding takes
 MOST = 6  # strokes of one module at once; of more nothing is known
 KEPT = 50_000  # mid-strokes remembered
 
@@ -51,8 +52,9 @@ class Strokes:
     def rates(self, states: Array, moving: Index) -> Array:
         """Returns how fast strokes move the frame above, turn it, and move the body's points at most, shape (k, 3).
 
-        They are those of the samples, and half of what they change from one sample to the next, in every direction.
-        Turning is by how far a point goes that is one unit away; all are for a whole stroke.
+        They are proven if the module's bounds are, see Module.proven. Those of platforms are sampled: the greatest of
+        the samples, and half of what they change from one sample to the next, in every direction. Turning is by how far
+        a point goes that is one unit away; all are for a whole stroke.
 
         Args:
             states: of the module's actuators, shape (A,), those that move in any.
@@ -62,7 +64,10 @@ class Strokes:
         fixed[moving] = 0.0
         key = fixed.tobytes() + moving.tobytes()
         if key not in self._rates:
-            self._rates[key] = self._sampled(fixed, moving)
+            if self._module.proven and len(moving) <= MOST:
+                self._rates[key] = self._module.bounds(fixed, moving) * (1 + ROUNDING)
+            else:
+                self._rates[key] = self._sampled(fixed, moving)
         return self._rates[key]
 
     def _sampled(self, fixed: Array, moving: Index) -> Array:

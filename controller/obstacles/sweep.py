@@ -49,11 +49,16 @@ class Sweep:
         self._states = [states_of(module.bits) for module in arm.modules]
         self._strokes = [strokes_of(module) for module in arm.modules]
 
+    @property
+    def proven(self) -> bool:
+        """Whether what is said to be clear is proven: all modules have proven bounds, see Module.proven."""
+        return all(module.proven for module in self._arm.modules)
+
     def touch(self, states: States, actuators: Index) -> Touch | None:
         """Returns what is touched, or may be, while actuators (k,) switch from states (A,) on; None: nothing.
 
-        Any of them may be anywhere on its way, whatever the others do. What is proven is for modules that move as
-        Module.motion says, as far as Strokes.rates bounds it.
+        Any of them may be anywhere on its way, whatever the others do. That nothing is touched is proven, for modules
+        that move as Module.motion says, if `proven`; otherwise it rests on samples, see Strokes.rates.
         """
         if self._clearance.free:
             return None
