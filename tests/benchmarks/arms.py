@@ -16,7 +16,7 @@ from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-previous", "pop")
+METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-fewest-switches", "pop")
 WARM = 3
 
 

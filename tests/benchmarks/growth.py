@@ -14,7 +14,7 @@ from tests.benchmarks.methods import METHODS
 
 MODULES, LEVEL_PIXELS = (8, 16, 32, 64, 128), 100_000
 PIXELS_ALONG = 400  # of the arm's length, as where an arm's configuration names no pixel
-NAMES = [f"hyperbit {name}" for name in ("minimum-switch", "ipop-previous", "pop") if name in PRODUCT_METHODS]
+NAMES = [f"hyperbit {name}" for name in ("minimum-switch", "ipop-fewest-switches", "pop") if name in PRODUCT_METHODS]
 
 
 @dataclass(frozen=True)

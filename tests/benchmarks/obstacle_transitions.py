@@ -63,10 +63,10 @@ class Run:
 RUNS = [
     Run("planar16", TRUSS * 8, 0.002, "minimum-switch", None, 0.03),
     Run("planar16-inrush", TRUSS * 8, 0.002, "minimum-switch", 4, 0.03),
-    Run("planar16-ipop", TRUSS * 8, 0.005, "ipop-previous", None, 0.03),
+    Run("planar16-ipop", TRUSS * 8, 0.005, "ipop-fewest-switches", None, 0.03),
     Run("planar6", TRUSS * 3, 0.01, "minimum-switch", None, 0.3),
     Run("planar6-inrush", TRUSS * 3, 0.01, "minimum-switch", 3, 0.25),
-    Run("planar6-self", TRUSS * 3, 0.01, "ipop-previous", None, 0.1, True),
+    Run("planar6-self", TRUSS * 3, 0.01, "ipop-fewest-switches", None, 0.1, True),
     Run("hinges12", [hinge(-0.4, 0.4, 0.15)] * 12, 0.01, "minimum-switch", None, 0.03),
     Run("platform4", [hexapod(*joints(), 0.18, 0.22)] * 4, 0.01, "minimum-switch", None, 0.03),
     Run("spatial12", BENDS * 6, 0.03, "minimum-switch", 3, 0.2),

@@ -29,7 +29,7 @@ from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
 
 PLANAR16 = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
-METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-previous", "pop")
+METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-fewest-switches", "pop")
 RADIUS, WARM = 0.02, 3
 POSE = 0.005, 0.03  # tolerances of poses
 

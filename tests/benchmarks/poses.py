@@ -89,7 +89,9 @@ def measured(experiment: Experiment, number: int, console: Console) -> None:
     ways: dict[str, Solve] = {
         "minimum-switch": lambda goal, previous: solver.solve(goal, previous, tolerance, turn=turn),
         "minimum-switch, position only": lambda goal, previous: solver.solve(goal, previous, tolerance),
-        "ipop-previous": lambda goal, previous: solver.solve(goal, previous, tolerance, "ipop-previous", turn=turn),
+        "ipop-fewest-switches": lambda goal, previous: solver.solve(
+            goal, previous, tolerance, "ipop-fewest-switches", turn=turn
+        ),
         "pop": lambda goal, previous: solver.solve(goal, previous, tolerance, "pop", turn=turn),
         f"IPOP, densities with orientation (mapped in {mapping:.1f} s)": by_orientation,
     }

@@ -33,8 +33,18 @@ class Entry(NamedTuple):
 ROOM = "controller.bench.methods"
 METHODS = {
     "minimum-switch": Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
-    "ipop-previous": Entry(f"{ROOM}.hyperbit:ipop_previous", "hyperbit's IPOP with its exact table"),
-    "ipop-contracted": Entry(f"{ROOM}.hyperbit:ipop_contracted", "hyperbit's IPOP that prefers contracted actuators"),
+    "ipop-previous": Entry(
+        f"{ROOM}.hyperbit:ipop_previous", "hyperbit's IPOP with its exact table; counts modules that remain, as printed"
+    ),
+    "ipop-contracted": Entry(
+        f"{ROOM}.hyperbit:ipop_contracted", "the same; counts modules that are fully contracted, as printed"
+    ),
+    "ipop-fewest-switches": Entry(
+        f"{ROOM}.hyperbit:ipop_fewest_switches", "variant of hyperbit's IPOP; counts actuators that switch"
+    ),
+    "ipop-fewest-extended": Entry(
+        f"{ROOM}.hyperbit:ipop_fewest_extended", "variant of hyperbit's IPOP; counts actuators that are extended"
+    ),
     "pop": Entry(f"{ROOM}.hyperbit:pop", "hyperbit's POP with its exact table"),
     "meet-in-the-middle": Entry(
         f"{ROOM}.planar_positions:meet_in_the_middle", "plain, both halves listed to 5 switches; planar positions"
@@ -45,8 +55,10 @@ METHODS = {
     ),
     "ipop-printed": Entry(
         f"{ROOM}.planar_positions:ipop_printed",
-        "IPOP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996), but similarity counts actuators; planar"
-        " positions",
+        "IPOP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996); planar positions",
+    ),
+    "ipop-printed-switches": Entry(
+        f"{ROOM}.planar_positions:ipop_printed_switches", "a variant of it that counts actuators; planar positions"
     ),
     "k-switch-3": Entry(
         f"{ROOM}.planar_positions:k_switch_3",
@@ -89,7 +101,7 @@ def find_method(target: str) -> Prepare:
             if (here := str(Path.cwd())) not in sys.path:
                 sys.path.insert(0, here)
             module = importlib.import_module(place)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{target!r}: {place} cannot be imported: {type(error).__name__}: {error}") from error
     found = getattr(module, name, None)
     if not callable(found):

@@ -19,13 +19,23 @@ def minimum_switch(arm: BenchArm) -> Solve:
 
 
 def ipop_previous(arm: BenchArm) -> Solve:
-    """Prepares IPOP, similarity to the previous configuration."""
+    """Prepares IPOP, modules that remain in their state."""
     return solver(arm, "ipop-previous")
 
 
 def ipop_contracted(arm: BenchArm) -> Solve:
-    """Prepares IPOP, contracted actuators."""
+    """Prepares IPOP, modules that are fully contracted."""
     return solver(arm, "ipop-contracted")
+
+
+def ipop_fewest_switches(arm: BenchArm) -> Solve:
+    """Prepares IPOP, actuators that switch."""
+    return solver(arm, "ipop-fewest-switches")
+
+
+def ipop_fewest_extended(arm: BenchArm) -> Solve:
+    """Prepares IPOP, actuators that are extended."""
+    return solver(arm, "ipop-fewest-extended")
 
 
 def pop(arm: BenchArm) -> Solve:

@@ -48,6 +48,11 @@ def ipop_printed(arm: BenchArm) -> Solve:
     return solving(paper_ipop.prepare(suited(arm).model.manipulator, arm.densities), paper_ipop.solve)
 
 
+def ipop_printed_switches(arm: BenchArm) -> Solve:
+    """Prepares the variant that counts actuators."""
+    return solving(paper_ipop.prepare(suited(arm).model.manipulator, arm.densities), paper_ipop.solve_by_switches)
+
+
 def k_switch_3(arm: BenchArm) -> Solve:
     """Prepares the k-switch search."""
     return solving(k_switch.prepare(suited(arm).model.manipulator, None, switches=3), k_switch.solve)

@@ -47,12 +47,13 @@ MEETING = Method("meet in the middle", meeting.prepare, meeting.solve, mapped=Tr
 METHODS = (
     *(
         Method(f"hyperbit {name}", partial(product.prepare, method=name), product.solve, mapped=True)
-        for name in (OURS, "ipop-previous", "pop")
+        for name in (OURS, "ipop-fewest-switches", "ipop-previous", "ipop-contracted", "pop")
         if name in PRODUCT_METHODS
     ),
     MEETING,
     Method("POP, as printed", paper_pop.prepare, paper_pop.solve, mapped=True),
     Method("IPOP, as printed", paper_ipop.prepare, paper_ipop.solve, mapped=True),
+    Method("IPOP, variant: actuators", paper_ipop.prepare, paper_ipop.solve_by_switches, mapped=True),
     Method("two-by-two", two_by_two.prepare, two_by_two.solve),
     Method("k-switch, k = 3", partial(k_switch.prepare, switches=3), k_switch.solve),
     Method("k-switch, k = 4", partial(k_switch.prepare, switches=4), k_switch.solve),

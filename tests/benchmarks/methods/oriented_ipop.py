@@ -7,7 +7,7 @@ import numpy as np
 
 from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.method import Penalties, similarity
+from controller.search.method import Penalties, fewest_switches
 from controller.search.paths import ENOUGH, Paths
 from controller.search.target import Target
 from controller.workspace.densities import Densities
@@ -32,7 +32,7 @@ def prepare(manipulator: Manipulator, densities: Densities, level_pixels: int, w
 
 def solve(problem: Problem, target: Target, previous: Configuration) -> Configuration:
     """Returns the first configuration within the tolerances of a target in F_0, or the nearest of all thresholds."""
-    penalties = similarity(problem.manipulator, previous)
+    penalties = fewest_switches(problem.manipulator, previous)
     best, least = previous, np.inf
     for enough in ENOUGH:
         configuration = np.zeros(len(previous), dtype=np.int64)
