@@ -8,8 +8,8 @@ from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.scene import Scene, blocked, for_scenes, stand
 from controller.search.frame_rows import F1, F2, F3, I1, named
-from controller.search.scene import Scene, blocked, for_scenes, stand
 from controller.workspace.reachability import TABLES, Tables
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """Fewest switches: the cheapest configuration within the tolerances, and a proof that no cheaper one exists.
 
 The stages, each of which improves the incumbent and what is proven of it: two lists, matched in the middle; IPOP's
-answer, if the lists yield no proof; four lists, which prove what two lists leave out; beam searches, and two lists
-around the incumbent, while time is left.
+answer, if the lists yield no proof; branch and bound for planar arms, and four lists, which find
+or exclude what two lists leave out; beam searches, and two lists around the incumbent, while time is left.
 """
 
 import math
@@ -14,15 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.scene import collides
+from controller.search.branch_and_bound import BranchAndBound
 from controller.search.four_list import FourList, Proof
 from controller.search.frame_rows import motions
 from controller.search.method import distances
 from controller.search.paths import Paths
-from controller.search.scene import collides
 from controller.search.segment import Sets, build_segment, room
 from controller.search.solution import Incumbent
-from controller.search.target import Hull, Target, search_radius
+from controller.search.target import Target, search_radius
 from controller.search.two_list import TwoList, rows
+from controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
 
@@ -30,6 +32,7 @@ NEAR = 1 << 14  # rows of a half, for a beginning
 WIDE = 1 << 16  # for what the near lists leave out, if the incumbent costs not much more
 LADDER = (NEAR, WIDE, 1 << 18)  # rows of lists around the incumbent
 GRID = {2: 256, 3: 32}  # near pairs are looked for within the points' extent over so many
+EASY = 1.5  # times what the near lists leave out: four lists prove what costs less sooner than maps are made
 BEAMS = (32, 128, 512)  # widths, the next if there is time
 FAR = 1.0, 1.2  # times what the near lists leave out in both halves: beam searches precede a proof of what costs more
 
@@ -66,6 +69,7 @@ class MinimumSwitch:
         self._m, self._hull, self._paths = manipulator, hull, paths
         self._near, self._wide = TwoList(manipulator, NEAR), TwoList(manipulator, LADDER[-1])
         self._four = FourList(manipulator, self._near.cut)
+        self._tree = BranchAndBound(manipulator, hull) if manipulator.planar else None
         self._nearest = Nearest(manipulator, self._wide)
         self._row_time = 0.0
         self._proof: Proof | None = None
@@ -79,6 +83,8 @@ class MinimumSwitch:
         self._wide.claim(LADDER[0])
         self._four.claim()
         self._nearest.claim()
+        if self._tree is not None:
+            self._tree.claim()
 
     def expect(self, seed: Configuration, costs: Array, tolerance: float) -> Iterator[None]:
         """Lists and sorts, step by step, what the search of a position begins with; repeating it costs nothing."""
@@ -90,6 +96,9 @@ class MinimumSwitch:
         self._four.list(seed, costs)
         yield
         self._four.index(radius, np.inf)
+        if self._tree is not None:
+            for _ in self._tree.maps.steps(costs, radius):
+                yield
 
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs the stages until the incumbent is settled or its time is over."""
@@ -97,20 +106,24 @@ class MinimumSwitch:
             self._two_lists,
             self._outside,
             self._ipop,
+            self._branch_and_bound,
             self._far,
             self._four_lists,
             self._approach,
             self._around,
             self._four_lists,
             self._beams,
+            self._branch_and_bound,
         )
         self._proof = None
+        if self._tree is not None:
+            self._tree.begin()
         for stage in stages:
             if not incumbent.settled:
                 stage(problem, incumbent)
         if incumbent.cost == np.inf and not incumbent.settled and problem.patience > incumbent.until:
             incumbent.until = problem.patience
-            for stage in (self._approach, self._around, self._four_lists, self._beams):
+            for stage in (self._branch_and_bound, self._approach, self._around, self._four_lists, self._beams):
                 if not incumbent.settled:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:
@@ -155,6 +168,19 @@ class MinimumSwitch:
         cost = float(problem.costs[modules, configuration].sum()) if served else np.inf
         square = target.square(self._m.tip(configuration)) if clear else np.inf
         incumbent.offer(configuration, cost, square)
+
+    def _branch_and_bound(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Searches the tree for what is better, in half of the time that is left; to the end if that was not enough."""
+        tree = self._tree
+        if tree is None or problem.hopeless or incumbent.late:
+            return
+        waiting = tree.map_time(problem.target, problem.costs)
+        if waiting > 0.0 and incumbent.cost <= EASY * min(self._near.lower.beyond, self._near.upper.beyond):
+            self._four_lists(problem, incumbent)
+        left = incumbent.left()
+        if not incumbent.settled and left > waiting:
+            until = incumbent.until - (0.0 if tree.begun else left / 2)
+            tree.run(problem.target, problem.seed, problem.costs, incumbent, until)
 
     def _four_lists(self, problem: Problem, incumbent: Incumbent) -> None:
         """Proves what the two lists leave out to be no better, or finds it.

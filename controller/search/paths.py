@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.scene import Scene
 from controller.search.descent import beam_search, descend
 from controller.search.distal_table import Wanted, build_distal_table, finish
 from controller.search.method import (
@@ -22,7 +23,6 @@ from controller.search.method import (
     mean_cost,
     similarity,
 )
-from controller.search.scene import Scene
 from controller.search.solution import Incumbent
 from controller.search.target import Target
 from controller.workspace.densities import Densities

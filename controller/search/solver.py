@@ -13,15 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
+from controller.obstacles.scene import scene_of
 from controller.search.method import Method, switching
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.neighbours import Listed, Neighbours
 from controller.search.paths import Paths
-from controller.search.scene import scene_of
 from controller.search.solution import EPSILON, Incumbent, Solution
-from controller.search.target import Target, build_hull, distance
+from controller.search.target import Target, distance
 from controller.search.two_list import Candidates
 from controller.workspace.densities import Densities
+from controller.workspace.hull import build_hull
 
 Vector = NDArray[np.float64]
 

@@ -1,8 +1,8 @@
-"""What is asked of the tip, the one definition of "within tolerance", and the hull beyond which nothing is."""
+"""What is asked of the tip, and the one definition of "within tolerance"."""
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 from controller.manipulator.frames import Frame, angle_between
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.manipulator import tip as tip_of
+from controller.obstacles.scene import Scene
 from controller.search.frame_rows import F2, F4, I1, named
-from controller.search.scene import Scene
 
 Array = NDArray[np.float64]
 
 # The search's arithmetic differs from that of `within` by rounding. So the search looks a little farther, by this part
 # of the lengths involved and this much of a squared chord, and `within` decides.
 SLACK = 1e-11
-
-SAMPLES = {2: 513, 3: 25}  # of the hull, along an edge of the square or cube on whose surface the directions lie
 
 
 class Query(NamedTuple):
@@ -190,66 +188,3 @@ def reaches(query: Query, configuration: Configuration) -> bool:
     """Returns whether a configuration (B,) brings the tip within the tolerances of a query."""
     tip = tip_of(query.base, query.frames, configuration)
     return bool(within(tip, query.goal, query.tolerance, query.angle_tolerance))
-
-
-class Hull:
-    """A hull that surely holds every tip, in frame F_0, so that a goal outside it needs no search.
-
-    The support h(u), the farthest that any tip comes along u, obeys the recursion of the workspaces: where q is a tip
-    in the frame of module i, the tip in the frame below is b + R q, so h(u) is the greatest of u b + h'(R^T u) over the
-    module's states. Supports are convex and homogeneous: between the directions sampled they are at most what
-    interpolation gives, so that the hull only ever comes out too large.
-
-    Args:
-        manipulator: the arm.
-    """
-
-    def __init__(self, manipulator: Manipulator) -> None:
-        self._size = manipulator.dimension
-        self._edge = np.linspace(-1.0, 1.0, SAMPLES[self._size])
-        self._directions = self._surface()
-        self._supports = np.zeros(len(self._directions))
-        size = self._size
-        for i in reversed(range(len(manipulator.modules))):
-            k = manipulator.states[i]
-            r, b = manipulator.rotations[i, :k, :size, :size], manipulator.translations[i, :k, :size]
-            each = [self._directions @ b[j] + self._support(self._directions @ r[j]) for j in range(k)]
-            self._supports = np.max(each, axis=0)
-
-    def excludes(self, goal: Array, tolerance: float) -> bool:
-        """Returns whether surely no tip comes within the tolerance of a goal (3,) in frame F_0."""
-        lengths = np.linalg.norm(self._directions, axis=1)
-        beyond = self._directions @ goal[: self._size] - self._supports
-        return bool(np.any(beyond > lengths * (tolerance + 1e-9 * (1 + np.abs(goal).max()))))
-
-    def _surface(self) -> Array:
-        """Returns the directions (n, size), face by face: -x, +x, -y, ..., the first other coordinate slowest."""
-        others = np.stack(np.meshgrid(*[self._edge] * (self._size - 1), indexing="ij"), axis=-1)
-        others = others.reshape(-1, self._size - 1)
-        faces = [np.insert(others, a, sign, axis=1) for a in range(self._size) for sign in (-1.0, 1.0)]
-        return np.concatenate(faces)
-
-    def _support(self, directions: Array) -> Array:
-        """Returns the supports in any directions (n, size), or a little more."""
-        rows, side = np.arange(len(directions)), len(self._edge)
-        axis = np.abs(directions).argmax(axis=1)
-        length = np.abs(directions[rows, axis])
-        face = 2 * axis + (directions[rows, axis] > 0)
-        others = np.array([[b for b in range(self._size) if b != a] for a in range(self._size)])[axis]
-        place = (np.take_along_axis(directions, others, axis=1) / length[:, None] + 1.0) * (side - 1) / 2
-        low = np.clip(place.astype(np.int64), 0, side - 2)
-        share = place - low
-        total = np.zeros(len(directions))
-        for corner in np.ndindex(*[2] * (self._size - 1)):
-            weight = np.where(np.array(corner), share, 1.0 - share).prod(axis=1)
-            index = face
-            for a, step in enumerate(corner):
-                index = index * side + low[:, a] + step
-            total += weight * self._supports[index]
-        return np.asarray(length * total)
-
-
-@lru_cache(maxsize=2)  # planning and following share it
-def build_hull(manipulator: Manipulator) -> Hull:
-    """Returns the hull of an arm's tips."""
-    return Hull(manipulator)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.search.solver import Solver
-from controller.search.target import Hull
+from controller.workspace.hull import Hull
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
 

@@ -15,10 +15,13 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.gaps import placed, touches
 from controller.obstacles.touching import first_near
-from controller.search.frame_rows import F2, F3, F4, F5, I1, named
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+# numba's names of arrays, by kind and dimensions, C-contiguous.
+F2, F3, F4, F5 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1]
+I1 = int64[::1]
 
 
 class Scene(NamedTuple):
@@ -63,7 +66,8 @@ class Scene(NamedTuple):
     checks: Integers
 
 
-SCENE = named(Scene, F4, F3, F5, F3, I1, I1, F3, F2, F2, float64, float64, I1, F3, F2, F4, F2, I1)
+PARTS = (F4, F3, F5, F3, I1, I1, F3, F2, F2, float64, float64, I1, F3, F2, F4, F2, I1)
+SCENE = types.NamedTuple(PARTS, Scene)  # type: ignore[no-untyped-call]
 
 
 def for_scenes(signature: Callable[[Any], Any]) -> list[Any]:

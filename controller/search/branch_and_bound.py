@@ -1,0 +1,198 @@
+"""Branch and bound: the tree of configurations, module by module, pruned by cost-to-go maps.
+
+A node fixes the modules up to a level; what it costs at least is its own cost plus the map's value of the goal, seen
+from its frame. The tree is searched in depth, up to a threshold that rises from one proven bound to the next (Korf
+1985, "Depth-first iterative-deepening: an optimal admissible tree search"): each threshold that is searched whole is a
+lower bound. For planar arms; the maps know positions only, so orientations are decided at the leaves.
+"""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numba import boolean, int64, njit
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.scene import Scene, collides, for_scenes
+from controller.search.frame_rows import F1, F2, I1, motions, named
+from controller.search.solution import EPSILON, Incumbent
+from controller.search.target import QUERY, Query, Target, reaches, search_radius
+from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps
+from controller.workspace.hull import Hull
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+AT_ONCE = 1 << 14  # nodes between two looks at the clock
+RISE = 4  # levels of a map, half a switch of the least cost: thresholds rise by that at least
+
+
+class Tree(NamedTuple):
+    """The configuration tree of a planar arm.
+
+    Attributes:
+        motions: frames of every module's states as rows, see frame_rows, shape (B * Kmax, 4).
+        states: K_i, shape (B,).
+        ranked: each module's states, the cheapest first, shape (B * Kmax,).
+        costs: of every module's states, shape (B, Kmax).
+    """
+
+    motions: Array
+    states: Integers
+    ranked: Integers
+    costs: Array
+
+
+class Walk(NamedTuple):
+    """Where a search stands, so that it can be interrupted.
+
+    Attributes:
+        points: the goal seen from the frame of each level's node, shape (B + 1, 2).
+        prices: cost of each level's node, shape (B + 1,).
+        tried: number of its children that were tried, shape (B + 1,).
+        configuration: of the current path, or found, shape (B,).
+        level: of the current node, shape (1,); -1 if the tree was searched whole.
+        bounds: threshold, least bound above it of a node that was passed over, cost to be bettered, shape (3,).
+    """
+
+    points: Array
+    prices: Array
+    tried: Integers
+    configuration: Integers
+    level: Integers
+    bounds: Array
+
+
+TREE = named(Tree, F2, I1, I1, F2)
+WALK = named(Walk, F2, F1, I1, I1, I1, F1)
+
+
+class BranchAndBound:
+    """The search of one planar arm, with its maps.
+
+    Args:
+        manipulator: the arm.
+        hull: of its tips.
+    """
+
+    def __init__(self, manipulator: Manipulator, hull: Hull) -> None:
+        self._m, self._motions = manipulator, motions(manipulator)
+        self.maps = CostToGo(manipulator, hull.boxes)
+        self._walk: Walk | None = None
+        self._map_time = 0.0
+
+    @property
+    def begun(self) -> bool:
+        """Whether the search has begun with the current goal."""
+        return self._walk is not None
+
+    def claim(self) -> None:
+        """Has the system hand out memory now, and notes how long maps take."""
+        costs = np.ones(self._m.bits.shape[:2])
+        self.maps.maps(costs, search_radius(self._m, 1e-3 * self._m.length))
+        began = time.perf_counter()
+        self.maps.maps(2.0 * costs, search_radius(self._m, 1e-3 * self._m.length))
+        self._map_time = time.perf_counter() - began
+
+    def map_time(self, target: Target, costs: Array) -> float:
+        """Returns about how long the maps for a goal take [s]; 0 if they are there."""
+        return 0.0 if self.maps.ready(costs, target.radius) else self._map_time
+
+    def begin(self) -> None:
+        """Forgets the goal before."""
+        self._walk = None
+
+    def run(self, target: Target, seed: Configuration, costs: Array, incumbent: Incumbent, until: float) -> None:
+        """Raises the bound until the incumbent is settled, or until `time.perf_counter()` says `until`.
+
+        Goes on where it was interrupted, if it has begun with this goal.
+        """
+        m, maps = self._m, self.maps.maps(costs, target.radius)
+        padded = np.where(np.arange(costs.shape[1]) < m.states[:, None], costs, np.inf)
+        tree = Tree(self._motions, m.states, np.argsort(padded, axis=1, kind="stable").ravel(), costs)
+        if self._walk is None:
+            self._walk = start(target.position, seed, incumbent.bound)
+        walk = self._walk
+        while not incumbent.settled and time.perf_counter() < until:
+            walk.bounds[2] = incumbent.cost
+            if search(tree, maps, target.query, target.scene, walk, AT_ONCE):
+                configuration = walk.configuration.copy()
+                incumbent.offer(configuration, float(walk.prices[-1]), target.square(m.tip(configuration)))
+            elif walk.level[0] < 0:
+                incumbent.prove(min(walk.bounds[1], incumbent.cost))
+                # Weights that are all different would make many thresholds, so each rises by a part of a switch.
+                walk.bounds[:2] = max(incumbent.bound, walk.bounds[0] + RISE * maps.unit), np.inf
+                walk.level[0] = walk.tried[0] = 0
+
+
+def start(position: Array, seed: Configuration, bound: float) -> Walk:
+    """Returns the beginning of a walk: position (3,) in frame F_0, seed (B,), first threshold."""
+    levels = len(seed) + 1
+    points = np.zeros((levels, 2))
+    points[0] = position[:2]
+    tried, level = np.zeros(levels, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    return Walk(points, np.zeros(levels), tried, seed.copy(), level, np.array((bound, np.inf, np.inf)))
+
+
+@njit(
+    for_scenes(lambda scene: boolean(TREE, MAPS, QUERY, scene, WALK, int64)),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def search(tree: Tree, maps: Maps, query: Query, scene: Scene | None, walk: Walk, nodes: int) -> bool:
+    """Walks the tree for so many nodes; returns whether a better configuration was found.
+
+    Its cost is then that of the last level. The walk goes on from there.
+    """
+    motions, states, ranked, costs = tree
+    points, prices, tried, configuration, at, bounds = walk
+    count, most, level, above = len(states), costs.shape[1], at[0], bounds[1]
+    threshold, ceiling = bounds[0] * (1 + EPSILON), bounds[2] * (1 - EPSILON)
+    while level >= 0:
+        turn = tried[level]
+        if turn == states[level]:
+            level -= 1
+            continue
+        j = ranked[level * most + turn]
+        price = prices[level] + costs[level, j]
+        if price > threshold or price >= ceiling:  # and so do the states that follow
+            if price < ceiling:
+                above = min(above, price)
+            level -= 1
+            continue
+        tried[level] = turn + 1
+        row, child = level * most + j, level + 1
+        c, s = motions[row, 2], motions[row, 3]
+        dx, dy = points[level, 0] - motions[row, 0], points[level, 1] - motions[row, 1]
+        x, y = c * dx + s * dy, c * dy - s * dx
+        if child >= maps.first:
+            u, v = (x - maps.corners[child, 0]) / maps.pixels[child], (y - maps.corners[child, 1]) / maps.pixels[child]
+            nx, ny = maps.shapes[child, 0], maps.shapes[child, 1]
+            if not (0.0 <= u < nx and 0.0 <= v < ny):
+                continue
+            value = maps.values[maps.offsets[child] + int(u) * ny + int(v)]
+            if value >= UNREACHABLE:
+                continue
+            least = price + maps.unit * value
+            if least >= ceiling:
+                continue
+            if least > threshold:
+                above = min(above, least)
+                continue
+        nodes -= 1
+        prices[child] = price
+        if child < count:
+            points[child, 0], points[child, 1], tried[child] = x, y, 0
+            level = child
+        else:
+            for i in range(count):
+                configuration[i] = ranked[i * most + tried[i] - 1]
+            if reaches(query, configuration) and (scene is None or not collides(scene, configuration)):
+                at[0], bounds[1] = level, above
+                return True
+        if nodes <= 0:
+            break
+    at[0], bounds[1] = level, above
+    return False
