@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.obstacles.gaps import BOX, SPHERE
+from controller.obstacles.distance import BOX, SPHERE
 from controller.obstacles.regions import Regions
 
 if TYPE_CHECKING:

@@ -9,8 +9,12 @@ from controller import kernels
 
 def test_modules_with_kernels_come_with_those_they_depend_on():
     found = kernels.kernels()
-    assert {"controller.search.matching", "controller.obstacles.scene", "controller.obstacles.touching"} <= found.keys()
-    assert "controller.obstacles.touching" in found["controller.search.matching"]
+    assert {
+        "controller.search.matching",
+        "controller.obstacles.scene",
+        "controller.obstacles.collision",
+    } <= found.keys()
+    assert "controller.obstacles.collision" in found["controller.search.matching"]
     for name, others in found.items():
         assert name not in others
         assert others <= found.keys()

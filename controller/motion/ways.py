@@ -10,7 +10,7 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from controller.obstacles.gaps import Index
+from controller.obstacles.distance import Index
 from controller.obstacles.sweep import States, Sweep, Touch
 
 PATIENCE = 0.1  # [s] for one roundabout way

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.gaps import Array, Index
+from controller.obstacles.collision import first_collisions
+from controller.obstacles.distance import Array, Index
 from controller.obstacles.regions import Regions
-from controller.obstacles.touching import touching
 
 # Of the arm's length: what comes so near counts as touching, however sums are rounded. Where two lines that are nearly
 # parallel cross is known to half of the digits only.
@@ -50,13 +50,13 @@ class Clearance:
     def blocked(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Returns which of configurations (n, B) touch anything, shape (n,)."""
         chosen = np.ascontiguousarray(configurations, dtype=np.int64)
-        return np.zeros(len(chosen), dtype=bool) if self.free else np.asarray(self.touching(chosen)[:, 0] >= 0)
+        return np.zeros(len(chosen), dtype=bool) if self.free else np.asarray(self.first_collisions(chosen)[:, 0] >= 0)
 
     def where(self, configuration: Configuration) -> str | None:
         """Returns what touches first from the base, "module 7 is in disc 'pillar'", or None."""
         if self.free:
             return None
-        module, region, other = self.touching(np.array([configuration], dtype=np.int64))[0].tolist()
+        module, region, other = self.first_collisions(np.array([configuration], dtype=np.int64))[0].tolist()
         if module < 0:
             return None
         if region >= 0:
@@ -80,11 +80,11 @@ class Clearance:
                 return False
         return True
 
-    def touching(self, configurations: Index) -> Index:
+    def first_collisions(self, configurations: Index) -> Index:
         """Returns module, region and other module that touch first in configurations (n, B), or -1 each; (n, 3)."""
         arm, regions = self.manipulator, self.regions
         return np.asarray(
-            touching(
+            first_collisions(
                 np.ascontiguousarray(arm.base[:3, :3]),
                 np.ascontiguousarray(arm.base[:3, 3]),
                 arm.rotations,

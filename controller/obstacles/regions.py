@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.obstacles.gaps import BOX, HALF_SPACE, SPHERE, depth
+from controller.obstacles.distance import BOX, HALF_SPACE, SPHERE, signed_distance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -43,7 +43,7 @@ class Regions:
         result = np.empty((len(asked), len(self)))
         for k in range(len(self)):
             for j, (x, y, z) in enumerate(asked):
-                result[j, k] = depth(self.kinds[k], self.axes[k], self.centres[k], self.sizes[k], x, y, z)
+                result[j, k] = signed_distance(self.kinds[k], self.axes[k], self.centres[k], self.sizes[k], x, y, z)
         return result
 
 

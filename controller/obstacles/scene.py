@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from controller.manipulator.frames import compose
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.gaps import placed, touches
-from controller.obstacles.touching import first_near
+from controller.obstacles.collision import first_module
+from controller.obstacles.distance import first_obstacle, placed
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -104,14 +104,14 @@ def scene_of(manipulator: Manipulator, clearance: Clearance | None) -> Scene | N
 
 
 @njit(types.boolean(SCENE, int64), cache=True, nogil=True, error_model="numpy")
-def hits(scene: Scene, i: int) -> bool:
+def module_collides(scene: Scene, i: int) -> bool:
     """Returns whether module i, in its state and on the frame below it, touches an obstacle or a module below.
 
     With self-collision, call it for all modules below first.
     """
     r, b, ball = scene.turns[i], scene.places[i], scene.balls[i, scene.states[i]]
     body = scene.bodies[i, scene.states[i], : scene.lines[i]]
-    if touches(r, b, body, ball, scene.kinds, scene.axes, scene.centres, scene.sizes, scene.margin) >= 0:
+    if first_obstacle(r, b, body, ball, scene.kinds, scene.axes, scene.centres, scene.sizes, scene.margin) >= 0:
         return True
     if scene.apart < 0:
         return False
@@ -121,7 +121,7 @@ def hits(scene: Scene, i: int) -> bool:
             ends[i, n, end, 0], ends[i, n, end, 1], ends[i, n, end, 2] = placed(r, b, body[n, end])
     middles[i, 0], middles[i, 1], middles[i, 2] = placed(r, b, ball[:3])
     middles[i, 3] = ball[3]
-    return bool(first_near(ends, middles, scene.lines, i, scene.apart) >= 0)
+    return bool(first_module(ends, middles, scene.lines, i, scene.apart) >= 0)
 
 
 @njit(types.void(SCENE, int64), cache=True, nogil=True)
@@ -132,10 +132,10 @@ def carry(scene: Scene, i: int) -> None:
 
 
 @njit(types.boolean(SCENE, int64, int64), cache=True, nogil=True)
-def blocked(scene: Scene, first: int, last: int) -> bool:
+def segment_collides(scene: Scene, first: int, last: int) -> bool:
     """Returns whether any of modules first+1 to last touches, in their states, on the frame below them."""
     for i in range(first, last):
-        if hits(scene, i):
+        if module_collides(scene, i):
             return True
         carry(scene, i)
     return False
@@ -146,7 +146,7 @@ def collides(scene: Scene, configuration: Configuration) -> bool:
     """Returns whether the arm touches anything in a configuration (B,)."""
     for i in range(len(configuration)):
         scene.states[i] = configuration[i]
-    return bool(blocked(scene, 0, len(configuration)))
+    return bool(segment_collides(scene, 0, len(configuration)))
 
 
 @njit(types.void(SCENE, int64, int64), cache=True, nogil=True)
@@ -154,5 +154,5 @@ def stand(scene: Scene, i: int, state: int) -> None:
     """Sets a state of module i that is known to be clear, and the frame above it."""
     scene.states[i] = state
     if scene.apart >= 0:
-        hits(scene, i)  # writes its body in the world
+        module_collides(scene, i)  # writes its body in the world
     carry(scene, i)

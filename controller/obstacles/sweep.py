@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from controller.obstacles.distance import Array, Index
+from controller.obstacles.swept_check import CLEAR, TOUCHED, swept_check
 from numpy.typing import NDArray
 
 from controller.obstacles.clearance import Clearance, balls
-from controller.obstacles.gaps import Array, Index
-from controller.obstacles.look import CLEAR, TOUCHED, look
 from controller.obstacles.strokes import strokes_of
 
 States = NDArray[np.uint8]
@@ -98,7 +98,7 @@ class Sweep:
         configurations = self._spelled(subsets)
         if configurations.min() < 0:
             return Touch(int(np.argmin(configurations.min(axis=0))))
-        found = self._clearance.touching(configurations)
+        found = self._clearance.first_collisions(configurations)
         first = np.flatnonzero(found[:, 0] >= 0)
         return Touch(*found[first[0]].tolist()) if len(first) else None
 
@@ -120,7 +120,9 @@ class Sweep:
             parts = self._placed(chain, states, actuators, modules, middles)
             reports = np.full((len(middles), 3), -1)
             regions = c.regions.kinds, c.regions.axes, c.regions.centres, c.regions.sizes
-            verdicts = look(*parts, c.lines, owners, rates, halves, *regions, c.margin, c.apart, suspects, reports)
+            verdicts = swept_check(
+                *parts, c.lines, owners, rates, halves, *regions, c.margin, c.apart, suspects, reports
+            )
             touched, unclear = np.flatnonzero(verdicts == TOUCHED), np.flatnonzero(verdicts != CLEAR)
             if len(touched) or 2 * len(unclear) > left:
                 return Touch(*reports[[*touched, *unclear][0]].tolist())
@@ -139,7 +141,7 @@ class Sweep:
     def _placed(
         self, chain: tuple[Array, Array, Array, Array], states: States, actuators: Index, modules: Index, middles: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Returns what `look` wants of each box: the chain with actuators (k,) at strokes (n, k)."""
+        """Returns what `swept_check` wants of each box: the chain with actuators (k,) at strokes (n, k)."""
         n = len(middles)
         r, b, bodies, around = (np.repeat(part[None], n, axis=0) for part in chain)
         strokes = np.tile(states.astype(float), (n, 1))

@@ -6,7 +6,7 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.obstacles.scene import Scene, for_scenes, hits, stand
+from controller.obstacles.scene import Scene, for_scenes, module_collides, stand
 from controller.search.frame_rows import F1, F2, I1, I2
 from controller.workspace.reachability import LEVELS, TABLES, Levels, Tables, measure
 
@@ -72,7 +72,7 @@ def descend(
                 better = m > best_measure
             if scene is not None and better:
                 scene.states[i] = j
-                better = not hits(scene, i)
+                better = not module_collides(scene, i)
             if better:
                 best, best_measure, best_penalty, best_passes = j, m, penalties[i, j], passes
                 bx, by, bz = qx, qy, qz
@@ -137,7 +137,7 @@ def beam_search(
             for j in range(states[i]):
                 if scene is not None:
                     scene.states[i] = j
-                    if hits(scene, i):
+                    if module_collides(scene, i):
                         continue
                 r, b = rotations[i, j], translations[i, j]
                 dx, dy, dz = x - b[0], y - b[1], z - b[2]

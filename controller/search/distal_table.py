@@ -8,7 +8,7 @@ from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import Scene, blocked, for_scenes, stand
+from controller.obstacles.scene import Scene, for_scenes, segment_collides, stand
 from controller.search.frame_rows import F1, F2, F3, I1, named
 from controller.workspace.reachability import TABLES, Tables
 
@@ -188,7 +188,7 @@ def nearest(
                                 for i in range(len(states) - 1, depth - 1, -1):
                                     scene.states[i] = rest % states[i]
                                     rest //= states[i]
-                                if blocked(scene, depth, len(states)):
+                                if segment_collides(scene, depth, len(states)):
                                     continue
                             best, best_penalty, best_square = n, penalty, square
     return best, best_penalty, best_square
@@ -258,7 +258,7 @@ def finish(
             for i in range(root, depth):
                 scene.states[i] = rest % states[i]
                 rest //= states[i]
-            if blocked(scene, root, depth):
+            if segment_collides(scene, root, depth):
                 continue
             scene.checks[0] = MOST_CHECKS
         qx, qy, qz, base, rest, turned = position[0], position[1], position[2], 0.0, branch, seen

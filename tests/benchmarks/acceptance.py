@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.gaps import BOX, HALF_SPACE, SPHERE
+from controller.obstacles.distance import BOX, HALF_SPACE, SPHERE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

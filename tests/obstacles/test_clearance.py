@@ -11,9 +11,9 @@ from controller.manipulator.held import hold
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.gaps import gap, touches
+from controller.obstacles.collision import lines_distance
+from controller.obstacles.distance import first_obstacle, segment_distance
 from controller.obstacles.regions import NONE, box, half_space, sphere, together
-from controller.obstacles.touching import segment_gap
 from tests.arms import (
     any_frames,
     every_configuration,
@@ -46,7 +46,7 @@ def test_signed_distances_are_those_of_the_check(asked, parts):
 @example(np.zeros(3), np.zeros(3), HalfPlane((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
 def test_a_line_segment_is_as_far_from_a_region_as_its_nearest_point(start, end, part):
     own, line = part.region(), np.array([[start, end]])
-    found = gap(own.kinds[0], own.axes[0], own.centres[0], own.sizes[0], tuple(start), tuple(end))
+    found = segment_distance(own.kinds[0], own.axes[0], own.centres[0], own.sizes[0], tuple(start), tuple(end))
     dense = max(nearest(line, [part]), 0.0)
     assert dense - step(line) - EPSILON <= found <= dense + EPSILON
 
@@ -55,7 +55,7 @@ def test_a_line_segment_is_as_far_from_a_region_as_its_nearest_point(start, end,
 def test_two_line_segments_are_as_far_apart_as_their_nearest_points(a, b, c, d):
     first, second = np.array([a, b]), np.array([c, d])
     dense = cKDTree(along(first[None])).query(along(second[None]))[0].min()
-    found = segment_gap(first, second)
+    found = lines_distance(first, second)
     assert dense - step(first[None]) - step(second[None]) - EPSILON <= found <= dense + EPSILON
 
 
@@ -72,8 +72,8 @@ def test_two_line_segments_are_as_far_apart_as_their_nearest_points(a, b, c, d):
 )
 def test_line_segments_that_leave_their_nearest_points_open(first, second, apart):
     lines = np.array(first, dtype=float), np.array(second, dtype=float)
-    assert segment_gap(*lines) == pytest.approx(apart, abs=1e-12)
-    assert segment_gap(*lines[::-1]) == pytest.approx(apart, abs=1e-12)
+    assert lines_distance(*lines) == pytest.approx(apart, abs=1e-12)
+    assert lines_distance(*lines[::-1]) == pytest.approx(apart, abs=1e-12)
 
 
 @given(arms_among_regions, radii, st.data())
@@ -93,7 +93,7 @@ def test_bodies_in_regions_are_found_and_others_are_not(case, radius, data):
         r, b = np.ascontiguousarray(frame[:3, :3]), np.ascontiguousarray(frame[:3, 3])
         body = clearance.bodies[i, configuration[i], : clearance.lines[i]]
         ball, own = clearance.balls[i, configuration[i]], clearance.regions
-        region = touches(r, b, body, ball, own.kinds, own.axes, own.centres, own.sizes, clearance.margin)
+        region = first_obstacle(r, b, body, ball, own.kinds, own.axes, own.centres, own.sizes, clearance.margin)
         if region >= 0:
             found = f"module {i + 1} is in {own.names[region]}"
             break

@@ -4,11 +4,11 @@ import numpy as np
 from numba import njit
 
 from controller.manipulator.frames import compose
-from controller.obstacles.gaps import Array, Index, placed, touches
+from controller.obstacles.distance import Array, Index, first_obstacle, placed
 
 
 @njit("f8(f8[:,::1], f8[:,::1])", cache=True, nogil=True, error_model="numpy")
-def segment_gap(first: Array, second: Array) -> float:
+def lines_distance(first: Array, second: Array) -> float:
     """Returns the distance between two line segments (2, 3).
 
     Their nearest points are sought on the straight lines, and at the ends where they lie beyond (Ericson 2004,
@@ -38,7 +38,7 @@ def segment_gap(first: Array, second: Array) -> float:
 
 
 @njit("i8(f8[:,:,:,::1], f8[:,::1], i8[::1], i8, f8)", cache=True, nogil=True)
-def first_near(ends: Array, middles: Array, lines: Index, i: int, apart: float) -> int:
+def first_module(ends: Array, middles: Array, lines: Index, i: int, apart: float) -> int:
     """Returns the first module that module i comes no farther from than `apart`, but for its neighbours; -1 if none.
 
     Args:
@@ -56,7 +56,7 @@ def first_near(ends: Array, middles: Array, lines: Index, i: int, apart: float) 
             continue
         for m in range(lines[i]):
             for n in range(lines[j]):
-                if segment_gap(ends[i, m], ends[j, n]) <= apart:
+                if lines_distance(ends[i, m], ends[j, n]) <= apart:
                     return j
     return -1
 
@@ -67,7 +67,7 @@ def first_near(ends: Array, middles: Array, lines: Index, i: int, apart: float) 
     cache=True,
     nogil=True,
 )
-def touching(
+def first_collisions(
     base_r: Array,
     base_b: Array,
     rotations: Array,
@@ -115,7 +115,7 @@ def touching(
         for i in range(modules):
             state = configurations[c, i]
             ball, body = ball_table[i, state], bodies[i, state, : lines[i]]
-            region = touches(r, b, body, ball, kinds, axes, centres, sizes, margin)
+            region = first_obstacle(r, b, body, ball, kinds, axes, centres, sizes, margin)
             if region >= 0:
                 result[c, 0], result[c, 1] = i, region
                 break
@@ -126,7 +126,7 @@ def touching(
                         ends[i, line, side, 0], ends[i, line, side, 1], ends[i, line, side, 2] = x, y, z
                 x, y, z = placed(r, b, ball[:3])
                 middles[i, 0], middles[i, 1], middles[i, 2], middles[i, 3] = x, y, z, ball[3]
-                other = first_near(ends, middles, lines, i, apart)
+                other = first_module(ends, middles, lines, i, apart)
                 if other >= 0:
                     result[c, 0], result[c, 2] = i, other
                     break

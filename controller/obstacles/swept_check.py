@@ -11,14 +11,14 @@ import numpy as np
 from numba import njit
 
 from controller.manipulator.frames import compose
-from controller.obstacles.gaps import Array, Index, placed, touches
-from controller.obstacles.touching import segment_gap
+from controller.obstacles.collision import lines_distance
+from controller.obstacles.distance import Array, Index, first_obstacle, placed
 
 CLEAR, TOUCHED = -1, -2
 
 
 @njit("f8(f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,:,::1])", cache=True, nogil=True)
-def body_gap(r: Array, b: Array, body: Array, s: Array, c: Array, other: Array) -> float:
+def body_distance(r: Array, b: Array, body: Array, s: Array, c: Array, other: Array) -> float:
     """Returns the distance between two bodies (L, 2, 3) in frames (r, b) and (s, c)."""
     least, first, second = np.inf, np.empty((2, 3)), np.empty((2, 3))
     for m in range(len(body)):
@@ -27,7 +27,7 @@ def body_gap(r: Array, b: Array, body: Array, s: Array, c: Array, other: Array) 
         for n in range(len(other)):
             for side in range(2):
                 second[side, 0], second[side, 1], second[side, 2] = placed(s, c, other[n, side])
-            least = min(least, segment_gap(first, second))
+            least = min(least, lines_distance(first, second))
     return least
 
 
@@ -43,7 +43,7 @@ def away(x: float, y: float, z: float, point: Array) -> float:
     cache=True,
     nogil=True,
 )
-def look(
+def swept_check(
     rotations: Array,
     translations: Array,
     bodies: Array,
@@ -104,8 +104,8 @@ def look(
             for i in range(j):
                 if turns[i] > 0 or moves[i] > 0:
                     swept += moves[i] + turns[i] * (away(x, y, z, b[i + 1]) + ball[3])
-            region = touches(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin + swept)
-            touched = region >= 0 and touches(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin) >= 0
+            region = first_obstacle(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin + swept)
+            touched = region >= 0 and first_obstacle(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin) >= 0
             if apart >= 0 and region < 0:
                 swept = swells[j]
                 for i in range(j - 1, -1, -1):
@@ -115,7 +115,7 @@ def look(
                     u, v, w = placed(r[i], b[i], balls[box, i, :3])
                     point = np.array([u, v, w])
                     if i < j - 1 and away(x, y, z, point) <= ball[3] + balls[box, i, 3] + near:
-                        gap = body_gap(r[j], b[j], body, r[i], b[i], bodies[box, i, : lines[i]])
+                        gap = body_distance(r[j], b[j], body, r[i], b[i], bodies[box, i, : lines[i]])
                         if gap <= near:
                             other, low, touched = i, i, gap <= apart
                             swept += swells[i]

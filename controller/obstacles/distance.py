@@ -17,7 +17,7 @@ SPHERE, BOX, HALF_SPACE = 0, 1, 2
 
 
 @njit("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", cache=True, nogil=True, error_model="numpy")
-def depth(kind: int, axes: Array, centre: Array, size: Array, x: float, y: float, z: float) -> float:
+def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float, y: float, z: float) -> float:
     """Returns the signed distance of a point from a region, negative inside."""
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
     if kind == SPHERE:
@@ -76,7 +76,9 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
     nogil=True,
     error_model="numpy",
 )
-def gap(kind: int, axes: Array, centre: Array, size: Array, start: tuple[float, ...], end: tuple[float, ...]) -> float:
+def segment_distance(
+    kind: int, axes: Array, centre: Array, size: Array, start: tuple[float, ...], end: tuple[float, ...]
+) -> float:
     """Returns the distance between a line segment and a region, 0 where they meet."""
     x, y, z = start[0] - centre[0], start[1] - centre[1], start[2] - centre[2]
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
@@ -123,7 +125,7 @@ def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
     nogil=True,
     error_model="numpy",
 )
-def touches(
+def first_obstacle(
     r: Array,
     b: Array,
     body: Array,
@@ -151,10 +153,10 @@ def touches(
         return -1
     middle = placed(r, b, ball[:3])
     for k in range(len(kinds)):
-        if depth(kinds[k], axes[k], centres[k], sizes[k], middle[0], middle[1], middle[2]) > radius + ball[3]:
+        if signed_distance(kinds[k], axes[k], centres[k], sizes[k], middle[0], middle[1], middle[2]) > radius + ball[3]:
             continue
         for n in range(len(body)):
             start, end = placed(r, b, body[n, 0]), placed(r, b, body[n, 1])
-            if gap(kinds[k], axes[k], centres[k], sizes[k], start, end) <= radius:
+            if segment_distance(kinds[k], axes[k], centres[k], sizes[k], start, end) <= radius:
                 return k
     return -1
