@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller import config
 from controller.library.density import Density
-from controller.library.errors import ArmError, ConfigurationError, LockError
+from controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
 from controller.library.modules import Module, base_settings, checked
 from controller.library.obstacles import Obstacle, obstacle_settings
 from controller.manipulator.held import STATES, Held, carried, hold
@@ -23,6 +23,8 @@ from controller.settings import ArmSettings
 from controller.strict import InputFaults
 from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
+from controller.workspace.locked_reach import LockedReach, reach_when_locked
+from controller.workspace.orientations import Orientations, orientations_at
 
 Array = NDArray[np.float64]
 LockState = Literal["contracted", "extended"] | None
@@ -238,6 +240,38 @@ class Arm:
     def density(self) -> Density:
         """Returns the density of the tip's positions, with the locked actuators taken into account."""
         return Density(self._densities, self._reduced)
+
+    def orientations(self, point: ArrayLike, radius: float | None = None, *, seed: int = 0) -> Orientations:
+        """Returns the density of orientations at a point, with the locked actuators taken into account.
+
+        Args:
+            point: position in the world, shape (dimension,).
+            radius: greatest distance of the tip from the point; the arm's tolerance if None.
+            seed: of the random draws; short arms are enumerated instead.
+
+        Raises:
+            GoalError: the point has a wrong number of coordinates, or the radius is not positive.
+        """
+        position, own = np.asarray(point, dtype=float), self.tolerance if radius is None else radius
+        if position.shape != (self.dimension,) or not np.isfinite(position).all() or not 0 < own < np.inf:
+            raise GoalError(f"a point of shape ({self.dimension},) and a radius above 0 are needed")
+        return orientations_at(self._reduced, self._densities, position, own, seed=seed)
+
+    def locked_reach(self, locks: int = 1, samples: int = 100, *, seed: int = 0) -> LockedReach:
+        """Returns reach and redundancy with further actuators locked, by choice, with its worst and mean.
+
+        Args:
+            locks: number of actuators to lock; all choices are tried if it is 1.
+            samples: most choices otherwise.
+            seed: of the random choices.
+
+        Raises:
+            LockError: the arm has not so many actuators to lock.
+        """
+        try:
+            return reach_when_locked(self._reduced, self._densities, locks, self.tolerance, samples, seed)
+        except ValueError as error:
+            raise LockError(str(error)) from None
 
     @property
     def _whole(self) -> Manipulator:

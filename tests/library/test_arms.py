@@ -100,3 +100,18 @@ def test_density_of_a_spatial_arm() -> None:
     assert density.origin.shape == (3,)
     assert density.total == pytest.approx(np.log(2**6), rel=0.02)
     assert (density.at(arm.frames(arm.sample(50))[:, :3, 3]) > 0).mean() > 0.8
+
+
+def test_orientations_and_locked_reach(arm: hb.Arm) -> None:
+    point = arm.position(arm.sample(1, seed=3)[0])
+    found = arm.orientations(point, 0.01)
+    rows = np.array(list(np.ndindex(*arm.states)))
+    near = np.linalg.norm(arm.frames(rows)[:, :2, 3] - point, axis=1) <= 0.01
+    assert found.total == near.sum() == len(found.rotations)
+    reach = arm.locked_reach(1)
+    assert len(reach.choices) == 2 * len(arm.actuators)
+    assert reach.worst("reach").reach <= reach.mean("reach") <= reach.free.reach * 1.05
+    with pytest.raises(hb.GoalError):
+        arm.orientations((0.0, 0.0, 0.0))
+    with pytest.raises(hb.LockError):
+        arm.locked_reach(99)
