@@ -5,10 +5,10 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from controller.obstacles.distance import Array, Index
 
 from controller.manipulator.frames import Frame
 from controller.manipulator.module import Module
+from controller.obstacles.distance import Array, Index
 
 FINE, COARSE = 5, 3  # samples of each stroke of a platform, of up to three that go on at once and of more
 ROUNDING = 1e-9  # of a bound: what rounding takes

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from controller.obstacles.distance import Array, Index
-from controller.obstacles.swept_check import CLEAR, TOUCHED, swept_check
 from numpy.typing import NDArray
 
 from controller.obstacles.clearance import Clearance, balls
+from controller.obstacles.distance import Array, Index
 from controller.obstacles.strokes import strokes_of
+from controller.obstacles.swept_check import CLEAR, TOUCHED, swept_check
 
 States = NDArray[np.uint8]
 
