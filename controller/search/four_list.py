@@ -1,10 +1,10 @@
 """Four lists: the pairs that two lists leave out are proven to be no better, or found.
 
-A pair left out has one half that costs more than was listed; so its other half costs little if the pair is to be better
-than the incumbent. Each half is cut in two again, into quarters that are listed whole or nearly so. The dear half is
-streamed, a layer of equal cost after the other, as pairs of its quarters (Schroeppel and Shamir 1981, "A T =
-O(2^(n/2)), S = O(2^(n/4)) algorithm for certain NP-complete problems"), and each pair is looked up among the cheap rows
-of the other half. When these have become few, each of them is looked up in turn: the dear half's quarters meet.
+A pair left out has one half that costs more than was listed. Its other half costs little if the pair is better than the
+incumbent. Each half is cut in two again, into quarters that are listed whole or nearly so. The dear half is streamed as
+pairs of its quarters, in layers of rising cost (Schroeppel and Shamir 1981, "A T = O(2^(n/2)), S = O(2^(n/4)) algorithm
+for certain NP-complete problems"). Each pair is looked up among the cheap rows of the other half. When these rows are few,
+each of them is looked up instead: the dear half's quarters meet.
 """
 
 from dataclasses import dataclass

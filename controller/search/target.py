@@ -17,8 +17,8 @@ from controller.search.frame_rows import F2, F4, I1, named
 
 Array = NDArray[np.float64]
 
-# The search's arithmetic differs from that of `within` by rounding. So the search looks a little farther, by this part
-# of the lengths involved and this much of a squared chord, and `within` decides.
+# The search's arithmetic differs from that of `within` by rounding. So the search looks a little farther, and `within`
+# decides. It looks farther by this part of the lengths involved, and by this much of a squared chord.
 SLACK = 1e-11
 
 
@@ -53,7 +53,7 @@ QUERY = named(Query, F2, F4, F2, float64, float64, float64, float64, float64)
 class Target:
     """A frame that the tip is to come to.
 
-    The miss of a tip is sqrt(|b - b'|^2 + (weight * chord)^2), where the chord of the angle between the rotations is
+    The miss of a tip is sqrt(|b - b'|^2 + (weight * chord)^2). The chord of the angle between the rotations is
     2 sin(angle / 2).
 
     Attributes:
