@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from controller.commands.run import reachable, run
 from controller.config import load
 from controller.panel.access import Access, Listed, Person, TooManyWrong, digest_of, read_people
 from controller.panel.drawing import Drawing, cloud, picture
@@ -177,3 +178,10 @@ def test_addresses_of_this_computer() -> None:
     for text in ("127.0.0.1:1", "localhost:2", "[::1]:3", "127.1.2.3:4"):
         assert parse_address(text).local
     assert parse_address("[::1]:3").written(3, secure=True) == "https://[::1]:3/"
+
+
+def test_run_tells_the_page_how_to_connect(tmp_path: Path) -> None:
+    assert reachable("tcp/0.0.0.0:7447") == reachable("tcp/[::]:7447") == "tcp/127.0.0.1:7447"
+    assert reachable("tcp/192.168.1.2:7448") == "tcp/192.168.1.2:7448"
+    with pytest.raises(InputFaults, match="start the page by itself"):
+        run(tmp_path / "arm.yaml", zenoh_file=tmp_path / "zenoh.json5", panel=True)

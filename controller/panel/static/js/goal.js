@@ -3,7 +3,7 @@
 import { el, fill, number, numberField } from "./dom.js";
 
 const CERTIFICATES = {
-  optimal: "proven: no clear way there switches less",
+  optimal: "proven: no clear configuration costs less",
   unreachable: "proven: out of reach",
   unknown: "nothing is proven about fewer switches",
 };

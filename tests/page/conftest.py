@@ -1,0 +1,190 @@
+"""Real arms with simulated boards, the panel, and a browser without a window: Debian's Chromium, driven by Selenium."""
+
+import importlib.util
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from controller.panel.access import digest_of
+from tests import waiting
+from tests.system import arms
+
+T = TypeVar("T")
+
+MISSING = shutil.which("chromium") is None or importlib.util.find_spec("selenium") is None
+collect_ignore_glob = ["test_*.py"] if MISSING else []
+
+ROOT = Path(__file__).parents[2]
+OPERATOR, OTHER, VIEWER = "anna-token", "bert-token", "hall-token"
+PATIENCE = 180.0  # [s]; software draws the picture, on a machine that others use, too
+EVERY = 0.1  # [s] between two looks at the page, each of which takes the browser's time
+OPTIONS = (
+    *("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--lang=en", "--force-device-scale-factor=1"),
+)
+
+
+def eventually(what: Callable[[], T], told: Callable[[], str] = lambda: "") -> T:
+    """Returns the first true value of `what`."""
+    return waiting.eventually(what, PATIENCE, told, EVERY)
+
+
+class World:
+    """The arms `flat`, in the plane, and `mixed`, in space, and the panel that shows both."""
+
+    def __init__(self, folder: Path, closing: ExitStack) -> None:
+        self.planners: dict[str, subprocess.Popen[str]] = {}
+        endpoints = []
+        for kind, name in (("planar", "flat"), ("mixed", "mixed")):
+            own = folder / name
+            own.mkdir()
+            arms.write(own, kind, name, {"channel": "can0"}, {})
+            with socket.create_server(("127.0.0.1", 0)) as free:
+                endpoints.append(f"tcp/127.0.0.1:{free.getsockname()[1]}")
+            command = ["run", str(own / "arm.yaml"), "--simulate", "--listen", endpoints[-1]]
+            self.planners[name] = started(command, own, closing)
+        people = [
+            f"{{name: {name}, role: {role}, token: {digest_of(token)}}}"
+            for name, role, token in (
+                ("anna", "operator", OPERATOR),
+                ("bert", "operator", OTHER),
+                ("hall", "viewer", VIEWER),
+            )
+        ]
+        (folder / "people.yaml").write_text(f"people: [{', '.join(people)}]\n")
+        words = ["panel", "--listen", "127.0.0.1:0", "--people", str(folder / "people.yaml")]
+        words += [word for endpoint in endpoints for word in ("--connect", endpoint)]
+        self.panel = started(words, folder, closing)
+        log = folder / "log"
+        line = eventually(lambda: [x for x in log.read_text().splitlines() if x.startswith("hyperbit panel, ")])[0]
+        self.url = line.removeprefix("hyperbit panel, ").rstrip("/")
+
+
+def started(words: list[str], folder: Path, closing: ExitStack) -> subprocess.Popen[str]:
+    """Runs a command of hyperbit until the tests end; its log is in the folder."""
+    environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder), "STATE_DIRECTORY": str(folder)}
+    log = closing.enter_context((folder / "log").open("w"))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "controller.cli", *words], cwd=ROOT, env=environment, stdout=log, stderr=log, text=True
+    )
+
+    def end() -> None:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    closing.callback(end)
+    return process
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+    with ExitStack() as closing:
+        yield World(tmp_path_factory.mktemp("page"), closing)
+
+
+@pytest.fixture(scope="session")
+def driver() -> Iterator[Any]:
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium") or ""
+    for word in OPTIONS:
+        options.add_argument(word)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    browser.set_script_timeout(PATIENCE)
+    yield browser
+    browser.quit()
+
+
+class Shown:
+    """The page that the browser shows."""
+
+    def __init__(self, driver: Any, url: str) -> None:
+        self.driver, self.url = driver, url
+
+    def visit(self, path: str, token: str, width: int = 1280, height: int = 860, *, dark: bool = False) -> None:
+        """Opens a page as somebody with a token."""
+        self.driver.get("about:blank")
+        phone = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": scheme})
+        self.driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
+        self.driver.get(f"{self.url}{path}#{token}")
+
+    def one(self, css: str) -> Any:
+        """The element of a CSS selector, once it is there."""
+        return eventually(lambda: self.all(css), lambda: css)[0]
+
+    def all(self, css: str) -> list[Any]:
+        """All elements of a CSS selector."""
+        found: list[Any] = self.driver.find_elements("css selector", css)
+        return found
+
+    def text(self, css: str) -> str:
+        """What an element says, hidden or not."""
+        return str(self.run("return document.querySelector(arguments[0])?.textContent ?? ''", css))
+
+    def run(self, script: str, *arguments: object) -> Any:
+        """Runs a script in the page."""
+        return self.driver.execute_script(script, *arguments)
+
+    def says(self, css: str, *words: str) -> str:
+        """Waits until an element says all words."""
+        eventually(lambda: all(word in self.text(css) for word in words), lambda: f"{words}: {self.text(css)}")
+        return self.text(css)
+
+    def press(self, css: str) -> None:
+        """Clicks on an element."""
+        self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
+        self.one(css).click()
+
+    def hold(self, css: str, seconds: float = 1.5) -> None:
+        """Presses an element with the mouse and holds it."""
+        from selenium.webdriver import ActionChains
+
+        self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
+        ActionChains(self.driver).click_and_hold(self.one(css)).pause(seconds).release().perform()
+
+    def ready(self) -> None:
+        """Waits until the arm is shown and ready, after a stop or a fault of a test before, too."""
+        self.says("#reason", " ")
+        eventually(lambda: self.run("return document.querySelector('#mode')?.dataset.mode"))
+        if self.run("return document.querySelector('#mode').dataset.mode") in ("stopped", "fault"):
+            self.hold("#reset")
+        self.says("#mode", "ready")
+        self.one(".stage canvas")
+        eventually(lambda: self.run("return !document.body.classList.contains('old')"))
+
+
+@pytest.fixture
+def page(driver: Any, world: World) -> Iterator[Callable[..., Shown]]:
+    """Opens a page of an arm, ready; at the end the browser must have found nothing wrong with it."""
+    shown = Shown(driver, world.url)
+
+    def visit(
+        arm: str = "flat", token: str = OPERATOR, width: int = 1280, height: int = 860, *, dark: bool = False
+    ) -> Shown:
+        shown.visit(f"/arms/{arm}", token, width, height, dark=dark)
+        if token != VIEWER:
+            shown.ready()
+        return shown
+
+    yield visit
+    wrong = [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+    assert wrong == []
