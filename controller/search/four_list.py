@@ -3,8 +3,8 @@
 A pair left out has one half that costs more than was listed. Its other half costs little if the pair is better than the
 incumbent. Each half is cut in two again, into quarters that are listed whole or nearly so. The dear half is streamed as
 pairs of its quarters, in layers of rising cost (Schroeppel and Shamir 1981, "A T = O(2^(n/2)), S = O(2^(n/4)) algorithm
-for certain NP-complete problems"). Each pair is looked up among the cheap rows of the other half. When these rows are few,
-each of them is looked up instead: the dear half's quarters meet.
+for certain NP-complete problems"). Each pair is looked up among the cheap rows of the other half. If these rows are
+few, each of them is looked up instead: the dear half's quarters meet.
 """
 
 from dataclasses import dataclass
