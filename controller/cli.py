@@ -119,6 +119,9 @@ COMMANDS = {
 }
 
 
+WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
+
+
 class PlainValue:
     """Takes texts and paths as they are written, and other values as Typer does.
 
@@ -175,7 +178,9 @@ class DeferredCommand(TyperCommand):
         module = importlib.import_module(f"controller.commands.{self._entry.module}")
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
         epilog = f"Example: {EXAMPLES[self.name]}" if self.name in EXAMPLES else None
-        single.command(self.name, cls=QuickCommand, epilog=epilog)(getattr(module, self._entry.function))
+        single.command(self.name, cls=QuickCommand, epilog=epilog, context_settings=WIDE)(
+            getattr(module, self._entry.function)
+        )
         return typer.main.get_command(single).make_context(info_name, args, parent, **extra)
 
 
@@ -207,6 +212,7 @@ app = typer.Typer(
     name="hyperbit",
     help="Drives arms made of many two-state actuators: goals over Zenoh in, switch commands over CANopen out.",
     cls=Commands,
+    context_settings=WIDE,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich's help takes longer to import than all else that `--help` needs

@@ -105,7 +105,11 @@ def start_logging(common: Fields) -> None:
     """Has log lines written to the journal, if the standard error is the journal's, else to the standard error."""
     lines = logging.StreamHandler(sys.stderr)
     lines.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-    handler = JournalHandler(lines, common) if is_journal(sys.stderr.fileno()) else lines
+    try:
+        journal = is_journal(sys.stderr.fileno())
+    except OSError:  # a stream without a descriptor has taken its place
+        journal = False
+    handler = JournalHandler(lines, common) if journal else lines
     logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 

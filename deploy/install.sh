@@ -41,6 +41,8 @@ running="$running ${instances% }"
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
 "$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder]"
+# numba cannot load kernels that were compiled from another version. The first start compiles them anew.
+rm -rf /var/cache/private/hyperbit/numba /var/cache/private/hyperbit-arms/*/numba
 rm -rf "$prefix/README.md" "$prefix/doc"
 (cd "$project" && find README.md controller deploy drivers tests -name README.md) | while IFS= read -r page; do
   install -D -m 644 "$project/$page" "$prefix/doc/$page"

@@ -34,10 +34,7 @@ def board(
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read the errors of one board, or reset it, while the arm's executor is stopped.
-
-    Example: hyperbit board my-arm.yaml can0/5 errors
-    """
+    """Read the errors of one board, or reset it, while the arm's executor is stopped."""
     settings, _, wired = read_wired(file)
     places = {f"{entry.bus}/{entry.node}" for entry in wired}
     places |= {f"{lock.bus}/{lock.node}" for lock in settings.interlocks.values()}

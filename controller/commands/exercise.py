@@ -65,8 +65,6 @@ def exercise(
 
     The daemon checks each motion as a jog. The executor measures from SYNC to the frame that reports the end-stop. The
     first fault ends the exercise. Ctrl-C cancels the motion.
-
-    Example: hyperbit exercise planar16 5.left 5.right
     """
     with connected(arm, connect, zenoh_file) as client:
         description = client.request("arm")

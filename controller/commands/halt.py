@@ -18,7 +18,7 @@ ZENOH = "Zenoh configuration file, in place of the endpoint."
 
 
 def halt(
-    arm: Annotated[str, typer.Argument(metavar="[ARM]", help=ARM, show_default=False)] = "",
+    arm: Annotated[str, typer.Argument(metavar="ARM", help=ARM, show_default=False)] = "",
     local: Annotated[bool, typer.Option("--local", help=LOCAL)] = False,
     socket: Annotated[Path | None, typer.Option(help="With --local: the socket, or its folder.")] = None,
     connect: Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")] = ENDPOINT,

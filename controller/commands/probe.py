@@ -36,8 +36,6 @@ def probe(
 
     Asks the ids 1 to 127 at once and listens to heartbeats. No arm's file is needed. With --json a line for each node,
     to be sent in for a board that hyperbit does not know.
-
-    Example: hyperbit probe can0
     """
     found = surveyed(channel, interface, bitrate)
     nodes = [node for node in found.found if node.node != MASTER or node.answers]
