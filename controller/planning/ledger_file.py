@@ -158,6 +158,8 @@ def default_path(arm: str) -> Path:
 
 def counted(path: Path) -> dict[str, int]:
     """Returns the switches of each actuator so far; none if the ledger is missing or cannot be read."""
+    if not path.exists():  # the first start
+        return {}
     try:
         return read(path)[0]
     except (sqlite3.Error, OSError) as error:

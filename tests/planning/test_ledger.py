@@ -289,3 +289,9 @@ def test_the_goal_of_a_planner_that_was_killed_before_it_wrote_comes_with_its_re
         3,
     )
     assert (known["id"], known["status"]) == ("known", "succeeded")
+
+
+def test_the_first_start_is_no_word_in_the_log(tmp_path, caplog):
+    caplog.set_level("INFO")
+    assert counted(tmp_path / "none.sqlite") == {}
+    assert not caplog.records
