@@ -68,7 +68,7 @@ $(VENV)/program: pyproject.toml
 	touch $@
 
 # Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
-$(VENV)/kernels: $(VENV)/program
+$(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controller)
 	$(BIN)/python -m controller.kernels
 	touch $@
 

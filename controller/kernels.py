@@ -91,5 +91,12 @@ def fork(module: str) -> int:
         os._exit(status)
 
 
+def drop_indexes() -> None:
+    """Deletes numba's indexes of machine code: no import passes one that names a module which has moved."""
+    for index in FOLDER.rglob("__pycache__/*.nbi"):
+        index.unlink()
+
+
 if __name__ == "__main__":
+    drop_indexes()
     compile_all(kernels(), len(os.sched_getaffinity(0)))

@@ -31,3 +31,13 @@ def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):
 def test_a_module_that_cannot_be_imported_is_named():
     with pytest.raises(RuntimeError, match=r"the kernels of controller\.missing cannot be compiled"):
         kernels.compile_all({"controller.missing": set()}, 1)
+
+
+def test_indexes_of_machine_code_are_dropped(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernels, "FOLDER", tmp_path)
+    index, code = (tmp_path / "room" / "__pycache__" / name for name in ("a.f.nbi", "a.f.1.nbc"))
+    index.parent.mkdir(parents=True)
+    index.touch()
+    code.touch()
+    kernels.drop_indexes()
+    assert (index.exists(), code.exists()) == (False, True)

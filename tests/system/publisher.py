@@ -15,6 +15,7 @@ from tests.waiting import SLOWNESS, eventually
 
 START = (0.5, 2.8)
 RATE = 50.0 / SLOWNESS  # [Hz]
+LONGEST_STEP = 5.0 / RATE  # [s]
 STOPPED = "the stream of setpoints has stopped"  # a reason in `state`
 BAD = [b"{", b'{"position": [NaN, 1]}', b'{"position": [1, 2], "stamp": 1}', b'{"position": [1, 2, 3]}', b" " * 20_000]
 
@@ -43,16 +44,20 @@ class Publisher:
         self._session.put(self._key, payload if isinstance(payload, bytes) else json.dumps(payload))
 
     def stream(self, ended: Callable[[float], bool], bad: bool = False) -> None:
-        """Streams until `ended`, a function of the time [s], with something bad after every set-point if told to."""
-        began, k = time.monotonic(), 0
-        while not ended(t := time.monotonic() - began):
+        """Streams until `ended`, a function of the time [s], with something bad after every set-point if told to.
+
+        The goal does not jump: its time stands still while this machine does.
+        """
+        t, last, k = 0.0, time.monotonic(), 0
+        while not ended(t):
             self.position = self._way(t)
             self.put({"position": self.position, "stamp": time.time()})
             time.sleep(0.5 / RATE)
             if bad:
                 self.put(BAD[k % len(BAD)])
             time.sleep(0.5 / RATE)
-            k += 1
+            now = time.monotonic()
+            t, last, k = t + min(now - last, LONGEST_STEP), now, k + 1
 
     @contextmanager
     def streaming(self) -> Iterator[None]:
