@@ -12,7 +12,8 @@ from controller.manipulator.frames import angle_between
 from controller.search.target import within
 from tests.arms import every_configuration
 from tests.benchmarks.acceptance import check_of, clear
-from tests.benchmarks.proof import NONE, halves, prove, rows
+from tests.benchmarks.half_rows import NONE, halves, rows
+from tests.benchmarks.proof import prove
 
 TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
 
@@ -100,6 +101,17 @@ def test_only_a_bound_is_proven_if_the_lists_are_too_short():
     proof = prove(arm.clearance(), goal, start, 1e-4, depths=(0,))
     assert (proof.bound, proof.proven) == (2, False)
     assert prove(arm.clearance(), goal, start, 1e-4).bound == fewest(arm, goal, start, 1e-4, math.inf) > 2
+
+
+def test_a_short_half_that_is_listed_whole_does_not_end_the_other_one():
+    angles = np.linspace(-1.5, 1.5, 64)  # six actuators in Gray code
+    ends = hb.revolute((-0.1, 0.1), link=(0.5, 0.0), count=2)
+    arm = hb.Arm([hb.revolute(angles, link=(1.0, 0.0)), ends])._arm
+    start = np.zeros(3, dtype=np.int64)
+    for own in ((42, 1, 1), (42, 0, 1), (21, 1, 0), (1, 1, 1)):
+        goal = arm.manipulator.tip(np.array(own))
+        proof = prove(arm.clearance(), goal, start, 1e-4, depths=(2,))
+        assert proof.switches == proof.bound == fewest(arm, goal, start, 1e-4, math.inf)
 
 
 def test_distances_from_obstacles_agree_with_the_product():
