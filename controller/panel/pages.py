@@ -54,8 +54,8 @@ class Page:
 class Control:
     """Who commands an arm: one page at a time, so that two operators do not work against each other.
 
-    Whoever commands first has it. Another operator may take it, and a page that is closed gives it up. A stop and a
-    cancel need no control.
+    Whoever commands first has it, and passes it on between own pages. Another operator may take it, and a page that is
+    closed gives it up. A stop and a cancel need no control.
     """
 
     def __init__(self) -> None:
@@ -73,13 +73,11 @@ class Control:
 
     def refusal(self, page: Page) -> str | None:
         """Returns why a page may not command, or None; it then has control."""
-        if self._holder is None:
+        if self._holder is not None and self._holder.person.name != page.person.name:
+            return f"{self._holder.person.name} has control: take it first"
+        if self._holder is not page:  # of the same person, maybe a page that is just being closed
             self.take(page)
-        if self._holder is page:
-            return None
-        own = " on another page" if self._holder and self._holder.person.name == page.person.name else ""
-        name = self._holder.person.name if self._holder else ""
-        return f"{name} has control{own}: take it first"
+        return None
 
     def take(self, page: Page) -> None:
         """Gives control to a page."""

@@ -126,6 +126,15 @@ def test_one_page_has_control_and_anybody_may_stop(site: Site) -> None:
     assert site.daemon.asked[-1][1] == {"actuators": {"1.left": "extended"}}
 
 
+def test_pages_of_one_person_share_control(site: Site) -> None:
+    first, second = site.open(OPERATOR), site.open(OPERATOR)
+    assert first.ask("reset")["accepted"]
+    assert second.ask("reset")["accepted"]
+    first.socket.close()
+    eventually(lambda: len(site.panel.arms.views[ARM].pages) == 1)
+    assert site.panel.arms.views[ARM].control.told(None)["name"] == "anna", "the page that was closed had none"
+
+
 def test_a_stop_waits_for_no_plan(site: Site) -> None:
     page, others = site.open(), [site.open(OTHER) for _ in range(3)]
     site.daemon.gate.clear()

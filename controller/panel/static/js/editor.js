@@ -14,6 +14,7 @@ export class Editor {
     this.plan = null; // the latest answer
     this.planning = false;
     this.dirty = false;
+    this.plannedFrom = null; // configuration of the arm when the plan was asked for
     this.listeners = [];
   }
 
@@ -95,6 +96,7 @@ export class Editor {
       const goal = this.goal;
       if (goal === null) break;
       const began = performance.now();
+      this.plannedFrom = this.connection.latest.state?.configuration;
       const plan = await this.connection.ask({ do: "plan", goal });
       if (this.goal !== null) this.plan = plan;
       this.changed({ plan: false });

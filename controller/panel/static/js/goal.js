@@ -25,6 +25,11 @@ export function showGoal(connection, editor, notify) {
     message,
   );
   let arm = null;
+  let sent = null; // the goal that Go sent, until it has ended
+  const say = (text, fine) => {
+    message.textContent = text;
+    message.classList.toggle("bad", !fine);
+  };
   connection.on("arm", (told) => {
     arm = told;
     editor.step = Math.max(0.3, Number((1.5 * told.travel_time + (told.rest_time ?? 0)).toFixed(3)));
@@ -32,10 +37,22 @@ export function showGoal(connection, editor, notify) {
   });
   go.addEventListener("click", async () => {
     go.disabled = true;
+    const goal = JSON.stringify(editor.goal);
     const answer = await editor.go();
     go.disabled = editor.goal === null;
-    message.textContent = answer.message;
-    message.classList.toggle("bad", !answer.accepted);
+    sent = answer.accepted ? { id: answer.id, goal } : null;
+    say(answer.message, answer.accepted);
+  });
+  connection.on("goals", ({ goals }) => {
+    const entry = goals.find(({ id }) => id === sent?.id);
+    if (!entry || entry.status === "running") return;
+    say(`${entry.status}: ${entry.message ?? ""}`, entry.status === "succeeded");
+    if (entry.status === "succeeded" && JSON.stringify(editor.goal) === sent.goal) editor.clear();
+    sent = null;
+  });
+  connection.on("state", (state) => {
+    const moved = editor.plan !== null && state.configuration !== editor.plannedFrom;
+    if (state.mode === "ready" && moved && editor.file === null) editor.ask(); // the plan was made for another start
   });
   cancel.addEventListener("click", async () => notify(await connection.ask({ do: "cancel" }), "Hold now"));
   clear.addEventListener("click", () => {
@@ -103,7 +120,7 @@ function planInWords(editor) {
   const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
   const last = waypoints[waypoints.length - 1];
   const proof = plan.certificate === "bound" ? `proven: at least ${plan.lower_bound} switches` : CERTIFICATES[plan.certificate];
-  const stages = waypoints.flatMap((waypoint, k) => waypoint.stages.map((stage, s) => ({ k, s, stage })));
+  const stages = waypoints.flatMap((waypoint, k) => (waypoint.stages ?? []).map((stage) => ({ k, stage })));
   const excursion = Math.max(...waypoints.map((waypoint) => waypoint.excursion ?? 0));
   return [
     el("dl", {}, ...pair("switches", String(plan.switches)), ...pair("certificate", proof ?? plan.certificate),
