@@ -96,7 +96,6 @@ class Hostile:
         SimpleNamespace(configuration=Hostile()),
         SimpleNamespace(configuration="0"),
     ],
-    ids=repr,
 )
 def test_nonsense_is_counted_and_named(answer):
     row = ran(lambda task: answer)
