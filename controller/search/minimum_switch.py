@@ -123,7 +123,7 @@ class MinimumSwitch:
                 stage(problem, incumbent)
         if incumbent.cost == np.inf and not incumbent.settled and problem.patience > incumbent.until:
             incumbent.until = problem.patience
-            for stage in (self._branch_and_bound, self._approach, self._around, self._four_lists, self._beams):
+            for stage in (self._approach, self._around, self._branch_and_bound, self._four_lists, self._beams):
                 if not incumbent.settled:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:

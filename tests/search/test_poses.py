@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controller.bench import goal_sets
 from controller.manipulator.frames import Frame, angle_between, turned
 from controller.manipulator.manipulator import Manipulator
 from controller.search import two_list
+from controller.search.branch_and_bound import BranchAndBound
 from controller.search.method import METHODS, switching
 from controller.search.solution import Incumbent
 from controller.search.solver import Solver
@@ -143,3 +145,17 @@ def test_a_meeting_cut_short_says_what_it_left_out(seed):
         assert both.match(target, cut) == (False, both.lower.costs[5:].min())
         assert both.match(target, whole) == (True, min(both.lower.beyond, both.upper.beyond))
     assert whole.cost >= min(cut.cost, both.lower.costs[5:].min())
+
+
+def test_a_pose_is_reached_even_if_branch_and_bound_takes_all_the_time_it_is_given(monkeypatch):
+    def run(tree, target, seed, costs, incumbent, until):
+        if until >= incumbent.until:
+            incumbent.until = 0.0
+
+    monkeypatch.setattr(BranchAndBound, "begun", True)
+    monkeypatch.setattr(BranchAndBound, "run", run)
+    task = goal_sets.read("paper-poses")[132]
+    arm = goal_sets.load_arm(task.arm).manipulator
+    solver = Solver(arm, map_densities(arm, 0.02, 1 << 18))
+    solution = solver.solve(task.frame, task.start, task.tolerance, turn=task.angle_tolerance, patience=600.0)
+    assert solution.within_tolerance
