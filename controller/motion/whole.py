@@ -14,7 +14,7 @@ from controller.motion.trajectory import MOST_POINTS, Trajectory, along
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solver
 
-FIRST_TIME, WHOLE_TIME = 3.0, 2.0  # [s] for the first answers of all points at most, and for the whole trajectory
+FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s] for the first answers of all points at most, and for the whole trajectory
 
 Array = NDArray[np.float64]
 
