@@ -15,7 +15,7 @@ demo: $(VENV)/kernels
 # processes leave BLAS no threads to gain by.
 REAL_TIME := tests/system
 test: check $(VENV)/kernels
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal $(REAL_TIME:%=--ignore %) --ignore tests/page
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) --ignore tests/page
 	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS)
 
 # Prepares the virtual machine, so that its tests begin at once.
