@@ -21,6 +21,7 @@ BEAM = 75_000  # width of the beam times the square of the number of actuators
 PRESENT = 0.1  # weight of the excursion at the moment beside the greatest so far, in the beam
 SKIPPED = -1.0  # excursion of actuator states that the module has no state for
 SLACK = 1e-9  # of the greatest excursion; those no further apart count as equal
+ROUNDING = 1e-15  # of an excursion
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def peaks(transition: Transition, masks: Index, stages: list[Index]) -> Iterator
 def least(levels: Array, split: Callable[[float], list[Index]], limit: int) -> list[Index]:
     """Returns what `split` gives for the least level at which these are at most `limit` stages; it fails with none."""
     levels = np.unique(levels[np.isfinite(levels)])
-    slack = SLACK * levels.max(initial=0.0)
+    slack = SLACK * levels.max(initial=0.0) + ROUNDING
     index = bisect_left(levels, True, key=lambda level: 0 < len(split(level + slack)) <= limit)
     return split(levels[index] + slack) if index < len(levels) else []
 

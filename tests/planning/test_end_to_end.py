@@ -85,7 +85,7 @@ def test_a_trajectory_is_fed_back_waypoint_by_waypoint(chain: Chain) -> None:
         told.append(chain.inbox.next("feedback"))
     waypoints = [f["waypoint"] for f in told]
     assert waypoints == sorted(set(waypoints)), "each once; a machine that stands still passes one over"
-    assert all(f["stages"] >= 1 and f["excursion"] is not None for f in told)
+    assert all(f["stages"] >= 1 for f in told)
     assert chain.inbox.next("result")["status"] == "succeeded"
 
 
