@@ -138,14 +138,16 @@ def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
 
 
 def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
-    client: Observer, publisher: Publisher, motions: Motions
+    client: Observer, publisher: Publisher, motions: Motions, system: System
 ) -> None:
-    began = time.time()
+    assert system.planning is not None
+    began, before = time.time(), system.planning.diagnostics()["setpoint"]["received"]
     for k in range(1, 4):
         publisher.put({"position": LEFT if k % 2 else RIGHT})
+        eventually(lambda k=k: system.planning.diagnostics()["setpoint"]["received"] >= before + k)
         client.ask("cancel")
         motions.clear()  # a search may be quick enough to switch before the cancel, but not after it
-        eventually(lambda k=k: setpoint(client)["received"] >= k and not setpoint(client)["alive"])
+        eventually(lambda k=k: setpoint(client)["received"] >= before + k and not setpoint(client)["alive"])
         assert motions.still()
         client.streams.append((began, time.time()))
     client.wait_now("ready")
