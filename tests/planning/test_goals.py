@@ -8,6 +8,7 @@ import pytest
 
 from controller.motion import codes, whole
 from controller.motion.pacing import pace_of
+from controller.planning import planning
 from controller.planning.messages import BARRED
 from controller.program import Acknowledge, Cancel, Halt, Hello, Program, Replacement, Reset
 from controller.search.solver import Solver
@@ -272,7 +273,8 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
     desk.executor.answer(cancel, "canceled")
 
 
-def test_closing_ends_the_running_goal_with_a_result(desk: Desk) -> None:
+def test_closing_ends_the_running_goal_with_a_result(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning, "LAST_RESULTS_WITHIN", 60.0)  # a machine that stands still answers later
     program = taken(desk, A, B, step=10)
     closing = threading.Thread(target=desk.planning.close)
     closing.start()
