@@ -75,9 +75,10 @@ def running(
         def publish(key: str, payload: Payload) -> None:
             if key != "feedback":
                 goals.ended(payload.get("id"))
+            outbox.publish(key, payload)
+            if key != "feedback":  # after it: a log may wait for its reader
                 told, words = fields_of_result(payload), payload.get("message")
                 log.info("goal %s %s: %s", payload.get("id"), payload.get("status"), words, extra={"journal": told})
-            outbox.publish(key, payload)
 
         link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)
         planning = Planning(arm, densities, link, book, publish, changed.set)
