@@ -156,6 +156,7 @@ class ArmView:
             self.record.diagnostics(told)
             self.publish("diagnostics", told)
         elif key == "timeline":
+            self._heard = time.monotonic()  # a paused replay publishes no state
             self.publish("timeline", told)
             return
         self.publish_record()

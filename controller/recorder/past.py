@@ -84,12 +84,16 @@ class Past:
         yield from self._read(begin, None, self._topics)
 
     def standing(self, at: int) -> list[Told]:
-        """Returns the latest message of each key of KEPT before a log time [ns]."""
-        return [told for key in KEPT if (told := self._last(key, at - 1)) is not None]
+        """Returns the latest message of each key of KEPT before a log time [ns], or else the first after it."""
+        found = [self._last(key, at - 1) or self._first(key, at) for key in KEPT]
+        return [told for told in found if told is not None and told.at != at]
 
     def _last(self, key: str, at: int) -> Told | None:
         topic = [f"hyperbit/{self.arm}/{key}"]
         return next(iter(self._read(None, at + 1, topic, reverse=True)), None)
+
+    def _first(self, key: str, at: int) -> Told | None:
+        return next(iter(self._read(at, None, [f"hyperbit/{self.arm}/{key}"])), None)
 
     def _read(self, begin: int | None, end: int | None, topics: list[str], reverse: bool = False) -> Iterator[Told]:
         try:

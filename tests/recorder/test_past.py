@@ -26,7 +26,9 @@ def test_a_recording_is_read_from_any_time_on(tmp_path: Path) -> None:
     assert next(told.at for told in past.messages(1004 * SECOND)) == 1004 * SECOND
     (told,) = past.standing(1002 * SECOND)
     assert (told.key, told.at) == ("state", round(1001.95 * SECOND))
-    assert past.standing(1000 * SECOND) == []
+    (told,) = past.standing(999 * SECOND)
+    assert (told.key, told.at) == ("state", 1000 * SECOND), "before the first state the arm is shown as it begins"
+    assert past.standing(1000 * SECOND) == [], "what is of this time is due anyway"
     past.close()
 
 

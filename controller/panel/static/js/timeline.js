@@ -18,17 +18,24 @@ export function showTimeline(connection, notify) {
   pause.addEventListener("click", () => seek({ paused: !told.paused }));
   speed.addEventListener("change", () => seek({ speed: Number(speed.value) }));
   slider.addEventListener("input", () => (sliding = true));
+  slider.addEventListener("blur", () => (sliding = false)); // dragged and brought back: nothing changes
   slider.addEventListener("change", async () => {
     await seek({ at: told.begin + (slider.value / 1000) * (told.end - told.begin) });
     sliding = false;
   });
+  // Shows a speed, one that `hyperbit replay --speed` set too.
+  const choose = (factor) => {
+    const known = [...speed.options].some(({ value }) => value === String(factor));
+    if (!known) speed.append(el("option", { value: String(factor) }, `${factor}×`));
+    speed.value = String(factor);
+  };
   connection.on("timeline", (message) => {
     told = message;
     box.hidden = false;
     const share = told.end > told.begin ? (told.at - told.begin) / (told.end - told.begin) : 1;
     if (!sliding) slider.value = String(Math.round(share * 1000));
     pause.textContent = told.paused ? "▶ Play" : "❚❚ Pause";
-    speed.value = String(told.speed);
+    if (speed.selectedOptions[0]?.value !== String(told.speed)) choose(told.speed);
     words.textContent = `replay of ${told.file ?? "a recording"}, ${clock(told.at)} of ${clock(told.begin)} to ${clock(told.end)}`;
   });
 }
