@@ -1,4 +1,4 @@
-# The two commands of the README: `make demo` and `make test`.
+# The three commands of the README: `make demo`, `make panel` and `make test`.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -6,10 +6,15 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test page-test vm vm-test check bench fuzz soak clean
+.PHONY: demo panel test page-test vm vm-test check bench fuzz soak clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
+
+# The operator's page with simulated boards, until Ctrl-C.
+panel: $(VENV)/kernels
+	$(BIN)/pip install --quiet --editable '.[panel]'
+	$(BIN)/hyperbit run deploy/planar16.yaml --simulate --panel
 
 # What runs in real time comes last, two files at a time, and leaves the processors idle for half of the time. Two
 # processes leave BLAS no threads to gain by.
