@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
+from controller.motion.candidate_sets import CandidateSets
 from controller.motion.lookahead import LookAhead
 from controller.motion.trajectory import Trajectory
 from controller.search.solution import EPSILON, proves
@@ -76,6 +77,7 @@ class LabelSetting:
         self, solver: Solver, trajectory: Trajectory, start: Configuration, stop: Callable[[], bool] = lambda: False
     ) -> None:
         self._solver, self._trajectory, self._stop = solver, trajectory, stop
+        self._sets = CandidateSets(solver.manipulator, solver.weights)
         self._until = np.inf
         self._start = Layer(np.asarray(start, np.uint16)[None], np.zeros(1), np.zeros(1, dtype=np.int64))
         self._rest = least_rest(trajectory, solver.least_weight)
@@ -228,15 +230,8 @@ class LabelSetting:
         room = ceiling * (1 + EPSILON) - layer.costs
         kept, moved = np.flatnonzero(served & (room >= 0)), np.flatnonzero(~served & (room >= solver.least_weight))
         moved = moved[np.argsort(-room[moved], kind="stable")]
-        found = solver.neighbours(
-            trajectory.goal(k),
-            float(trajectory.tolerances[k]),
-            float(trajectory.turns[k]),
-            layer.configurations[moved],
-            room[moved],
-            most,
-            self._late,
-        )
+        target = solver.target(trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k]))
+        found = self._sets.find(target, layer.configurations[moved], room[moved], most, self._late)
         if found is None:
             return None
         before = np.concatenate([kept, moved[found.sources]])

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from copy import copy
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,6 @@ from controller.obstacles.clearance import Clearance
 from controller.obstacles.scene import scene_of
 from controller.search.method import Method, switching
 from controller.search.minimum_switch import MinimumSwitch, Problem
-from controller.search.neighbours import Listed, Neighbours
 from controller.search.paths import Paths
 from controller.search.solution import EPSILON, Incumbent, Solution
 from controller.search.target import Target, distance
@@ -36,6 +35,7 @@ class Solver:
     Attributes:
         manipulator: the arm.
         densities: of its intermediate workspaces.
+        weights: of the actuators' switches, by module, shape (B, Amax).
         least_weight: of any actuator's switches.
         whole_weights: whether all weights are multiples of the least.
         clearance: what configurations keep clear of; None if nothing.
@@ -60,7 +60,7 @@ class Solver:
         self.clearance, self._scene = clearance, scene_of(manipulator, clearance)
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
-        self._weights, self.least_weight = manipulator.per_module(own), float(own.min())
+        self.weights, self.least_weight = manipulator.per_module(own), float(own.min())
         multiples = own / own.min()
         self.whole_weights = bool(np.all(np.abs(multiples - np.round(multiples)) < EPSILON / 10))
         self._paths = Paths(manipulator, densities)
@@ -80,8 +80,7 @@ class Solver:
     def another(self) -> "Solver":
         """Returns a solver with the same tables and memory of its own: both may search at the same time."""
         other = copy(self)
-        for memory in ("_minimum", "_neighbours"):
-            vars(other).pop(memory, None)
+        vars(other).pop("_minimum", None)
         other._candidates, other._scene = None, scene_of(self.manipulator, self.clearance)
         return other
 
@@ -97,7 +96,7 @@ class Solver:
             tolerance: that the goal is likely to have.
         """
         seed = np.asarray(previous, dtype=np.int64)
-        costs = switching(self.manipulator, seed, self._weights)
+        costs = switching(self.manipulator, seed, self.weights)
         return self._minimum.expect(seed, costs, tolerance)
 
     def solve(
@@ -124,12 +123,12 @@ class Solver:
         """
         began = time.perf_counter()
         seed = np.asarray(previous, dtype=np.int64)
-        target = self._target(goal, tolerance, turn)
+        target = self.target(goal, tolerance, turn)
         incumbent = Incumbent(seed, began + deadline)
         if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self._served(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == "minimum-switch":
-            costs = switching(self.manipulator, seed, self._weights)
+            costs = switching(self.manipulator, seed, self.weights)
             patience = began + (max(deadline, patience) if target.hard else deadline)
             self._minimum.improve(Problem(target, seed, costs, patience, self._hopeless(target)), incumbent)
         else:
@@ -151,7 +150,7 @@ class Solver:
         turn: float = math.inf,
     ) -> Solution:
         """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
-        return self._described(configuration, self._target(goal, tolerance, turn), previous)
+        return self._described(configuration, self.target(goal, tolerance, turn), previous)
 
     def candidates(
         self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int, turn: float = math.inf
@@ -162,26 +161,8 @@ class Solver:
         """
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
-        costs = switching(self.manipulator, previous, self._weights)
-        return self._candidates[1].find(
-            self._target(goal, tolerance, turn), np.asarray(previous, dtype=np.int64), costs
-        )
-
-    def neighbours(
-        self,
-        goal: ArrayLike,
-        tolerance: float,
-        turn: float,
-        sources: NDArray[np.uint16],
-        budgets: Vector,
-        most: int,
-        late: Callable[[], bool],
-    ) -> Listed | None:
-        """Returns all clear configurations within the tolerances that cost at most a budget from one of several.
-
-        See Neighbours.find for the arguments and for when it is None.
-        """
-        return self._neighbours.find(self._target(goal, tolerance, turn), sources, budgets, most, late)
+        costs = switching(self.manipulator, previous, self.weights)
+        return self._candidates[1].find(self.target(goal, tolerance, turn), np.asarray(previous, dtype=np.int64), costs)
 
     def _described(
         self,
@@ -218,7 +199,7 @@ class Solver:
     def _clear(self, configuration: Configuration) -> bool:
         return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
 
-    def _target(self, goal: ArrayLike, tolerance: float, turn: float) -> Target:
+    def target(self, goal: ArrayLike, tolerance: float, turn: float) -> Target:
         """Returns what a goal asks for; see solve.
 
         Raises:
@@ -245,11 +226,7 @@ class Solver:
         """Returns the weighted number of switches between configurations, both of shape (..., B), shape (...)."""
         bits, modules = self.manipulator.bits, np.arange(len(self.manipulator.modules))
         differ = bits[modules, np.asarray(previous)] != bits[modules, np.asarray(configurations)]
-        return (differ * self._weights).sum(axis=(-2, -1))
-
-    @cached_property
-    def _neighbours(self) -> Neighbours:
-        return Neighbours(self.manipulator, self._weights)
+        return (differ * self.weights).sum(axis=(-2, -1))
 
     @cached_property
     def _minimum(self) -> MinimumSwitch:

@@ -226,7 +226,7 @@ def meet(
     nogil=True,
     error_model="numpy",
 )
-def list_neighbours(
+def list_candidates(
     changes: Changes,
     query: Query,
     scene: Scene | None,
@@ -298,8 +298,8 @@ def list_neighbours(
     return count, len(sources), 0
 
 
-class Neighbours:
-    """Complete candidate sets of one arm, with the memory to list them.
+class CandidateSets:
+    """Lists complete candidate sets of one arm; holds the memory for them.
 
     Args:
         manipulator: the arm.
@@ -339,7 +339,7 @@ class Neighbours:
         while first < len(sources):
             part, free = slice(first, first + AT_ONCE), Listed(listed.sources[count:], listed.configurations[count:])
             given = self._changes, target.query, target.scene, target.position, sources[part], budgets[part]
-            more, done, lacks = list_neighbours(*given, self._lower, self._upper, free)
+            more, done, lacks = list_candidates(*given, self._lower, self._upper, free)
             free.sources[:more] += first
             first, count = first + done, count + more
             if lacks == 2 or (lacks == 1 and len(self._lower.costs) >= MOST_ROWS) or late():
