@@ -45,8 +45,8 @@ def running(
 ) -> Iterator[Planning]:
     """Serves an arm while the context lasts.
 
-    At the end the keys go first, so that no request comes any more. Then goals end, their results are published, and
-    the connection to the executor closes.
+    At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and the
+    last state are published. The connection to the executor closes last.
 
     Args:
         arm: with wiring.
@@ -83,6 +83,8 @@ def running(
         link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)
         planning = Planning(arm, densities, link, book, publish, changed.set)
         warnings = Warnings(reachable(session, config), book.faults)
+        planning.start()
+        closing.callback(planning.close)
         reporter = StatusReporter(
             session,
             f"hyperbit/{name}",
@@ -93,9 +95,8 @@ def running(
             outbox.waiting,
             notifier,
         )
-        closing.callback(reporter.close)
-        planning.start()
-        closing.callback(planning.close)
+        closing.callback(reporter.close)  # while the executor is connected: its end is not a fault now
+        closing.callback(planning.end_goals)
         server = Server(session, name, planning, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(server.close)
         gc.collect()

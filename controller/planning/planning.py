@@ -127,13 +127,17 @@ class Planning:
             self._tip_bias.start()
         self._link.start(self._listener)
 
-    def close(self) -> None:
-        """Refuses what waits, ends the running goal and publishes its result, and ends all threads."""
+    def end_goals(self) -> None:
+        """Refuses waiting requests, ends the running goal and publishes its result; the executor stays connected."""
         for part in (self._follower, self._planner.requests, self._queries.requests):
             part.close()
         if (running := self._goals.current) is not None:
             self._goals.end(running, Verdict("aborted", PATH_TOLERANCE_VIOLATED, CLOSING, ""))
             self._goals.wait_ended(LAST_RESULTS_WITHIN)
+
+    def close(self) -> None:
+        """Ends goals, the connection to the executor, and all threads."""
+        self.end_goals()
         self._link.close()
         self._clearance.close()
         if self._tip_bias is not None:

@@ -39,7 +39,9 @@ def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
         "RUNTIME_DIRECTORY": str(folder), "PYTHONPATH": str(ROOT),
     }  # fmt: skip
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, env=environment)
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stderr=log, env=environment, start_new_session=True
+        )
     yield process
     process.kill()
     process.communicate()
@@ -82,8 +84,10 @@ def test_a_signal_ends_both_processes_in_order(
     client.move(MIDDLE, goal="a")
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
     client.wait_for("executing", "goal b")
-    process.send_signal(number)
+    os.killpg(process.pid, number)  # as a terminal does at Ctrl-C
     assert process.wait(PATIENCE) == 0
+    assert "ERROR" not in (log := (folder / "log").read_text()), log
+    assert not [fault for state in client.heard["state"] for fault in state["faults"]]
     result = client.result("b")
     assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
     switches, goals = read(folder / f"{NAME}.sqlite")
