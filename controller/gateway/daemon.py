@@ -45,8 +45,8 @@ def running(
 ) -> Iterator[Planning]:
     """Serves an arm while the context lasts.
 
-    At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and the
-    last state are published. The connection to the executor closes last.
+    At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and
+    the last state are published. The connection to the executor closes last.
 
     Args:
         arm: with wiring.
