@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from controller.actuators import longest_travel
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.stage_sequencer import DETOUR_TIME, StageSequencer
 from controller.motion.stages import SKIPPED, order_stages, peaks
 from controller.motion.transition import build_transition
-from controller.motion.ways import PATIENCE, Ways
 from controller.obstacles.sweep import Sweep
 from controller.settings import ArmSettings
 
@@ -19,11 +19,11 @@ PERIOD = 0.01  # [s] of the executor's loop
 MOST_STAGES = 8  # of a transition, unless the bound needs more: the tip then strays little less
 
 
-class Unfit(ValueError):
+class Infeasible(ValueError):
     """A transition cannot be carried out in the time there is."""
 
 
-class Blocked(Unfit):
+class Blocked(Infeasible):
     """No order of its actuators was found in which nothing is touched."""
 
 
@@ -33,18 +33,18 @@ class Staged:
 
     Attributes:
         stages: actuator states that each stage ends in, shape (k, A); k is at least 1, and 1 where nothing switches.
-        reckoned: the excursion, or a function that reckons it: a goal must not wait for what only its feedback tells.
+        deviation_source: the deviation, or a function that computes it. Computing it would delay the start of a goal.
         strict: whether the stages keep clear of something, so that none may be left out or taken with another.
     """
 
     stages: NDArray[np.uint8]
-    reckoned: float | Callable[[], float] | None
+    deviation_source: float | Callable[[], float] | None
     strict: bool = False
 
     @cached_property
-    def excursion(self) -> float | None:
+    def deviation(self) -> float | None:
         """Greatest distance of the tip from the straight line; None: not known."""
-        return self.reckoned() if callable(self.reckoned) else self.reckoned
+        return self.deviation_source() if callable(self.deviation_source) else self.deviation_source
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ class Pace:
         before: Configuration,
         after: Configuration,
         available: float | None = None,
-        reckon: bool = True,
+        with_deviation: bool = True,
         sweep: Sweep | None = None,
-        patience: float = PATIENCE,
+        patience: float = DETOUR_TIME,
     ) -> Staged:
         """Returns how a transition is carried out.
 
@@ -101,27 +101,27 @@ class Pace:
             before: configuration, shape (B,).
             after: configuration, shape (B,).
             available: time from the waypoint before to the one after [s]; None: as much as wanted.
-            reckon: whether to reckon the excursion where there is no bound on what switches at once.
+            with_deviation: whether to with_deviation the deviation where there is no bound on what switches at once.
             sweep: of what must touch nothing, in no order and mid-stroke of a stage's actuators; None: anything may.
             patience: time for a roundabout way, on which actuators switch to and fro, where no plain one is found [s].
 
         Raises:
-            Unfit: that is too little; the message says what is needed.
+            Infeasible: that is too little; the message says what is needed.
             Blocked: no stages are found that touch nothing; the message says what is in the way.
         """
         if sweep is not None:
-            return self._clear(manipulator, before, after, available, reckon, sweep, patience)
+            return self._clear(manipulator, before, after, available, with_deviation, sweep, patience)
         n = manipulator.switches(before, after)
         if n == 0:
             return Staged(manipulator.actuator_states(after)[None], 0.0)
-        if self.inrush is None and not reckon:
+        if self.inrush is None and not with_deviation:
             return Staged(manipulator.actuator_states(after)[None], None)
         if self.inrush is None or n <= 1:
             return at_once(manipulator, before, after)
         fewest = self._fewest(n)
         room = n if available is None else min(n, int((available - self.rest) / self.lead + 1e-9))
         if room < fewest:
-            raise Unfit(f"{n} switches, at most {self.inrush} at once, need {self.needed(n):.3g} s")
+            raise Infeasible(f"{n} switches, at most {self.inrush} at once, need {self.needed(n):.3g} s")
         if room == 1:
             return at_once(manipulator, before, after)
         for limit in sorted({max(min(room, MOST_STAGES), fewest), room}):
@@ -129,8 +129,8 @@ class Pace:
                 found = order_stages(manipulator, before, after, self.inrush, limit)
             except ValueError:  # every order of so few stages would end one in states that a module does not have
                 continue
-            return Staged(rows(manipulator.actuator_states(before), found.actuators), found.excursion)
-        raise Unfit(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
+            return Staged(rows(manipulator.actuator_states(before), found.actuators), found.deviation)
+        raise Infeasible(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
 
     def _clear(
         self,
@@ -138,7 +138,7 @@ class Pace:
         before: Configuration,
         after: Configuration,
         available: float | None,
-        reckon: bool,
+        with_deviation: bool,
         sweep: Sweep,
         patience: float,
     ) -> Staged:
@@ -146,8 +146,8 @@ class Pace:
         start, transition = manipulator.actuator_states(before), build_transition(manipulator, before, after)
         n = len(transition.actuators)
         room = np.inf if available is None or self.lead == 0 else int((available - self.rest) / self.lead + 1e-9)
-        ways = Ways(sweep, start, self.inrush or len(start))
-        usual = self.staged(manipulator, before, after, available, reckon)
+        ways = StageSequencer(sweep, start, self.inrush or len(start))
+        usual = self.staged(manipulator, before, after, available, with_deviation)
         stages = numbered(start, usual.stages)
         if ways.clear(stages):
             return replace(usual, strict=True)
@@ -163,11 +163,11 @@ class Pace:
         best = min(cuts, key=len)
         if len(best) > room:
             raise Blocked(f"{len(best)} stages keep clear of all, there is time for {room}: {ways.blame}")
-        excursion = None
-        if reckon and sum(map(len, best)) == n:
+        deviation = None
+        if with_deviation and sum(map(len, best)) == n:
             known = replace(transition, unknown=SKIPPED)
-            excursion = max(peaks(known, known.masks([]), [np.searchsorted(upwards, stage) for stage in best]))
-        return Staged(rows(start, tuple(tuple(stage.tolist()) for stage in best)), excursion, strict=True)
+            deviation = max(peaks(known, known.masks([]), [np.searchsorted(upwards, stage) for stage in best]))
+        return Staged(rows(start, tuple(tuple(stage.tolist()) for stage in best)), deviation, strict=True)
 
     def _fewest(self, switches: int) -> int:
         """Returns the fewest stages."""
@@ -181,11 +181,11 @@ def pace_of(settings: ArmSettings) -> Pace:
 
 def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:
     """Returns a transition in one stage."""
-    return Staged(manipulator.actuator_states(after)[None], lambda: excursion_at_once(manipulator, before, after))
+    return Staged(manipulator.actuator_states(after)[None], lambda: deviation_at_once(manipulator, before, after))
 
 
-def excursion_at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> float:
-    """Returns the excursion of a transition in one stage."""
+def deviation_at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> float:
+    """Returns the deviation of a transition in one stage."""
     transition = build_transition(manipulator, before, after)
     if not len(transition.actuators):
         return 0.0

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.pacing import Blocked, Pace, Staged, Unfit
+from controller.motion.pacing import Blocked, Infeasible, Pace, Staged
 from controller.motion.sentences import out_of_reach, place
+from controller.motion.stage_sequencer import DETOUR_TIME
 from controller.motion.trajectory import Trajectory, upwards
-from controller.motion.ways import PATIENCE
 from controller.motion.without_search import fixed, held
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.method import Method
@@ -88,7 +88,7 @@ class Plan:
         """
         try:
             return self._changed(solver, pace, first, configurations, previous)
-        except (Unfit, Refusal):
+        except (Infeasible, Refusal):
             half = len(configurations) // 2
             if half == 0:
                 return self
@@ -113,7 +113,7 @@ class Plan:
             tolerance, turn = float(self.trajectory.tolerances[k]), float(self.trajectory.turns[k])
             solutions[k] = solver.described(configuration, goal, before, tolerance, turn)
             if not solutions[k].within_tolerance:
-                raise Unfit(f"{solutions[k].error:.4f} from point {k}")
+                raise Infeasible(f"{solutions[k].error:.4f} from point {k}")
             if k == 0:
                 transitions[k] = staged(solver, self.trajectory, before, solutions[k], k, pace)
                 continue
@@ -158,15 +158,15 @@ def plan(
         proceed()
         goal, tolerance, turn = trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k])
         if trajectory.between(k) and (same := held(solutions[-1], position, tolerance)) is not None:
-            transitions.append(replace(transitions[-1], stages=transitions[-1].stages[-1:], reckoned=0.0))
+            transitions.append(replace(transitions[-1], stages=transitions[-1].stages[-1:], deviation_source=0.0))
             solutions.append(same)
             continue
         left = max(until - time.perf_counter(), 0.0)
-        reckon = left > 0 or method != "minimum-switch"
+        with_deviation = left > 0 or method != "minimum-switch"
         if k in trajectory.fixed:
             solution = fixed(solver, trajectory, previous, k)
             try:
-                transitions.append(staged(solver, trajectory, previous, solution, k, pace, reckon, PATIENCE))
+                transitions.append(staged(solver, trajectory, previous, solution, k, pace, with_deviation, DETOUR_TIME))
             except Blocked as blocked:
                 what = f"no way to it without touching anything: {blocked}"
                 raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
@@ -177,7 +177,7 @@ def plan(
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:
-            transition = staged(solver, trajectory, previous, solution, k, pace, reckon)
+            transition = staged(solver, trajectory, previous, solution, k, pace, with_deviation)
         except Blocked as blocked:
             solution, transition = aside(solver, trajectory, previous, solution, k, pace, blocked)
         except Refusal:  # perhaps a search with more time finds what switches less
@@ -220,7 +220,7 @@ def aside(
     distinct = {c.tobytes(): c for c in (cheapest.configuration, *ranked)}
     found = [solver.described(c, goal, previous, tolerance, turn) for c in distinct.values()]
     served = [solution for solution in found if solution.within_tolerance]
-    for patience, solutions in ((0.0, served[1:]), (PATIENCE, served)):  # plain ways first
+    for patience, solutions in ((0.0, served[1:]), (DETOUR_TIME, served)):  # plain ways first
         for solution in solutions:
             if time.perf_counter() > until:
                 break
@@ -242,7 +242,7 @@ def staged(
     solution: Solution,
     k: int,
     pace: Pace,
-    reckon: bool = True,
+    with_deviation: bool = True,
     patience: float = 0.0,
 ) -> Staged:
     """Returns the transition to point k; the first is late where there is too little time for it.
@@ -260,10 +260,10 @@ def staged(
         available = None
     try:
         configuration, sweep = solution.configuration, sweep_for(solver)
-        return pace.staged(solver.manipulator, previous, configuration, available, reckon, sweep, patience)
+        return pace.staged(solver.manipulator, previous, configuration, available, with_deviation, sweep, patience)
     except Blocked:
         raise
-    except Unfit as error:
+    except Infeasible as error:
         number = trajectory.next(k)
         if number == 0:
             raise Refusal(INVALID_GOAL, f"waypoints[0]: {available:.3g} s, {error}") from None

@@ -34,9 +34,9 @@ class PointStages:
     transition: Staged
 
     @property
-    def excursion(self) -> float | None:
+    def deviation(self) -> float | None:
         """Greatest distance of the tip from the straight line meanwhile; None: not known."""
-        return self.transition.excursion
+        return self.transition.deviation
 
     @property
     def end(self) -> bytes:

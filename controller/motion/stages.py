@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import Array, Index, Transition
+from controller.motion.deviation import Array, Index, Transition
 from controller.motion.transition import build_transition
 
 EXACT = 11  # most switches of which every order is weighed: 9 ms, at 12 they would take 24
@@ -18,10 +18,10 @@ ROUNDS = 20  # most changes made
 TRIES = 100  # most changes tried for each
 NEAR = 3  # stages on either side with which a stage swaps actuators
 BEAM = 75_000  # width of the beam times the square of the number of actuators
-PRESENT = 0.1  # weight of the excursion at the moment beside the greatest so far, in the beam
-SKIPPED = -1.0  # excursion of actuator states that the module has no state for
-SLACK = 1e-9  # of the greatest excursion; those no further apart count as equal
-ROUNDING = 1e-15  # of an excursion
+PRESENT = 0.1  # weight of the deviation at the moment beside the greatest so far, in the beam
+SKIPPED = -1.0  # deviation of actuator states that the module has no state for
+SLACK = 1e-9  # of the greatest deviation; those no further apart count as equal
+ROUNDING = 1e-15  # of an deviation
 
 
 @dataclass(frozen=True)
@@ -32,27 +32,27 @@ class Stages:
 
     Attributes:
         actuators: indices into the arm's actuators, ascending within a stage, stage by stage.
-        excursion: greatest distance of the tip from the line.
+        deviation: greatest distance of the tip from the line.
         at_once: likewise if all actuators switched in one stage.
     """
 
     actuators: tuple[tuple[int, ...], ...]
-    excursion: float
+    deviation: float
     at_once: float
 
 
 def order_stages(
     manipulator: Manipulator, start: Configuration, end: Configuration, most: int, stages: int | None = None
 ) -> Stages:
-    """Returns the stages that take the tip from `start` to `end` with the smallest excursion found, and so the fewest.
+    """Returns the stages that take the tip from `start` to `end` with the smallest deviation found, and so the fewest.
 
     For up to EXACT switches it is the smallest there is. For more, orders found by beam search, from base to tip and
     from tip to base are cut into stages as well as can be, the best is taken and its worst stages are improved: it may
-    not be the smallest. Excursions of more actuators at once than excursion.COUNTED, in `at_once` or in a stage, are
+    not be the smallest. Deviations of more actuators at once than deviation.COUNTED, in `at_once` or in a stage, are
     found by ascent and may be too low.
 
     Each stage ends in actuator states that every module has a state for. Others in between are avoided if the bounds
-    allow it, whatever the excursion, and otherwise left out of it: where the tip then is, nobody knows.
+    allow it, whatever the deviation, and otherwise left out of it: where the tip then is, nobody knows.
 
     Args:
         manipulator: the arm.
@@ -79,9 +79,9 @@ def order_stages(
     skipping = replace(transition, unknown=SKIPPED)
     for t in (transition, skipping):
         found = best_stages(t, before, everything, most, limit) if n <= EXACT else good_stages(t, most, limit)
-        if found and (excursion := max(peaks(t, before, found))) < np.inf:
-            at_once = max(excursion, skipping.greatest(before, everything))
-            return Stages(tuple(tuple(sorted(t.actuators[k].tolist())) for k in found), excursion, at_once)
+        if found and (deviation := max(peaks(t, before, found))) < np.inf:
+            at_once = max(deviation, skipping.greatest(before, everything))
+            return Stages(tuple(tuple(sorted(t.actuators[k].tolist())) for k in found), deviation, at_once)
     raise ValueError(
         f"most: {most} actuators at once, in at most {limit} stages; no order was found in which every stage ends in"
         " actuator states that all modules have"
@@ -89,7 +89,7 @@ def order_stages(
 
 
 def peaks(transition: Transition, masks: Index, stages: list[Index]) -> Iterator[float]:
-    """Yields each stage's greatest excursion, the first on top of masks (m,)."""
+    """Yields each stage's greatest deviation, the first on top of masks (m,)."""
     for stage in stages:
         yield transition.greatest(masks, stage)
         masks = masks + transition.masks([stage])
@@ -105,13 +105,13 @@ def least(levels: Array, split: Callable[[float], list[Index]], limit: int) -> l
 
 def best_stages(transition: Transition, masks: Index, actuators: Index, most: int, limit: int) -> list[Index]:
     """Returns the best stages for some of the actuators on top of masks (m,), none if there are none."""
-    excursions = transition.excursions(masks, actuators)
-    spans, bits = fill_spans(excursions), np.arange(len(actuators))
+    deviations = transition.deviations(masks, actuators)
+    spans, bits = fill_spans(deviations), np.arange(len(actuators))
 
     def split(level: float) -> list[Index]:
-        return [actuators[stage >> bits & 1 == 1] for stage in partition(excursions, spans, most, level)]
+        return [actuators[stage >> bits & 1 == 1] for stage in partition(deviations, spans, most, level)]
 
-    return least(excursions, split, limit)
+    return least(deviations, split, limit)
 
 
 def good_stages(transition: Transition, most: int, limit: int) -> list[Index]:
@@ -128,7 +128,7 @@ def good_stages(transition: Transition, most: int, limit: int) -> list[Index]:
 
 
 def beam(transition: Transition) -> Index:
-    """Returns the actuators one after the other (n,) so that the excursion is small; empty if none may follow."""
+    """Returns the actuators one after the other (n,) so that the deviation is small; empty if none may follow."""
     n, m = len(transition.actuators), len(transition.end)
     width = min(max(BEAM // n**2, 4), 32)
     salts = np.random.default_rng(0).integers(0, 2**62, n)  # their sum stands for the set of those that have switched
@@ -161,7 +161,7 @@ def cut(transition: Transition, order: Index, most: int, limit: int) -> list[Ind
         sizes = np.arange(1, min(reach, n - i) + 1)
         heights = sizes.astype(float)
         if not wide:
-            heights = np.maximum.accumulate(transition.excursions(masks[i], order[i : i + reach]))[(1 << sizes) - 1]
+            heights = np.maximum.accumulate(transition.deviations(masks[i], order[i : i + reach]))[(1 << sizes) - 1]
         spans[i, : len(sizes)] = np.where(ends[i : i + reach], heights, np.inf)
 
     def split(level: float) -> list[Index]:
@@ -213,12 +213,12 @@ def changes(
                 yield first, last, change
 
 
-def fill_spans(excursions: Array) -> Array:
-    """Returns the greatest excursion of every possible stage, from those of all subsets (2^k,).
+def fill_spans(deviations: Array) -> Array:
+    """Returns the greatest deviation of every possible stage, from those of all subsets (2^k,).
 
     Digit j of the index to base 3 is 0 if actuator j switches later, 1 if earlier, 2 if in this stage; shape (3^k,).
     """
-    right, spans = len(excursions), excursions
+    right, spans = len(deviations), deviations
     while right > 1:
         right //= 2
         either = spans.reshape(-1, 2, right)
@@ -227,16 +227,16 @@ def fill_spans(excursions: Array) -> Array:
 
 
 @njit("i8[::1](f8[::1], f8[::1], i8, f8)", cache=True, nogil=True)
-def partition(excursions: Array, spans: Array, most: int, level: float) -> Index:
-    """Returns the fewest stages, as masks of actuators, whose excursions are at most the level; none if none are."""
-    size = len(excursions)
+def partition(deviations: Array, spans: Array, most: int, level: float) -> Index:
+    """Returns the fewest stages, as masks of actuators, whose deviations are at most the level; none if none are."""
+    size = len(deviations)
     ternary, ones, counts = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64), np.full(size, size)
     last = np.zeros(size, dtype=np.int64)
     counts[0] = 0
     for whole in range(1, size):
         ternary[whole] = 3 * ternary[whole >> 1] + (whole & 1)
         ones[whole] = ones[whole >> 1] + (whole & 1)
-        if not 0 <= excursions[whole] <= level:
+        if not 0 <= deviations[whole] <= level:
             continue
         part = whole
         while part:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.frames import compose
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.excursion import Array, Index, Known, Transition
+from controller.motion.deviation import Array, Index, Known, Transition
 
 
 def build_transition(manipulator: Manipulator, start: Configuration, end: Configuration) -> Transition:

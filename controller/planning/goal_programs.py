@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.motion.bounded import split
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
 from controller.motion.program import delay_of
+from controller.motion.restaging import restage
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import ArmState, States
 from controller.planning.goal_planning import GoalPlanning, Planned
@@ -120,7 +120,7 @@ class GoalPrograms:
         fits = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= most
         if fits and not keep_out.free and keep_out.touched(state.commanded, planned) is None:
             return planned
-        stages: NDArray[np.uint8] = split(self._manipulator, state.commanded, planned, most)
+        stages: NDArray[np.uint8] = restage(self._manipulator, state.commanded, planned, most)
         if (touched := keep_out.touched(state.commanded, stages)) is not None:
             raise CollisionError(touched)
         return stages

@@ -199,9 +199,9 @@ class RunningGoals:
         if goal is None:
             return
         goal.switches = message.switches
-        excursion = goal.feed.excursion(message.mark) if goal.feed is not None and message.planned else None
+        deviation = goal.feed.deviation(message.mark) if goal.feed is not None and message.planned else None
         measured = self._states(message.measured, message.known)
-        told, verdict = goal.report.settled(message.mark, measured, message.switches, message.stages, excursion)
+        told, verdict = goal.report.settled(message.mark, measured, message.switches, message.stages, deviation)
         if told is not None:
             self._publish("feedback", told)
         if verdict is not None:

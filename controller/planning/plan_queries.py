@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.manipulator.held import carried
+from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
@@ -103,14 +103,14 @@ def described(whole: Manipulator, reduced: Manipulator, previous: Configuration,
             "t": t,
             "goal": position if k in trajectory.fixed else position + shift,
             "between": trajectory.between(k),
-            "configuration": format_configuration(whole, carried(solution.configuration, reduced, whole)),
+            "configuration": format_configuration(whole, transferred(solution.configuration, reduced, whole)),
             **pose(whole, solution.tip),
             "error": solution.error,
             "orientation_error": solution.angle if trajectory.turns[k] < np.inf else None,
             "switches": solution.switches,
             **solution.proof(),
             "stages": labels,
-            "excursion": transition.excursion,
+            "excursion": transition.deviation,
             "seconds": solution.seconds,
         }
         for k, (t, position, solution, labels, transition) in enumerate(

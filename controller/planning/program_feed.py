@@ -7,10 +7,10 @@ from itertools import accumulate
 import numpy as np
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.bounded import split
 from controller.motion.pacing import Pace, Staged
 from controller.motion.plan import Plan
 from controller.motion.program import Pack, PointStages, flatten, point_stages, stages_from, unpack_states
+from controller.motion.restaging import restage
 from controller.program import MOST_BYTES, MOST_STAGES, Replacement, Stage
 
 PART = 250  # stages of one message, and those that are to lie ahead of the one that begins
@@ -92,11 +92,11 @@ class ProgramFeed:
         self._begun, self._refused = max(stage, self._begun), False
         return self._points[self._index(self._begun)].point
 
-    def excursion(self, point: int) -> float | None:
-        """Returns the excursion planned on the way to a point; None if it is not known."""
+    def deviation(self, point: int) -> float | None:
+        """Returns the deviation planned on the way to a point; None if it is not known."""
         index = bisect_left(self._points, point, key=lambda reached: reached.point)
         found = self._points[index : index + 1]
-        return found[0].excursion if found and found[0].point == point else None
+        return found[0].deviation if found and found[0].point == point else None
 
     def rest(self) -> list[Stage]:
         """Returns the stages that have not begun, those not sent yet among them."""
@@ -166,7 +166,7 @@ class ProgramFeed:
     def _from(self, end: bytes, transition: Staged) -> Staged:
         """Returns a transition from other states than it was planned from."""
         actuators = len(self._manipulator.actuators)
-        states = split(
+        states = restage(
             self._manipulator, unpack_states(end, actuators), transition.stages, self._pace.inrush or actuators
         )
         return Staged(states, None)

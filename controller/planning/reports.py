@@ -48,7 +48,7 @@ class Report(Protocol):
         """Notes that the stages to a point have begun."""
 
     def settled(
-        self, point: int, measured: Measured, switches: int, stages: int, excursion: float | None
+        self, point: int, measured: Measured, switches: int, stages: int, deviation: float | None
     ) -> tuple[Payload | None, Verdict | None]:
         """Returns the feedback of a settled point, if any is told, and a verdict if that ends the goal."""
 
@@ -117,13 +117,13 @@ class GoalReport:
         self._point = max(point, self._point)
 
     def settled(
-        self, point: int, measured: Measured, switches: int, stages: int, excursion: float | None
+        self, point: int, measured: Measured, switches: int, stages: int, deviation: float | None
     ) -> tuple[Payload | None, Verdict | None]:
         """Returns the feedback of a settled point, if it is a waypoint, and a verdict if that ends the goal."""
         self.begun(point)
         self._stages += stages
-        self._deviation_known = self._deviation_known and excursion is not None
-        self._deviation = max(self._deviation, excursion or 0.0)
+        self._deviation_known = self._deviation_known and deviation is not None
+        self._deviation = max(self._deviation, deviation or 0.0)
         target = target_of(self._manipulator, self._trajectory, point)
         where = whereabouts(self._manipulator, measured, target)
         told: Payload | None = None
@@ -181,7 +181,7 @@ class JogReport:
         """Notes nothing."""
 
     def settled(
-        self, point: int, measured: Measured, switches: int, stages: int, excursion: float | None
+        self, point: int, measured: Measured, switches: int, stages: int, deviation: float | None
     ) -> tuple[Payload | None, Verdict | None]:
         """Returns no feedback."""
         return None, None

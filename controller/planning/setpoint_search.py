@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.manipulator.manipulator import Configuration
-from controller.motion.bounded import split
 from controller.motion.pacing import Blocked, Pace
 from controller.motion.plan import sweep_for
+from controller.motion.restaging import restage
 from controller.planning.arm_state import States
 from controller.planning.keep_out import KeepOutSet
 from controller.search.solution import Solution
@@ -73,7 +73,7 @@ class SetpointSearch:
         reduced = solver.manipulator
         if keep_out.free:
             most = self._pace.inrush or len(commanded)
-            return split(self._arm.manipulator, commanded, reduced.actuator_states(end)[None], most)
+            return restage(self._arm.manipulator, commanded, reduced.actuator_states(end)[None], most)
         until, barred = time.perf_counter() + ASIDE, None
         for configuration in (end, *solver.candidates(goal, start, tolerance, OTHERS)[0]):
             try:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.pacing import MOST_STAGES, Pace, Unfit
+from controller.motion.pacing import MOST_STAGES, Infeasible, Pace
 from controller.motion.plan import plan
 from controller.motion.trajectory import through
 from controller.motion.transition import build_transition
@@ -24,7 +24,7 @@ configurations = st.lists(st.integers(0, 7), min_size=4, max_size=4).map(np.arra
 def test_in_time_within_the_bound_or_refused(before, after, inrush, available, rest):
     pace, n = Pace(LEAD, inrush, rest), ARM.switches(before, after)
     if n > 1 and available < pace.needed(n) - 1e-8:
-        with pytest.raises(Unfit, match=f"{n} switches, at most {inrush} at once, need"):
+        with pytest.raises(Infeasible, match=f"{n} switches, at most {inrush} at once, need"):
             pace.staged(ARM, before, after, available)
     elif available >= pace.shortest:
         stages = pace.staged(ARM, before, after, available).stages
@@ -41,16 +41,16 @@ def test_without_a_bound_all_at_once():
     staged = Pace(LEAD).staged(ARM, ZERO, FAR, 10.0)
     assert staged.stages.tolist() == [ARM.actuator_states(FAR).tolist()]
     transition = build_transition(ARM, ZERO, FAR)
-    assert staged.excursion == transition.greatest(transition.masks([]), np.arange(9))
+    assert staged.deviation == transition.greatest(transition.masks([]), np.arange(9))
 
 
 def test_more_time_strays_less_and_nothing_to_do_is_one_stage():
     pace = replace(Pace(LEAD), inrush=3)
     short, wide = (pace.staged(ARM, ZERO, FAR, t) for t in (3 * LEAD, 8 * LEAD))
     assert len(short.stages) == 3 < len(wide.stages)
-    assert wide.excursion < short.excursion < Pace(LEAD).staged(ARM, ZERO, FAR).excursion
+    assert wide.deviation < short.deviation < Pace(LEAD).staged(ARM, ZERO, FAR).deviation
     still = pace.staged(ARM, FAR, FAR, LEAD)
-    assert (still.stages.tolist(), still.excursion) == ([ARM.actuator_states(FAR).tolist()], 0.0)
+    assert (still.stages.tolist(), still.deviation) == ([ARM.actuator_states(FAR).tolist()], 0.0)
 
 
 def test_a_goal_too_fast_is_refused_naming_the_pair(solver, manipulator):

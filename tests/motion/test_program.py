@@ -42,7 +42,7 @@ def test_the_last_stage_settles_at_the_points_time() -> None:
     assert [stage.at for stage in first.stages] == pytest.approx([0.1 - LEAD])
     assert [stage.at for stage in second.stages] == pytest.approx([1.1 - 2 * LEAD, 1.1 - LEAD])
     assert [(stage.mark, stage.settled) for stage in second.stages] == [(-1, 0.0), (1, pytest.approx(1.1))]
-    assert second.excursion == 0.5
+    assert second.deviation == 0.5
 
 
 def test_stages_never_begin_before_the_stage_before() -> None:

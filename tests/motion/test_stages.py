@@ -70,17 +70,17 @@ def flipped(manipulator: Manipulator, n: int, rng: np.random.Generator) -> tuple
 def check(
     manipulator: Manipulator, start: np.ndarray, end: np.ndarray, found: Stages, most: int, limit: int | None
 ) -> None:
-    """Checks the bounds, that all switch once, and the excursion."""
+    """Checks the bounds, that all switch once, and the deviation."""
     assert sorted(sum(found.actuators, ())) == list(differing(manipulator, start, end))
     assert all(1 <= len(stage) <= most for stage in found.actuators)
     assert all(list(stage) == sorted(stage) for stage in found.actuators)
     assert limit is None or len(found.actuators) <= limit
-    assert found.excursion <= found.at_once
+    assert found.deviation <= found.at_once
     for k in range(len(found.actuators) + 1):
         assert not np.isnan(strays(manipulator, start, end, sum(found.actuators[:k], ())))
     if found.actuators and max(map(len, found.actuators)) <= 10:
         expected = np.nanmax(between(manipulator, start, end, found.actuators))
-        assert found.excursion == pytest.approx(expected, abs=1e-9)
+        assert found.deviation == pytest.approx(expected, abs=1e-9)
 
 
 @st.composite
@@ -118,10 +118,10 @@ def test_no_other_stages_keep_the_tip_nearer(
             candidates.append((bool(np.isnan(passed).any()), float(np.nanmax(passed)), len(plan)))
     unknown, least, _ = min(candidates)
     assert np.isnan(between(manipulator, start, end, found.actuators)).any() == unknown
-    assert found.excursion == pytest.approx(least, abs=1e-9)
+    assert found.deviation == pytest.approx(least, abs=1e-9)
     slack = 1e-8 * found.at_once + 1e-13
     loose, strict = (min(n for u, top, n in candidates if u == unknown and top <= least + s) for s in (slack, 0.0))
-    assert loose <= len(found.actuators) <= strict, "the fewest of equal excursions"
+    assert loose <= len(found.actuators) <= strict, "the fewest of equal deviations"
     assert found.at_once == pytest.approx(np.nanmax(list(away.values())), abs=1e-9)
 
 
@@ -131,7 +131,7 @@ def test_the_tip_of_the_truss_arm_strays_less_than_half_as_far(most: int) -> Non
     for _ in range(200):
         start, end = flipped(manipulator, int(rng.integers(3, 9)), rng)
         found = order_stages(manipulator, start, end, most)
-        ratios.append(found.excursion / found.at_once)
+        ratios.append(found.deviation / found.at_once)
     assert np.median(ratios) <= 0.5
 
 
@@ -140,10 +140,10 @@ def test_more_time_and_more_at_once_never_harm(most: int) -> None:
     manipulator, rng = paper_arm(16), np.random.default_rng(2)
     start, end = flipped(manipulator, 9, rng)
     found = [order_stages(manipulator, start, end, most, stages) for stages in range(-(-9 // most), 10)]
-    excursions = [f.excursion for f in found]
-    assert all(later <= earlier + 1e-9 for earlier, later in pairwise(excursions))
-    assert found[0].excursion >= order_stages(manipulator, start, end, most + 1, len(found[0].actuators)).excursion
-    assert order_stages(manipulator, start, end, most).excursion == pytest.approx(excursions[-1])
+    deviations = [f.deviation for f in found]
+    assert all(later <= earlier + 1e-9 for earlier, later in pairwise(deviations))
+    assert found[0].deviation >= order_stages(manipulator, start, end, most + 1, len(found[0].actuators)).deviation
+    assert order_stages(manipulator, start, end, most).deviation == pytest.approx(deviations[-1])
 
 
 @pytest.mark.parametrize(("most", "limit"), [(1, None), (3, None), (3, 12), (4, 10), (8, 6), (48, None), (48, 2)])
@@ -159,7 +159,7 @@ def test_many_switches_keep_the_bounds_and_better_base_to_tip(n: int, most: int,
     if size <= 10:
         items = differing(manipulator, start, end)
         upwards = tuple(items[k : k + size] for k in range(0, n, size))
-        assert found.excursion <= between(manipulator, start, end, upwards).max() + 1e-9
+        assert found.deviation <= between(manipulator, start, end, upwards).max() + 1e-9
 
 
 @pytest.mark.parametrize(("most", "limit"), [(1, None), (2, None), (3, 9), (5, 6), (30, 1)])
@@ -178,7 +178,7 @@ def test_hundreds_of_switches_keep_the_bounds() -> None:
     start, end = flipped(manipulator, 200, rng)
     found = order_stages(manipulator, start, end, 3, 100)
     check(manipulator, start, end, found, 3, 100)
-    assert found.excursion < found.at_once
+    assert found.deviation < found.at_once
 
 
 def test_missing_states_are_avoided_if_stages_allow_it() -> None:
@@ -190,7 +190,7 @@ def test_missing_states_are_avoided_if_stages_allow_it() -> None:
     assert order_stages(manipulator, start, end, 3, 2).actuators == ((1, 2), (0,))
     once = order_stages(manipulator, start, end, 3, 1)
     assert once.actuators == ((0, 1, 2),)
-    assert once.excursion == once.at_once == max(strays(manipulator, start, end, c) for c in [(1,), (2,), (1, 2)])
+    assert once.deviation == once.at_once == max(strays(manipulator, start, end, c) for c in [(1,), (2,), (1, 2)])
 
 
 poses = np.array([frames.planar(0.1 * k, 1, 0.2 * k) for k in range(3)])
@@ -214,11 +214,11 @@ def test_nothing_switches() -> None:
         assert order_stages(paper_arm(16), start, start, 1, limit) == Stages((), 0.0, 0.0)
 
 
-def test_one_switch_is_one_stage_without_excursion() -> None:
+def test_one_switch_is_one_stage_without_deviation() -> None:
     start, end = np.zeros(16, dtype=np.int64), np.eye(16, dtype=np.int64)[3]
     found = order_stages(paper_arm(16), start, end, 5)
     assert found.actuators == ((11,),)
-    assert found.excursion == found.at_once == pytest.approx(0, abs=1e-12)
+    assert found.deviation == found.at_once == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

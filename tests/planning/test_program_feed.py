@@ -92,7 +92,7 @@ def test_a_better_plan_replaces_what_differs_and_has_not_begun() -> None:
     assert (message.first, message.start, ends(message)) == (2, packed(B)[0], packed(B, D))
     feed.answered(message.generation, True)
     assert [stage.states for stage in feed.stages] == packed(A, B, B, D)
-    assert feed.excursion(3) == pytest.approx(0.3)
+    assert feed.deviation(3) == pytest.approx(0.3)
     assert feed.message() is None
 
 

@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.motion import ways
+from controller.motion import stage_sequencer
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.pacing import Blocked, Pace, Staged
 from controller.motion.plan import plan
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import box, sphere, together
+from controller.obstacles.obstacles import box, sphere, together
 from controller.obstacles.sweep import Sweep
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, planar_frames
-from tests.obstacles.dense import Disc, any_region, regions
+from tests.obstacles.dense import Disc, any_shape, obstacles_of
 from tests.obstacles.moving import arm, hinge, motion, room, truss
 
 LEAD = 0.06
@@ -33,7 +33,7 @@ parts = st.lists(
     min_size=2,
     max_size=4,
 )
-around = st.lists(any_region(2, planar_frames), min_size=1, max_size=3)
+around = st.lists(any_shape(2, planar_frames), min_size=1, max_size=3)
 ELBOWS = [hinge(0.0, np.pi / 2, 1.0), hinge(0.0, -np.pi / 2, 1.0)]
 
 
@@ -41,7 +41,7 @@ ELBOWS = [hinge(0.0, np.pi / 2, 1.0), hinge(0.0, -np.pi / 2, 1.0)]
 def patient() -> Iterator[None]:
     """Whatever else the machine does, all that may be tried is."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ways, "PATIENCE", 60.0)
+        patch.setattr(stage_sequencer, "DETOUR_TIME", 60.0)
         yield
 
 
@@ -54,7 +54,7 @@ def strokes(rng: np.random.Generator, before: np.ndarray, staged: Staged) -> np.
 @given(parts, planar_frames, around, st.sampled_from([0.0, 0.03]), st.none() | st.integers(1, 3), st.integers(0, 2**32))
 def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around, radius, inrush, seed):
     rng, manipulator = np.random.default_rng(seed), arm(chain, base)
-    clearance = Clearance(manipulator, regions(regions_around), radius)
+    clearance = Clearance(manipulator, obstacles_of(regions_around), radius)
     before, after = (rng.integers(0, manipulator.states) for _ in range(2))
     pace, start = Pace(LEAD, inrush), manipulator.actuator_states(before)
     try:
@@ -73,7 +73,7 @@ def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around,
 @given(parts, planar_frames, around, st.integers(0, 2**32))
 def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_around, seed):
     rng, manipulator = np.random.default_rng(seed), arm(chain, base)
-    sweep = Sweep(Clearance(manipulator, regions(regions_around)))
+    sweep = Sweep(Clearance(manipulator, obstacles_of(regions_around)))
     before = rng.integers(0, manipulator.states)
     start = manipulator.actuator_states(before)
     flip = rng.permutation(len(start))[: rng.integers(1, 5)]
@@ -121,7 +121,7 @@ def test_what_need_not_wait_does_not():
     assert staged.stages.tolist() == [[0, 1], [1, 1]]  # the elbow first
     with pytest.raises(Blocked, match=r"2 stages keep clear of all, there is time for 1: module 2 is in box"):
         Pace(LEAD).staged(manipulator, before, after, LEAD, sweep=near)
-    assert Pace(LEAD).staged(manipulator, before, after, 2 * LEAD, sweep=near).excursion == staged.excursion
+    assert Pace(LEAD).staged(manipulator, before, after, 2 * LEAD, sweep=near).deviation == staged.deviation
 
 
 def test_no_way_and_a_start_that_touches_are_named():

@@ -8,7 +8,7 @@ from controller.manipulator.manipulator import Manipulator
 States = NDArray[np.uint8]
 
 
-def split(manipulator: Manipulator, states: States, stages: States, most: int) -> States:
+def restage(manipulator: Manipulator, states: States, stages: States, most: int) -> States:
     """Returns the stages by which a transition, planned from other states, is carried out from these.
 
     What has its last state already does not switch; if the states are those it was planned from, its stages stay.
@@ -21,7 +21,7 @@ def split(manipulator: Manipulator, states: States, stages: States, most: int) -
     """
     result: list[States] = []
     for stage in np.where(states == stages[-1], states, stages):
-        if not possible(manipulator, stage):
+        if not is_configuration(manipulator, stage):
             continue
         while np.count_nonzero(states != stage) > most:
             states = step(manipulator, states, stage, most)
@@ -43,7 +43,7 @@ def step(manipulator: Manipulator, states: States, wanted: States, most: int) ->
         start = own.stop
         switches = int(np.count_nonzero(states[own] != wanted[own]))
         if switches > left == most:
-            result[own] = nearer(module.bits, states[own], wanted[own], most)
+            result[own] = module_step(module.bits, states[own], wanted[own], most)
             return result
         if switches <= left:
             result[own] = wanted[own]
@@ -51,7 +51,7 @@ def step(manipulator: Manipulator, states: States, wanted: States, most: int) ->
     return result
 
 
-def nearer(codes: States, code: States, wanted: States, most: int) -> States:
+def module_step(codes: States, code: States, wanted: States, most: int) -> States:
     """Returns the code (a,) after the first of the fewest steps from one of a module's codes (K, a) to another.
 
     Raises:
@@ -68,7 +68,7 @@ def nearer(codes: States, code: States, wanted: States, most: int) -> States:
     return np.asarray(options[np.argmin((options != wanted).sum(axis=1))])
 
 
-def possible(manipulator: Manipulator, states: States) -> bool:
+def is_configuration(manipulator: Manipulator, states: States) -> bool:
     """Returns whether actuator states (A,) are a configuration's."""
     try:
         manipulator.configuration(states)

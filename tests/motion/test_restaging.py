@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.bounded import nearer, possible, split
 from controller.motion.pacing import Pace
+from controller.motion.restaging import is_configuration, module_step, restage
 from tests.arms import paper_arm, spatial_arm
 
 ARMS = [paper_arm(4), spatial_arm(4)]  # the second's modules have 6 of 8 codes
@@ -18,23 +18,23 @@ def test_from_anywhere_within_the_bound_through_configurations(data: st.DataObje
     here, before, after = (np.array([data.draw(st.integers(0, k - 1)) for k in arm.states]) for _ in range(3))
     planned = Pace(0.06, most).staged(arm, before, after).stages
     states = arm.actuator_states(here)
-    for stage in split(arm, states, planned, most):
+    for stage in restage(arm, states, planned, most):
         assert np.count_nonzero(stage != states) <= most
-        assert possible(arm, stage)
+        assert is_configuration(arm, stage)
         states = stage
     np.testing.assert_array_equal(states, planned[-1])
-    np.testing.assert_array_equal(split(arm, arm.actuator_states(before), planned, most), planned)
+    np.testing.assert_array_equal(restage(arm, arm.actuator_states(before), planned, most), planned)
 
 
 def test_what_has_its_last_state_already_stays():
     arm = ARMS[0]
     planned = Pace(0.06, 2).staged(arm, [0, 0, 0, 0], [7, 7, 0, 0]).stages
-    ways = split(arm, arm.actuator_states([7, 0, 0, 0]), planned, 2)
+    ways = restage(arm, arm.actuator_states([7, 0, 0, 0]), planned, 2)
     assert np.count_nonzero(np.diff(np.vstack([arm.actuator_states([7, 0, 0, 0]), ways]).astype(int), axis=0)) == 3
 
 
 def test_a_module_goes_round_the_codes_it_does_not_have():
     codes = np.array([[0, 0], [0, 1], [1, 0], [1, 1]], dtype=np.uint8)
-    assert nearer(codes[:3], codes[1], codes[2], 1).tolist() == [0, 0]
+    assert module_step(codes[:3], codes[1], codes[2], 1).tolist() == [0, 0]
     with pytest.raises(ValueError, match=r"no way from \[0, 0\] to \[1, 1\] with 1 actuators at once"):
-        nearer(codes[[0, 3]], codes[0], codes[3], 1)
+        module_step(codes[[0, 3]], codes[0], codes[3], 1)

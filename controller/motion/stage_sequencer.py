@@ -13,11 +13,11 @@ import numpy as np
 from controller.obstacles.distance import Index
 from controller.obstacles.sweep import States, Sweep, Touch
 
-PATIENCE = 0.1  # [s] for one roundabout way
+DETOUR_TIME = 0.1  # [s] for one roundabout way
 
 
-class Ways:
-    """Ways from actuator states on, in stages of actuators (k,).
+class StageSequencer:
+    """StageSequencer from actuator states on, in stages of actuators (k,).
 
     Args:
         sweep: of the arm.

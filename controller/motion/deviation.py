@@ -13,7 +13,7 @@ Index = NDArray[np.int64]
 Known = NDArray[np.bool_]
 
 COUNTED = 12  # most actuators of which every subset is tried
-STARTS = 16  # of the ascent to the greatest excursion, beside the two ends
+STARTS = 16  # of the ascent to the greatest deviation, beside the two ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Transition:
         known: whether the module has a state with these actuator states, shape (m, 2^bits).
         end: masks when all have switched, shape (m,).
         line: the tip before and after, shape (2, 3).
-        unknown: what counts as excursion where a module has no state with its actuator states.
+        unknown: what counts as deviation where a module has no state with its actuator states.
     """
 
     actuators: Index
@@ -49,16 +49,16 @@ class Transition:
             np.add.at(masks, self.owners[stage], self.flags[stage])
         return masks
 
-    def excursions(self, masks: Index, stage: Index) -> Array:
-        """Returns the excursions (2^k,) of all subsets of a stage (k,) on top of masks (m,); bit j is stage[j]."""
+    def deviations(self, masks: Index, stage: Index) -> Array:
+        """Returns the deviations (2^k,) of all subsets of a stage (k,) on top of masks (m,); bit j is stage[j]."""
         t = self
         arguments = (t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks, stage, t.unknown)
         return np.asarray(subsets(*arguments))
 
     def greatest(self, masks: Index, stage: Index) -> float:
-        """Returns the greatest excursion of those subsets, for many actuators the greatest that ascent finds."""
+        """Returns the greatest deviation of those subsets, for many actuators the greatest that ascent finds."""
         if len(stage) <= COUNTED:
-            return float(self.excursions(masks, stage).max())
+            return float(self.deviations(masks, stage).max())
         t, every = self, np.arange(self.known.shape[1])
         lower, upper = masks[:, None], (masks + self.masks([stage]))[:, None]
         between = (every & lower == lower) & (every | upper == upper)
@@ -69,7 +69,7 @@ class Transition:
         return max(float(ascend(t.rotations, t.translations, between & t.known, t.line, s)) for s in starts)
 
     def singles(self, masks: Index) -> Array:
-        """Returns the excursions (k, n) of each actuator switched on top of masks (k, m); infinite if it cannot be."""
+        """Returns the deviations (k, n) of each actuator switched on top of masks (k, m); infinite if it cannot be."""
         t = self
         return np.asarray(singles(t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks))
 
@@ -81,7 +81,7 @@ class Transition:
 
 
 @njit("f8(f8[::1], f8[:,::1])", cache=True, nogil=True, inline="always")
-def excursion(point: Array, line: Array) -> float:
+def deviation(point: Array, line: Array) -> float:
     """Returns the distance of a point (3,) from the straight line between two (2, 3)."""
     dot, square, away = 0.0, 0.0, 0.0
     for i in range(3):
@@ -118,7 +118,7 @@ def subsets(
     stage: Index,
     unknown: float,
 ) -> Array:
-    """Returns the excursion of every subset of the stage."""
+    """Returns the deviation of every subset of the stage."""
     slots, count = np.full(len(masks), -1), 0
     slots[owners[stage]] = 0
     # Modules that stay are composed once, into a lead before each that moves and one behind the last.
@@ -146,7 +146,7 @@ def subsets(
             valid &= known[i, state]
             carry(r[i, state], b[i, state], point, point)
             carry(lead_r[k], lead_b[k], point, point)
-        result[subset] = excursion(point, line) if valid else unknown
+        result[subset] = deviation(point, line) if valid else unknown
     return result
 
 
@@ -160,10 +160,10 @@ def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
 
 @njit("f8(f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], f8[:,::1], i8[::1])", cache=True, nogil=True)
 def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> float:
-    """Takes each module in turn to its mask of greatest excursion until none gains; returns the excursion."""
+    """Takes each module in turn to its mask of greatest deviation until none gains; returns the deviation."""
     tails, point = np.empty((len(masks) + 1, 3)), np.empty(3)
     fill_tails(r, b, masks, tails)
-    best, before = excursion(tails[0], line), -1.0
+    best, before = deviation(tails[0], line), -1.0
     while best > before:
         before = best
         head_r, head_b = np.eye(3), np.zeros(3)
@@ -172,7 +172,7 @@ def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> flo
                 if allowed[i, mask]:
                     carry(r[i, mask], b[i, mask], tails[i + 1], point)
                     carry(head_r, head_b, point, point)
-                    away = excursion(point, line)
+                    away = deviation(point, line)
                     if away > best:
                         best, masks[i] = away, mask
             compose(head_r, head_b, r[i, masks[i]], b[i, masks[i]], head_r, head_b)
@@ -184,7 +184,7 @@ def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> flo
     "f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[:,::1])", cache=True, nogil=True
 )
 def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line: Array, masks: Index) -> Array:
-    """Returns the excursion of each actuator switched on top of each of the masks."""
+    """Returns the deviation of each actuator switched on top of each of the masks."""
     result, m = np.full((len(masks), len(owners)), np.inf), len(r)
     heads_r, heads_b, tails, point = np.empty((m + 1, 3, 3)), np.empty((m + 1, 3)), np.empty((m + 1, 3)), np.empty(3)
     heads_r[0], heads_b[0] = np.eye(3), 0.0
@@ -199,5 +199,5 @@ def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line:
             if mask != masks[k, i] and known[i, mask]:
                 carry(r[i, mask], b[i, mask], tails[i + 1], point)
                 carry(heads_r[i], heads_b[i], point, point)
-                result[k, j] = excursion(point, line)
+                result[k, j] = deviation(point, line)
     return result

@@ -1,10 +1,10 @@
-"""Excursions of all subsets of what switches, against the arm's own kinematics."""
+"""Deviations of all subsets of what switches, against the arm's own kinematics."""
 
 import numpy as np
 import pytest
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.excursion import COUNTED, Transition
+from controller.motion.deviation import COUNTED, Transition
 from controller.motion.transition import build_transition
 from tests.arms import paper_arm, spatial_arm
 
@@ -26,7 +26,7 @@ def test_subsets_are_as_far_away_as_the_tips_of_their_configurations(arm: Manipu
     start, end, t = transition(arm, seed)
     order = np.random.default_rng(seed).permutation(len(t.actuators))
     earlier, stage = order[:3], order[3:8]
-    found = t.excursions(t.masks([earlier]), stage)
+    found = t.deviations(t.masks([earlier]), stage)
     line = arm.tips([start, end])[:, :3, 3]
     for subset in range(len(found)):
         states = arm.actuator_states(start)
@@ -50,7 +50,7 @@ def test_the_tip_back_where_it_was_strays_from_a_point() -> None:
     arm = spatial_arm(1)
     t = build_transition(arm, np.array([5]), np.array([4]))
     t = Transition(**{**vars(t), "line": np.zeros((2, 3))})
-    assert t.excursions(t.masks([]), np.array([0])) == pytest.approx([0.2, 0.25])
+    assert t.deviations(t.masks([]), np.array([0])) == pytest.approx([0.2, 0.25])
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -62,20 +62,20 @@ def test_single_switches_are_the_subsets_of_one(seed: int) -> None:
     found = t.singles(masks[None])[0]
     assert np.isinf(found[switched]).all()
     for j in set(range(n)) - set(switched.tolist()):
-        assert found[j] == pytest.approx(t.excursions(masks, np.array([j]))[1])
+        assert found[j] == pytest.approx(t.deviations(masks, np.array([j]))[1])
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_way_back_passes_the_same_states(seed: int) -> None:
     _, _, t = transition(spatial_arm(4), seed)
     everything = np.arange(len(t.actuators))
-    there, back = t.excursions(t.masks([]), everything), t.back().excursions(t.masks([]), everything)
+    there, back = t.deviations(t.masks([]), everything), t.back().deviations(t.masks([]), everything)
     assert there == pytest.approx(back[::-1])
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_ascent_finds_the_greatest_excursion_or_nearly(seed: int) -> None:
+def test_ascent_finds_the_greatest_deviation_or_nearly(seed: int) -> None:
     _, _, t = transition(paper_arm(12), seed)
     stage, masks = np.random.default_rng(seed).permutation(len(t.actuators))[: COUNTED + 2], t.masks([])
-    greatest = t.excursions(masks, stage).max()
+    greatest = t.deviations(masks, stage).max()
     assert 0.98 * greatest <= t.greatest(masks, stage) <= greatest * (1 + 1e-9)
