@@ -33,7 +33,7 @@ def calibrate(
     each: Annotated[bool, typer.Option("--each", help="Fit every module by itself, and every leg of a truss.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Fit the numbers of an arm's file, modules and base, to measured tips; report what they miss before and after."""
+    """Fit the modules and the base of an arm's file to measured tips; print the residuals before and after."""
     from controller.calibration.calibration import calibrated
     from controller.calibration.fit import CannotFit
     from controller.calibration.samples import read_samples

@@ -104,12 +104,12 @@ def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> De
 
     directory = default_directory()
     if rebuild:
-        wanted = key(arm.left, arm.pixel, arm.level_pixels)
+        wanted = key(arm.reduced, arm.pixel, arm.level_pixels)
         (directory / f"{wanted[:24]}.npz").unlink(missing_ok=True)
     with Progress(console=common.errors, transient=True, disable=silent or not common.errors.is_terminal) as progress:
         task = progress.add_task("mapping the intermediate workspaces", total=len(arm.manipulator.modules) + 1)
         return load_or_map(
-            arm.left,
+            arm.reduced,
             arm.pixel,
             arm.level_pixels,
             directory,

@@ -26,7 +26,7 @@ from rich.table import Table
 
 from controller import plots
 from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 from controller.config import Arm
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
@@ -50,7 +50,7 @@ def demo(
     picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("demo.png"),
     animation: Annotated[Path | None, typer.Option(help="Where an animation goes: .gif, .png or .webp.")] = None,
 ) -> None:
-    """Run the whole chain on simulated boards: three targets, then a closed curve, a table and a picture."""
+    """Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture."""
     arm = load_wired(file or shipped("planar16.yaml"))
     densities = densities_of(arm)
     targets = PAPER_TARGETS if file is None else sample(arm, 3)
@@ -83,13 +83,13 @@ def demo(
     console.print(summary(arm, rows))
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
     panels = [plots.Panel(title, reached, targets, curve)]
-    plots.save(picture, arm.manipulator, densities, panels, regions=arm.regions)
+    plots.save(picture, arm.manipulator, densities, panels, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
         from controller.animation import animate
 
         panel = plots.Panel(title, targets=targets, curve=curve)
-        animate(animation, arm.manipulator, densities, states, pauses, panel, arm.regions)
+        animate(animation, arm.manipulator, densities, states, pauses, panel, arm.obstacles)
         console.print(f"animation: {animation}")
 
 
@@ -172,7 +172,7 @@ def looked_up(densities: Densities, values: NDArray[np.float64], points: NDArray
 def outside(arm: Arm, curves: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Returns which of curves (m, n, 3), as seen from the base, keep out of the arm's regions."""
     world = curves.reshape(-1, 3) @ arm.manipulator.base[:3, :3].T + arm.manipulator.base[:3, 3]
-    depths = arm.regions.depths(world).min(axis=1, initial=np.inf).reshape(curves.shape[:2])
+    depths = arm.obstacles.depths(world).min(axis=1, initial=np.inf).reshape(curves.shape[:2])
     return np.asarray((depths > arm.settings.body_radius).all(axis=1))
 
 

@@ -18,7 +18,7 @@ def execute(
     journal: Annotated[Path | None, typer.Option(help="Where the switches are counted.")] = None,
     list_modules: Annotated[bool, typer.Option("--list-modules", hidden=True)] = False,
 ) -> None:
-    """Run the executor: motion programs from a planner to boards over CAN, until SIGTERM."""
+    """Run the executor until SIGTERM: it takes motion programs from a planner and commands boards over CAN."""
     options = [f"--socket={socket}"] * (socket is not None) + [f"--journal={journal}"] * (journal is not None)
     options += [f"--board={word}" for word in board]
     flags = ["--simulate"] * simulate + ["--list-modules"] * list_modules

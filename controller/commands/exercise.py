@@ -22,8 +22,8 @@ from controller.commands.common import (
     print_json,
     results_table,
 )
-from controller.commands.talk import connected
-from controller.commands.tell import STATES
+from controller.commands.connection import connected
+from controller.commands.requests import STATES
 from controller.strict import InputFaults
 
 if TYPE_CHECKING:

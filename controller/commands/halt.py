@@ -1,20 +1,28 @@
-"""The command that stops an arm, also past the planner and Zenoh: halt.
+"""The command `halt`: stops an arm, also past the planner and Zenoh.
 
-With `--local` it imports as little as it can, so that it acts at once.
+With `--local` this module imports as little as possible, so that the executor is asked at once.
 """
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from socket import AF_UNIX, SOCK_SEQPACKET
+from socket import socket as Socket
 from typing import Annotated
 
 import typer
+
+from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Halt, Hello, Malformed, decode_up, encode
+from controller.sockets import found_sockets, socket_path
 
 ENDPOINT = "tcp/127.0.0.1:7447"  # as in controller.commands.common, which takes longer to import
 ARM = "The arm's file, or its name; with --local all arms of this computer if absent."
 LOCAL = "Ask the executor on this computer at its socket, past planner and Zenoh."
 ZENOH = "Zenoh configuration file, in place of the endpoint."
+ANSWER_WITHIN = 1.0  # [s]
+JOIN = "become a member of the group of the executor: sudo usermod --append --groups hyperbit USER, or use sudo"
+SEARCH = "name the executor's socket or its folder by --socket; an executor starts by: hyperbit run ARM.yaml"
 
 
 def halt(
@@ -25,11 +33,11 @@ def halt(
     zenoh_file: Annotated[Path | None, typer.Option("--zenoh", help=ZENOH)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Stop the arm as `stop`, or --local past planner and Zenoh. No substitute for a switch that cuts the power."""
+    """Stop the arm as `stop` does; --local needs neither planner nor Zenoh. No substitute for a power switch."""
     if local:
         halt_here(arm, socket, as_json)
         return
-    from controller.commands.tell import stop
+    from controller.commands.requests import stop
     from controller.strict import InputFaults
 
     if not arm:
@@ -45,11 +53,68 @@ def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:
     Raises:
         Failed: an executor did not answer, or there is none.
     """
-    from controller.commands.halt_local import halt_local
-
     if arm.endswith((".yaml", ".yml")) or Path(arm).is_file():
         from controller.commands.common import arm_name
 
         arm = arm_name(arm)
     answer = halt_local(arm, socket)
     typer.echo(json.dumps({"accepted": True, "message": answer}) if as_json else answer)
+
+
+def halt_local(name: str = "", path: Path | None = None) -> str:
+    """Halts an arm, or all arms whose executors run on this computer.
+
+    Args:
+        name: of the arm; "": all.
+        path: of the executor's socket, or of its folder; None: the default ones.
+
+    Returns:
+        The executors' answers, one a line.
+
+    Raises:
+        Failed: an executor did not answer, or there is none.
+    """
+    if name:
+        paths = [socket_path(path, name)]
+    elif path is not None:
+        paths = [path] if path.suffix == ".sock" else sorted(path.glob("*.sock"))
+    else:
+        paths = found_sockets()
+    answers, failures, step = [], [], ""
+    for own in paths:
+        try:
+            answers.append(f"{own.stem}: {halt_at(own, name)}")
+        except OSError as error:
+            step = JOIN if isinstance(error, PermissionError) else step
+            failures.append(f"{own}: no executor answers ({error.strerror or error})")
+        except Malformed as error:
+            failures.append(f"{own}: {error}")
+    if failures or not paths:
+        from controller.commands.common import Failed
+
+        told = "\n".join([*answers, *failures])
+        raise Failed(told or "no executor is running: there is no socket", step if told else SEARCH)
+    return "\n".join(answers)
+
+
+def halt_at(path: Path, name: str) -> str:
+    """Halts the arm of a socket; returns the executor's answer.
+
+    Raises:
+        OSError: the executor does not answer.
+        Malformed: it answers something else.
+    """
+    with Socket(AF_UNIX, SOCK_SEQPACKET) as connection:
+        connection.settimeout(ANSWER_WITHIN)
+        connection.connect(str(path))
+        connection.send(encode(Hello(VERSION, "operator", name)))
+        connection.send(encode(Halt(1)))
+        while True:
+            data = connection.recv(MOST_BYTES + 1)
+            if not data:
+                raise ConnectionAbortedError(None, "it has closed the connection")
+            match decode_up(data):
+                case Answer() as answer:
+                    return answer.message
+                case Goodbye() as goodbye:
+                    raise ConnectionRefusedError(None, goodbye.reason)

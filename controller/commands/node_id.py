@@ -34,7 +34,7 @@ def node_id(
     bitrate: Bitrate = 1_000_000,
     as_json: AsJson = False,
 ) -> None:
-    """Set a board's node id and bit rate by LSS, and store them; they count from the next power-on.
+    """Set and store a board's node id and bit rate by LSS; they apply from the next power-on.
 
     Connect one board alone, or name one by --board. No executor may use the bus.
 

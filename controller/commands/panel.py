@@ -32,7 +32,7 @@ def panel(
         str, typer.Option(help="Of all Zenoh keys; `replay` for what `hyperbit replay` serves.")
     ] = "hyperbit",
 ) -> None:
-    """Serve the operator's page, which shows and commands all arms that it is connected to, until SIGTERM."""
+    """Serve the operator's web page, which shows and commands all connected arms, until SIGTERM."""
     if new_token is not None:
         print_token(new_token)
         return

@@ -21,9 +21,9 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.commands.searching import Goals, Orientation, follow, given, search
+from controller.commands.plan_goals import Goals, Orientation, follow, given, search
 from controller.config import Arm, load
-from controller.manipulator.held import carried
+from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration, pose
 from controller.search.method import Method
@@ -48,7 +48,7 @@ def plan(
     method: Annotated[Method | None, typer.Option(help="The arm's if absent.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Search configurations for goals, without any hardware."""
+    """Search configurations for goals, without hardware."""
     from controller.search.solver import Solver
 
     arm = load(file)
@@ -60,7 +60,7 @@ def plan(
             raise InputFaults(Path(name), [f"{length:g} is no {kind} from 1e-9 to 1e6"])
     if path_tolerance is not None and goals is None:
         raise InputFaults(Path("--path-tolerance"), ["lines run between --goals, one goal has none"])
-    home = np.zeros(len(arm.left.modules), dtype=np.int64)
+    home = np.zeros(len(arm.reduced.modules), dtype=np.int64)
     start = home if previous is None else unstuck(arm, previous, "--previous")
     end = None if to is None else unstuck(arm, to, "--configuration")
     wanted: Goals = []
@@ -70,7 +70,7 @@ def plan(
         wanted = read_goals(arm, goals)
     if path_tolerance is not None:
         check_lines(wanted, goals or Path())
-    solver = Solver(arm.left, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.left))
+    solver = Solver(arm.reduced, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.reduced))
     solver.prepare()
     own, chosen = tolerance or arm.tolerance, method or arm.settings.method
     if end is not None:
@@ -114,7 +114,7 @@ def plan(
 
 def answer(arm: Arm, position: list[float], orientation: Orientation, found: Solution) -> dict[str, Any]:
     """Returns what was found for a goal, for JSON."""
-    whole = carried(found.configuration, arm.left, arm.manipulator)
+    whole = transferred(found.configuration, arm.reduced, arm.manipulator)
     return {
         "goal": position,
         "configuration": format_configuration(arm.manipulator, whole),
@@ -189,9 +189,9 @@ def read_goals(arm: Arm, path: Path) -> Goals:
 
 
 def unstuck(arm: Arm, text: str, where: str) -> Configuration:
-    """Returns the configuration that `text` writes as one of `arm.left`; what is wrong with it is told of `where`."""
+    """Returns the configuration that `text` writes as one of `arm.reduced`; faults name `where`."""
     whole = configuration(arm, text, where)
     try:
-        return carried(whole, arm.manipulator, arm.left)
+        return transferred(whole, arm.manipulator, arm.reduced)
     except ValueError as error:
         raise InputFaults(Path(where), [f"{text}: as actuators are stuck, {error}"]) from None

@@ -32,7 +32,7 @@ def probe(
     bitrate: Bitrate = 1_000_000,
     as_json: AsJson = False,
 ) -> None:
-    """Find the nodes of a CAN bus and print what each is and holds; writes nothing.
+    """Find the nodes of a CAN bus and print their identity, mapping and settings; writes nothing.
 
     Asks the ids 1 to 127 at once and listens to heartbeats. No arm's file is needed. With --json a line for each node,
     to be sent in for a board that hyperbit does not know.

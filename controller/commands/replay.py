@@ -42,7 +42,7 @@ def replay(
     arm: Annotated[Path | None, typer.Option(help=ARM, show_default=False)] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Republish a recording below another prefix, or send its goals to a simulated arm and compare."""
+    """Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare."""
     require("mcap")
 
     from controller.recorder.past import BadRecording, Past

@@ -40,7 +40,7 @@ def map_(
     rebuild: Annotated[bool, typer.Option("--rebuild", help="Map anew, whatever is in the cache.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Map the point densities of all intermediate workspaces into the cache."""
+    """Compute the point densities of all intermediate workspaces and store them in the cache."""
     from controller.workspace.cache import default_directory
 
     arm = load(file)

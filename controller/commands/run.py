@@ -35,7 +35,7 @@ def run(
         bool, typer.Option("--panel", help="Serve the operator's page, too, and print its address.")
     ] = False,
 ) -> None:
-    """Run the daemon: goals over Zenoh to an executor, which moves the arm, until SIGTERM."""
+    """Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor."""
     if simulate and socket is not None:
         raise InputFaults(Path("run"), ["give --simulate to the executor at --socket, not to this command"])
     if board and not simulate:

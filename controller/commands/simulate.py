@@ -23,7 +23,7 @@ def simulate(
     file: ArmFile,
     board: Annotated[list[str], typer.Option(help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
 ) -> None:
-    """Run simulated boards on the arm's own bus, in place of the real ones, until SIGTERM."""
+    """Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM."""
     from controller.executor.arm import read_arm
 
     arm = read_arm(file)

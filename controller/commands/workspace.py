@@ -22,7 +22,7 @@ from controller.commands.common import (
 )
 from controller.config import Arm, load
 from controller.manipulator.frames import quaternion
-from controller.manipulator.held import STATES
+from controller.manipulator.locked import STATES
 from controller.strict import InputFaults
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def workspace(
     seed: Annotated[int, typer.Option(help="Of random draws and choices.")] = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Draw and report where an arm can reach: positions, orientations at a point, and with locked actuators."""
+    """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators."""
     from controller.workspace.orientations import orientations_at
     from controller.workspace_plots import draw_workspace, locked_field, positions_field
 
@@ -60,7 +60,7 @@ def workspace(
     densities = densities_of(arm, silent=as_json)
     told: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(arm, densities, own)}
     fields = [positions_field(densities, arm.manipulator.dimension, own)]
-    found = None if point is None else orientations_at(arm.left, densities, point, own, seed=seed)
+    found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
     if found is not None:
         told["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
     if locked is not None:
@@ -69,7 +69,7 @@ def workspace(
         fields.append(locked_field(choices, locked))
     some = found if found is not None and len(found.counts) else None
     try:
-        draw_workspace(arm.left, fields, point, some, arm.settings.name).savefig(picture, dpi=130)
+        draw_workspace(arm.reduced, fields, point, some, arm.settings.name).savefig(picture, dpi=130)
     except (OSError, ValueError) as error:
         raise InputFaults(picture, [f"cannot be written: {error}"]) from None
     told["picture"] = str(picture)
@@ -107,7 +107,7 @@ def locked_reach(
         task = progress.add_task("mapping arms with locked actuators", total=None)
         try:
             return reach_when_locked(
-                arm.left,
+                arm.reduced,
                 densities,
                 locked,
                 tolerance,
@@ -128,12 +128,12 @@ def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any
     within = (some + math.log(ball / pixel**dimension)) / math.log(10)
     covered = within[within >= 0]
     z, y, x = np.unravel_index(int(values.argmax()), values.shape)
-    densest = arm.left.base @ np.append(densities.references[0] + pixel * np.array([x, y, z]), 1.0)
+    densest = arm.reduced.base @ np.append(densities.references[0] + pixel * np.array([x, y, z]), 1.0)
     return {
         "method": "mapping",
         "why": MAPPED,
         "pixel": pixel,
-        "configurations": float(np.log10(arm.left.states).sum()),
+        "configurations": float(np.log10(arm.reduced.states).sum()),
         "reach": len(some) * pixel**dimension,
         "covered": len(covered) * pixel**dimension,
         "redundancy": float(np.median(covered)) if len(covered) else None,

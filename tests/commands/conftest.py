@@ -8,7 +8,7 @@ import yaml
 
 from controller import cli
 from controller.commands import demo
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from controller import cli
-from controller.commands import tell
+from controller.commands import requests
 from controller.commands.common import arm_name
-from controller.commands.groups import EXAMPLES, GROUPS
+from controller.commands.table import GROUPS
 from controller.manipulator import held
 from controller.strict import InputFaults
 
@@ -49,9 +49,9 @@ def test_the_table_agrees_with_the_commands():
         assert entry.summary == inspect.getdoc(function).splitlines()[0]
 
 
-def test_each_command_is_in_one_group_and_has_an_example(hyperbit):
-    assert sorted(name for examples in GROUPS.values() for name in examples) == sorted(cli.COMMANDS)
-    assert all(example.split()[:2] == ["hyperbit", name] for name, example in EXAMPLES.items())
+def test_each_command_is_in_one_group_and_has_an_example_of_itself(hyperbit):
+    assert sum(map(len, GROUPS.values())) == len(cli.COMMANDS)
+    assert all(entry.example.split()[:2] == ["hyperbit", name] for name, entry in cli.COMMANDS.items())
     code, out, _ = hyperbit("--help")
     assert code == 0
     assert [line.removesuffix(":") for line in out.splitlines() if line.removesuffix(":") in GROUPS] == list(GROUPS)
@@ -62,14 +62,14 @@ def test_the_page_of_the_commands_has_the_same_groups_and_examples():
     rows = {
         section.partition("\n")[0]: re.findall(r"^\| (`.*?) \|.*\| `(.*?)` \|$", section, re.M) for section in sections
     }
-    for title, examples in GROUPS.items():
-        assert sorted(name for row, _ in rows[title] for name in re.findall("`(.*?)`", row)) == sorted(examples)
-        assert {example for _, example in rows[title]} <= set(examples.values())
+    for title, group in GROUPS.items():
+        assert sorted(name for row, _ in rows[title] for name in re.findall("`(.*?)`", row)) == sorted(group)
+        assert {example for _, example in rows[title]} <= {entry.example for entry in group.values()}
 
 
 def test_the_help_of_a_command_ends_with_its_example(hyperbit):
     for name in ("stop", "halt", "wear"):
-        assert hyperbit(name, "--help")[1].rstrip().endswith(f"Example: {EXAMPLES[name]}")
+        assert hyperbit(name, "--help")[1].rstrip().endswith(f"Example: {cli.COMMANDS[name].example}")
 
 
 @pytest.mark.parametrize(
@@ -168,4 +168,4 @@ def test_a_file_without_a_name_is_unusable_input(tmp_path, text, fault):
 
 
 def test_states_have_the_names_of_the_arm():
-    assert tell.STATES == held.STATES
+    assert requests.STATES == held.STATES

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from controller.commands import health
+from controller.commands import wear
 from controller.planning.ledger import Ledger
 from controller.planning.ledger_file import SCHEMA
 
@@ -162,7 +162,7 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
 @pytest.fixture
 def ledgers(monkeypatch, tmp_path):
     """Paths of the user's and the service's ledger, in folders of this test."""
-    monkeypatch.setattr(health, "SERVICE_FOLDERS", (tmp_path / "service", tmp_path / "private"))
+    monkeypatch.setattr(wear, "SERVICE_FOLDERS", (tmp_path / "service", tmp_path / "private"))
     return tmp_path / "state" / "hyperbit" / "planar16.sqlite", tmp_path / "service" / "planar16.sqlite"
 
 
@@ -192,7 +192,7 @@ def test_wear_names_a_ledger_that_it_cannot_read(hyperbit, ledgers, monkeypatch)
     service.parent.symlink_to("private/hyperbit")
 
     def refused(path):
-        if path.parent in health.SERVICE_FOLDERS:
+        if path.parent in wear.SERVICE_FOLDERS:
             raise PermissionError(13, "Permission denied")
         return is_file(path)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from controller.commands import demo
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 
 HERE = Path(__file__).parent
 

@@ -13,7 +13,7 @@ from unittest import mock
 import yaml
 
 from controller.commands import demo
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 from tests.pages.page import ROOT
 
 WAIT = 60.0  # [s] for one message

@@ -22,7 +22,7 @@ import yaml
 
 from controller import cli
 from controller.commands.common import ENDPOINT
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 from controller.config import load
 from tests.documents import document
 from tests.pages.page import ROOT, Example, Page

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 import pytest
 
 from controller.commands import demo
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 from tests.pages import page, running
 
 PAGES = page.find()

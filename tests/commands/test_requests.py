@@ -8,7 +8,7 @@ import pytest
 
 from controller.commands import demo
 from controller.commands.common import refusal
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 
 
 def test_a_stop_holds_until_reset(hyperbit, endpoint):

@@ -1,14 +1,55 @@
-"""The picture of a running arm in a terminal."""
+"""The command `watch`: shows a running arm in the terminal."""
 
+from __future__ import annotations
+
+import contextlib
+import queue
 import time
 from typing import Any
 
 from rich.console import Group, RenderableType
+from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from controller.commands import common
+from controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, Failed, ZenohFile, arm_name, print_json
+from controller.commands.connection import START, connected
+
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
+
+
+def watch(
+    arm: ArmName,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show a running arm until Ctrl-C; with --json, print each state as a line."""
+    news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
+    with connected(arm, connect, zenoh_file) as client, contextlib.suppress(KeyboardInterrupt):
+        _subscribers = [
+            client.subscribe("state", lambda message: news.put(("state", message))),
+            client.subscribe("diagnostics", lambda message: news.put(("diagnostics", message))),
+        ]
+        view = View(arm_name(arm))
+        with contextlib.ExitStack() as stack:
+            live = None if as_json else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
+            while True:
+                try:
+                    key, message = news.get(timeout=2.0)
+                except queue.Empty:
+                    if not client.alive():
+                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not there, or is gone", START) from None
+                    continue
+                if live is None:
+                    if key == "state":
+                        print_json(message)
+                    continue
+                view.take(key, message)
+                if news.empty():
+                    live.update(view, refresh=True)
 
 
 class View:

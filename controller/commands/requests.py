@@ -1,36 +1,26 @@
-"""Commands that tell a running daemon to hold, to go on, and what to do without: actuators, by degrade, and room."""
+"""Commands that send one request to a running daemon: cancel, stop, reset, jog, degrade, lock and obstacles."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from controller.commands.common import (
-    ENDPOINT,
-    ArmName,
-    AsJson,
-    Connect,
-    ZenohFile,
-    print_json,
-    refusal,
-)
-from controller.commands.talk import connected, read_payload
+from controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, ZenohFile
+from controller.commands.connection import ask, connected, read_payload
 from controller.strict import InputFaults
 
-if TYPE_CHECKING:
-    from controller.gateway.client import Client
-
-STATES = ("contracted", "extended")  # as controller.manipulator.held has them, without its import of NumPy
+STATES = ("contracted", "extended")  # as controller.manipulator.locked has them, without its import of NumPy
 PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
-CHANGES = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
+LOCKS = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
+SWITCHES = "As in 5.left=extended: the state that the actuator switches to, contracted or extended."
 REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacles` in the arm's file."
 
 
 def cancel(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
-    """End the running goal or stream of set-points; the arm holds and accepts the next."""
+    """Cancel the running goal or stream of set-points; the arm holds and accepts the next goal."""
     with connected(arm, connect, zenoh_file) as client:
         ask(client, arm, "cancel", {}, as_json)
 
@@ -42,19 +32,40 @@ def stop(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None
 
 
 def reset(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
-    """Leave a stop or a fault; nothing moves."""
+    """Leave a stop or a fault. Nothing moves."""
     with connected(arm, connect, zenoh_file) as client:
         ask(client, arm, "reset", {}, as_json)
 
 
-def degrade(
+def jog(
     arm: ArmName,
-    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=CHANGES, show_default=False)],
+    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=SWITCHES, show_default=False)],
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Lock actuators that are stuck, or unlock them; nothing moves."""
+    """Switch single actuators, even if their states form no configuration. The arm moves."""
+    actuators = dict[str, str]()
+    for change in changes:
+        actuator, _, state = change.partition("=")
+        if not actuator.isprintable() or state not in STATES:
+            form = "an actuator, =, and contracted or extended are needed, as in 5.left=extended"
+            raise InputFaults(Path("jog"), [f"{change!r}: {form}"])
+        if actuator in actuators:
+            raise InputFaults(Path("jog"), [f"{change!r}: {actuator} stands twice"])
+        actuators[actuator] = state
+    with connected(arm, connect, zenoh_file) as client:
+        ask(client, arm, "jog", {"actuators": actuators}, as_json)
+
+
+def degrade(
+    arm: ArmName,
+    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False)],
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Lock actuators that are stuck, or unlock them. Nothing moves."""
     wishes = [wish(change) for change in changes]
     with connected(arm, connect, zenoh_file) as client:
         for payload in wishes:
@@ -64,12 +75,12 @@ def degrade(
 
 def lock(
     arm: ArmName,
-    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=CHANGES, show_default=False)],
+    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False)],
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Lock actuators in a state, or unlock them with `free`; nothing moves. The same as `degrade`."""
+    """Lock actuators in a state, or unlock them with `free`; the same as `degrade`. Nothing moves."""
     degrade(arm, changes, connect, zenoh_file, as_json)
 
 
@@ -81,7 +92,7 @@ def obstacles(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Send obstacles in place of those sent before; those of the arm's file remain. Nothing moves."""
+    """Replace the obstacles that were sent before; those of the arm's file remain. Nothing moves."""
     if (file is None) != none:
         raise InputFaults(Path("obstacles"), ["give either a file of regions or --none"])
     payload: dict[str, Any] = {"regions": []} if file is None else read_payload(file, "regions", "regions")
@@ -101,19 +112,3 @@ def wish(change: str) -> dict[str, Any]:
         form = f"an actuator, =, and one of {', '.join(states)} are needed, as in 5.left=contracted"
         raise InputFaults(Path("degrade"), [f"{change!r}: {form}"])
     return {"actuator": actuator, "state": states[state]}
-
-
-def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bool) -> None:
-    """Prints what the daemon answers.
-
-    Raises:
-        Failed: the daemon refused.
-        Unanswered: the daemon did not answer; `connected` makes this a Failed.
-    """
-    answer = client.request(key, payload)
-    if as_json:
-        print_json(answer)
-    if not answer["accepted"]:
-        raise refusal(answer, arm)
-    if not as_json:
-        typer.echo(answer["message"])

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from controller.commands import demo
-from controller.commands.talk import connected
+from controller.commands.connection import connected
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 

@@ -1,0 +1,91 @@
+"""Sessions with running daemons, and requests to them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import typer
+
+from controller.commands.common import Failed, arm_name, print_json, refusal
+from controller.strict import InputFaults, read_yaml
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from controller.gateway.client import Client
+
+START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
+
+
+@contextlib.contextmanager
+def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Client]:
+    """Opens a session with an arm's daemon.
+
+    Raises:
+        Failed: there is no daemon, or it does not answer while the context lasts.
+    """
+    import zenoh
+
+    from controller.gateway import session
+    from controller.gateway.client import Client, Unanswered
+
+    name = arm_name(arm)
+    zenoh.init_log_from_env_or("error")
+    try:
+        config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
+    except ValueError as error:
+        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+    try:
+        opened = zenoh.open(config)
+    except zenoh.ZError as error:
+        raise Failed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
+    with opened as live, contextlib.closing(Client(live, name, lambda: zenoh.open(config))) as client:
+        try:
+            yield client
+        except Unanswered as error:
+            raise Failed(str(error), others(live, name)) from None
+
+
+def others(session: zenoh.Session, arm: str) -> str:
+    """Returns what to do next where the daemon of an arm did not answer: the other arms that are there, if any."""
+    tokens = session.liveliness().get("hyperbit/*/alive", timeout=1.0)
+    names = sorted({str(token.ok.key_expr).split("/")[1] for token in tokens if token.ok is not None})
+    if arm in names:
+        return "allow this client its key, or wait and ask again"
+    return f"name an arm that is there: {', '.join(names)}" if names else START
+
+
+def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bool) -> None:
+    """Prints what the daemon answers.
+
+    Raises:
+        Failed: the daemon refused.
+        Unanswered: the daemon did not answer; `connected` makes this a Failed.
+    """
+    answer = client.request(key, payload)
+    if as_json:
+        print_json(answer)
+    if not answer["accepted"]:
+        raise refusal(answer, arm)
+    if not as_json:
+        typer.echo(answer["message"])
+
+
+def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
+    """Returns the payload in a YAML or JSON file; `what` it is, with which `field`, is told where it is none.
+
+    Raises:
+        InputFaults: it holds no mapping, or one that cannot be sent.
+    """
+    value = read_yaml(path)  # JSON is YAML, too
+    if not isinstance(value, dict):
+        raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
+    try:
+        msgspec.json.encode(value)
+    except (TypeError, UnicodeEncodeError) as error:
+        raise InputFaults(path, [f"no {what}: {error}"]) from None
+    return value
