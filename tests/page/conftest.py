@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
-
 from controller.panel.access import digest_of
 from tests import waiting
 from tests.system import arms
@@ -146,13 +145,23 @@ class Shown:
 
     def says(self, css: str, *words: str) -> str:
         """Waits until an element says all words."""
-        eventually(lambda: all(word in self.text(css) for word in words), lambda: f"{words}: {self.text(css)}")
+        told = lambda: f"{words}: {self.text(css)}; notice: {self.text('.notice')}"  # noqa: E731
+        eventually(lambda: all(word in self.text(css) for word in words), told)
         return self.text(css)
 
     def press(self, css: str) -> None:
         """Clicks on an element."""
-        self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
-        self.one(css).click()
+        from selenium.common.exceptions import StaleElementReferenceException
+
+        def pressed() -> bool:
+            try:
+                self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
+                self.one(css).click()
+            except StaleElementReferenceException:  # the page drew it anew meanwhile
+                return False
+            return True
+
+        eventually(pressed)
 
     def hold(self, css: str, seconds: float = 1.5) -> None:
         """Presses an element with the mouse and holds it."""

@@ -4,10 +4,14 @@ import json
 import signal
 from collections.abc import Callable
 
+import pytest
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from tests.page.conftest import OTHER, VIEWER, Shown, World, eventually
+
+pytestmark = pytest.mark.timeout(600)
 
 Page = Callable[..., Shown]
 
@@ -27,10 +31,19 @@ MEASURED, PLANNED, OBSTACLE = [0, 114, 178], [0, 120, 90], [138, 75, 114]  # lig
 
 def type_goal(shown: Shown, *numbers: float) -> None:
     """Types a position into the fields of the goal."""
-    for k, number in enumerate(numbers):
-        field = shown.all("#goal .fields input")[k]
-        field.clear()
-        field.send_keys(f"{number}", Keys.TAB)
+    fields = """return [...document.querySelectorAll('#goal .fields input')].map((field) => field.value)"""
+
+    def typed(k: int) -> bool:
+        try:
+            field = shown.all("#goal .fields input")[k]
+            field.clear()
+            field.send_keys(f"{numbers[k]}", Keys.TAB)
+        except StaleElementReferenceException:  # the page drew it anew meanwhile
+            return False
+        return float(shown.run(fields)[k] or "nan") == numbers[k]
+
+    for k in range(len(numbers)):
+        eventually(lambda k=k: typed(k))
 
 
 def finished(shown: Shown) -> str:
@@ -130,7 +143,7 @@ def test_an_obstacle_is_drawn_and_taken_away(page: Page) -> None:
     canvas = shown.one(".stage canvas")
     chain = ActionChains(shown.driver).move_to_element_with_offset(canvas, 200, -60).click_and_hold()
     chain.move_by_offset(30, 15).move_by_offset(30, 15).release().perform()
-    shown.says("#obstacles", "drawn 1", "box")
+    shown.says("#obstacles", "drawn-1", "box")
     eventually(lambda: shown.run(DRAWN, OBSTACLE) > 50)
     shown.press("#obstacles .remove")
     shown.says("#obstacles", "There are none")

@@ -12,9 +12,15 @@ export function showList(onLogin) {
   const none = document.querySelector(".none");
   const silence = document.querySelector("main .silence");
   connection.on("you", (you) => (document.querySelector(".who").textContent = `${you.name}, ${you.role}`));
+  const entries = new Map();
   connection.on("arms", ({ arms }) => {
     none.hidden = arms.length > 0;
-    fill(list, ...arms.map(entry));
+    for (const arm of arms) {
+      if (!entries.has(arm.name)) entries.set(arm.name, entry(arm.name));
+      entries.get(arm.name).set(arm);
+    }
+    const shown = arms.map((arm) => entries.get(arm.name).item);
+    if (shown.length !== list.children.length || shown.some((item, k) => item !== list.children[k])) fill(list, ...shown);
   });
   setInterval(() => {
     const silent = connection.silence();
@@ -24,19 +30,20 @@ export function showList(onLogin) {
   }, 250);
 }
 
-function entry(arm) {
-  const old = !arm.alive || arm.age === null || arm.age > 1.5;
-  const heard = arm.age === null ? "nothing heard yet" : `nothing heard for ${Math.round(arm.age)} s`;
-  return el(
-    "li",
-    { class: old ? "old" : "" },
-    el(
-      "a",
-      { href: `/arms/${arm.name}` },
-      el("b", {}, arm.name),
-      modeMark(arm.mode ?? "unknown"),
-      el("span", { class: "reason" }, arm.reason ?? ""),
-      old ? el("span", { class: "silence" }, arm.alive ? heard : `the daemon is gone, ${heard}`) : null,
-    ),
-  );
+// An arm's entry stays the same element: a press on it, or the focus, outlasts the next message.
+function entry(name) {
+  const mode = el("span", {});
+  const reason = el("span", { class: "reason" });
+  const silence = el("span", { class: "silence" });
+  const item = el("li", {}, el("a", { href: `/arms/${name}` }, el("b", {}, name), mode, reason, silence));
+  const set = (arm) => {
+    const old = !arm.alive || arm.age === null || arm.age > 1.5;
+    const heard = arm.age === null ? "nothing heard yet" : `nothing heard for ${Math.round(arm.age)} s`;
+    item.classList.toggle("old", old);
+    fill(mode, modeMark(arm.mode ?? "unknown"));
+    reason.textContent = arm.reason ?? "";
+    silence.hidden = !old;
+    silence.textContent = arm.alive ? heard : `the daemon is gone, ${heard}`;
+  };
+  return { item, set };
 }

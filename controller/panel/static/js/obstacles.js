@@ -60,6 +60,6 @@ export function sketcher(view, append) {
 function freshName(regions) {
   const names = new Set(regions.map((region) => region.name));
   let number = 1;
-  while (names.has(`drawn ${number}`)) number += 1;
-  return `drawn ${number}`;
+  while (names.has(`drawn-${number}`)) number += 1;
+  return `drawn-${number}`;
 }
