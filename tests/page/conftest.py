@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
+
 from controller.panel.access import digest_of
 from tests import waiting
 from tests.system import arms
