@@ -14,15 +14,15 @@ from controller.executor.core import Executor
 from controller.executor.log_lines import start_logging
 from controller.executor.real_time import enter_real_time
 from controller.executor.run import EventLoop
-from controller.executor.server import Server, Taken
-from controller.executor.switch_journal import FileJournal, Held, default_path
+from controller.executor.server import Server, SocketInUse
+from controller.executor.switch_journal import FileJournal, JournalInUse, default_path
 from controller.notify import Notifier
 from controller.sockets import socket_path
 from controller.strict import InputFaults
 from drivers.simulation.buses import board_names
 from drivers.simulation.variants import choose
 
-PATIENCE = 10.0  # [s] more for simulated boards: they stall with this process, as boards do not
+PATIENCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -30,9 +30,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="hyperbit execute", description="Runs the executor of an arm until SIGTERM.")
     parser.add_argument("file", metavar="ARM.yaml", type=Path, help="the arm's file")
     parser.add_argument("--socket", type=Path, help="the socket, or its folder")
-    parser.add_argument("--simulate", action="store_true", help="simulated boards in this process")
-    parser.add_argument("--board", action="append", default=[], help="what simulated boards are like")
-    parser.add_argument("--journal", type=Path, help="where switches are counted")
+    parser.add_argument("--simulate", action="store_true", help="simulate the boards in this process")
+    parser.add_argument("--board", action="append", default=[], help="variant of the simulated boards")
+    parser.add_argument("--journal", type=Path, help="the switch journal")
     parser.add_argument("--list-modules", action="store_true", help="print the names of the loaded modules at the end")
     options = parser.parse_args(arguments)
     try:
@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     except InputFaults as error:
         print(error, file=sys.stderr)
         return 2
-    except (Taken, Held, OSError) as error:
+    except (SocketInUse, JournalInUse, OSError) as error:
         print(error, file=sys.stderr)
         return 1
     if options.list_modules:
@@ -52,17 +52,17 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     """Runs the executor until SIGTERM.
 
     Args:
-        file: of the arm.
-        socket: of the executor, or its folder; the default one if None.
-        simulate: whether simulated boards take the place of the buses.
-        journal: where switches are counted; the default one if None.
-        board: variants of the simulated boards, as `choose` takes them.
+        file: the arm's file.
+        socket: the executor's socket, or its folder; None: the default.
+        simulate: use simulated boards in place of the CAN buses.
+        journal: the switch journal; None: the default.
+        board: variants of the simulated boards, in the notation of `choose`.
 
     Raises:
-        InputFaults: the arm's file is wrong, or there is no such board or variant.
-        Taken: another executor has the socket.
-        Held: another executor has the journal.
-        OSError: socket or journal cannot be made.
+        InputFaults: the arm's file is wrong, or a board or variant is unknown.
+        SocketInUse: another executor uses the socket.
+        JournalInUse: another executor uses the journal.
+        OSError: socket or journal cannot be created.
     """
     arm = read_arm(file)
     if simulate:
@@ -71,7 +71,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         variants = choose(board, board_names(arm.wiring))
     except ValueError as error:
         raise InputFaults(Path("--board"), [str(error)]) from None
-    with contextlib.ExitStack() as closing:  # the log last
+    with contextlib.ExitStack() as closing:  # the log ends last
         closing.callback(start_logging(arm.name))
         counts = FileJournal(journal or default_path(arm.name), arm.actuators)
         closing.callback(counts.close)

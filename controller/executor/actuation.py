@@ -1,4 +1,4 @@
-"""Actuation: the one owner of what the boards are commanded, of pulses, the bound on inrush, rests and counts."""
+"""Actuation: the single owner of output commands, pulses, the inrush limit, rest times and switch counts."""
 
 import math
 from typing import NamedTuple
@@ -10,17 +10,17 @@ from controller.executor.switch_journal import SwitchJournal
 from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.master import Master
 
-BUSY_FOR = 0.25  # [s]; a bus that takes no command for longer is a fault
-LATE = 0.1  # [s] after which nobody waits any more for the end of a pulse: its bus takes no frames
-EARLY = 0.004  # [s] by which a pulse may end too soon, so that on a slow bus, too, none is longer by a whole period
+BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
+LATE = 0.1  # [s] after its end at which a pulse is no longer waited for: its bus accepts no frames
+EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
 
 
 class Commit(NamedTuple):
-    """The end of a commit.
+    """The result of a commit.
 
     Attributes:
-        states: that it was to bring about.
-        reached: whether it has.
+        states: commanded states.
+        reached: whether the outputs stand for these states now.
     """
 
     states: int
@@ -30,20 +30,21 @@ class Commit(NamedTuple):
 class Actuation:
     """Switches the outputs of the boards.
 
-    An output of a pulse goes off by itself, in every mode: `tick` sees to it. The state of an actuator with two outputs
-    is uncertain while both are off and nobody knows which was on last: after a start, and after its board's.
+    `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
+    uncertain while both outputs are off and the last one that was on is unknown. This is so after a start of the
+    executor, and after a restart of the board.
 
     Attributes:
-        free_at: when the last switch has settled, by travel time [s].
-        target: states of the commit under way; None if there is none.
-        uncertain: mask of the actuators whose state is unknown; their bits of `states` are guesses.
-        switches: actuators switched since the executor began.
-        fault: the bus took no command for too long; taken by who reports it.
+        free_at: when the last switched actuator has settled, by its travel time [s].
+        target: states of the running commit; None if no commit runs.
+        uncertain: mask of the actuators of unknown state; their bits of `states` are guesses.
+        switches: number of switches since the executor started.
+        fault: set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it.
 
     Args:
-        master: of the boards.
-        arm: its times and bounds.
-        kinds: of the actuators.
+        master: CANopen master of the boards.
+        arm: times and limits of the arm.
+        kinds: outputs and end-stops of the actuators.
         journal: counts switches.
     """
 
@@ -55,20 +56,20 @@ class Actuation:
         self.fault: Fault | None = None
         self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
         self._arrives_at = [-1e12] * len(arm.actuators)
-        self._states = 0  # of pairs that are off
-        self._adopted: int | None = None  # states as adopted, or switched since; None before the first time
+        self._states = 0  # last states; they count for paired actuators whose outputs are both off
+        self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
         self._busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
-        self._doubtful = 0  # pairs that a commit was to energise whose end nobody knows
-        self._boots: tuple[int, ...] = ()  # of each board when the outputs were adopted
+        self._doubtful = 0  # mask of the paired actuators that the running commit energises
+        self._boots: tuple[int, ...] = ()  # boot count of each board when the outputs were adopted
 
     @property
     def states(self) -> int:
-        """The states that the outputs stand for, or stood for before a pulse ended."""
+        """The states that the outputs command, or commanded before a pulse ended."""
         return self._kinds.states(self._master.outputs, self._states)
 
     def pulsing(self, now: float) -> bool:
-        """Returns whether an output is on for a pulse, unless nothing could end it in time."""
+        """Returns whether a pulse is on; a pulse that could not be ended within LATE no longer counts."""
         if not self._kinds.pulsed:
             return False
         extending, contracting = self._kinds.on(self._master.outputs)
@@ -76,16 +77,16 @@ class Actuation:
         return any(now < self._pulse_ends[k] + LATE for k in indices(on))
 
     def differ(self, states: int, homing: int) -> int:
-        """Returns the mask of the actuators that a switch to states energises or lets go.
+        """Returns the mask of the actuators that a switch to `states` energises or releases.
 
         Args:
             states: of all actuators.
-            homing: mask of the actuators that are energised also if their state is uncertain.
+            homing: mask of the actuators to energise although their state is uncertain.
         """
         return (self.states ^ states) | (self.uncertain & homing)
 
     def ready_at(self, differ: int, strict: bool) -> float:
-        """Returns when the actuators of a mask may switch [s]: the last stage has ended, and they have rested."""
+        """Returns when the actuators of a mask may switch [s]: after the last stage and their rest time."""
         ready = 0.0
         if differ and (strict or self._arm.inrush is not None):
             ready = self.free_at
@@ -94,7 +95,7 @@ class Actuation:
         return ready
 
     def switch(self, states: int, now: float, homing: int = 0) -> bool:
-        """Begins to switch to states; returns False if that is not possible now, to be tried again at the next tick."""
+        """Starts a switch to `states`; returns False if the caller must try again at the next tick."""
         if self.target is not None or self._master.committing:
             return False
         if not self._master.outputs_known:
@@ -112,7 +113,7 @@ class Actuation:
         return True
 
     def tick(self, now: float) -> None:
-        """Ends the pulses whose time is over; to be called every period, in every mode."""
+        """Switches off the outputs whose pulse is over. Call every period, in every mode."""
         if not self._kinds.paired:
             return
         outputs = self._master.outputs
@@ -123,10 +124,10 @@ class Actuation:
         try:
             self._master.commit(self._kinds.without(outputs, over), now, release=True)
         except Busy:
-            return  # the next tick tries again; a board that hears nobody does it by itself
+            return  # the next tick tries again; a board without its master switches its outputs off itself
 
     def switched(self, lines: int, now: float) -> int:
-        """Notes that the SYNC of some output lines has left; returns the mask of the actuators that it moves."""
+        """Records that the SYNC of output lines was sent; returns the mask of the actuators that it moves."""
         extending, contracting = self._kinds.on(self._master.outputs & lines)
         energised = (extending ^ contracting) & self._kinds.paired
         states = self.states
@@ -141,7 +142,7 @@ class Actuation:
         return moved
 
     def conclude(self, now: float) -> Commit | None:
-        """Counts the switches of the commit that was under way; None if it still is, or there was none."""
+        """Returns the result of the commit that has ended, and counts its switches; None if no commit has ended."""
         if self.target is None or self._master.committing or not self._master.outputs_known:
             return None
         states, self.target = self.target, None
@@ -156,14 +157,14 @@ class Actuation:
         return Commit(states, reached)
 
     def adopt(self, measured: int, definite: int, now: float) -> None:
-        """Takes the outputs that the boards read back: counts what a commit before a fault or a start has switched.
+        """Adopts the outputs that the boards read back, and counts the switches of an interrupted commit.
 
-        Actuators whose outputs have changed rest from now on; after a start all do, for the process before may have
-        switched them just now. Nothing is energised.
+        Actuators whose outputs have changed rest from now on. After a start all actuators rest: the previous process
+        may have switched them just before. No output is energised.
 
         Args:
-            measured: states as the end-stops tell.
-            definite: mask of the actuators of which they do.
+            measured: states read from the end-stops.
+            definite: mask of the actuators whose end-stops tell a state.
             now: [s].
         """
         self.target, self.fault = None, None
@@ -181,18 +182,18 @@ class Actuation:
         self.rest()
 
     def rest(self) -> None:
-        """Forgets how long the bus has been busy: nothing is to be switched."""
+        """Resets the time for which the bus has been busy: nothing waits to be switched."""
         self._busy_since = None
 
     def _on(self, now: float) -> int:
-        """Returns the mask of the pairs that are on and stay so: not those whose pulse is over."""
+        """Returns the mask of the paired actuators with an output on, without those whose pulse is over."""
         extending, contracting = self._kinds.on(self._master.outputs)
         on = extending ^ contracting
         over = (k for k in indices(on & self._kinds.pulsed) if now >= self._pulse_ends[k] - EARLY)
         return on & ~sum(1 << k for k in over)
 
     def _rebooted(self) -> int:
-        """Returns the mask of the pairs whose board has started anew since the last adoption."""
+        """Returns the mask of the paired actuators whose board has restarted since the last adoption."""
         before, self._boots = self._boots, tuple(self._master.boots)
         if before == self._boots or not before:
             return 0
@@ -200,7 +201,7 @@ class Actuation:
         return sum(1 << k for k in indices(self._kinds.paired) if before[board_of[k]] != self._boots[board_of[k]])
 
     def _moved(self, mask: int, now: float) -> None:
-        """Notes that the actuators of a mask have begun to move."""
+        """Records that the actuators of a mask have begun to move."""
         states = self.states
         for k in indices(mask):
             self._arrives_at[k] = now + self._kinds.travel[k][states >> k & 1]

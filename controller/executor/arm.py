@@ -1,4 +1,4 @@
-"""The arm as the executor sees it: actuators, wiring and times, from the arm's file alone."""
+"""The executor's view of the arm: actuators, wiring and times, read from the arm's file."""
 
 import hashlib
 from dataclasses import dataclass
@@ -22,15 +22,15 @@ class ExecutedArm:
         actuators: label of each actuator, shape (A,).
         wiring: buses and boards.
         timing: of boards and actuators.
-        inrush: most actuators that may switch at once; None: no bound.
-        rest: time that an actuator rests between two travels [s].
-        planner_timeout: silence after which the planner counts as hung, and the arm holds [s].
+        inrush: most actuators that may switch at once; None: no limit.
+        rest: rest time of an actuator between two travels [s].
+        planner_timeout: after this silence of the planner the program ends and the arm holds [s].
         locked: mask of the actuators that the file declares stuck.
         locked_states: their states.
         continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
         contract_on_stop: contract all actuators before the executor ends.
-        ending: time that this may take [s].
-        real_time: what the file asks of the system.
+        ending: longest time of this contraction [s].
+        real_time: field `real_time` of the arm's file.
         digest: SHA-256 of the file, in hexadecimal.
     """
 
@@ -56,7 +56,7 @@ class ExecutedArm:
 
 
 def read_arm(path: Path) -> ExecutedArm:
-    """Returns the arm of a file that maps its actuators to boards.
+    """Reads an arm's file that maps actuators to boards.
 
     Raises:
         InputFaults: the file is missing or wrong; one line for each fault, with the path of its field.
@@ -81,7 +81,7 @@ def read_arm(path: Path) -> ExecutedArm:
 
 
 def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[ActuatorSettings, ...]) -> Wiring:
-    """Returns the drivers' view of buses and actuators."""
+    """Returns buses and actuators as the drivers need them."""
     boards = settings.boards
     return Wiring(
         buses=tuple(BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses),
@@ -101,7 +101,7 @@ def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[Ac
 
 
 def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:
-    """Returns the drivers' view of one actuator."""
+    """Returns one actuator as the drivers need it."""
     lines = dict(terminals(entry))
     bits = {name: line.bit for name, line in lines.items()}
     return Channel(
@@ -121,7 +121,7 @@ def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Ch
 
 
 def timing_of(settings: ArmSettings) -> Timing:
-    """Returns the drivers' view of times."""
+    """Returns the times as the drivers need them."""
     boards = settings.boards
     return Timing(
         heartbeat=boards.heartbeat,

@@ -1,4 +1,4 @@
-"""The buses of the event loop: real ones, or simulated boards in this process. None of their methods waits."""
+"""The buses of the event loop: CAN buses, or simulated boards in this process. No method blocks."""
 
 import logging
 import math
@@ -25,7 +25,7 @@ OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
 POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
 INPUT = 0  # file descriptor of the standard input
 MOST_STEPS = 100  # of the boards in one poll
-LONGEST = 0.02  # [s] that pass on simulated boards between two calls: a stall of the process stalls them as well
+LONGEST = 0.02  # [s] of simulated time between two calls: a stall of the process stalls the boards as well
 
 
 class Buses(Protocol):
@@ -35,20 +35,20 @@ class Buses(Protocol):
         """Returns the file descriptors to wait on."""
 
     def wait(self, now: float) -> float:
-        """Returns how long to wait at most until `poll` [s]."""
+        """Returns the longest time to wait before the next `poll` [s]."""
 
     def poll(self, now: float) -> Sequence[Event]:
-        """Returns what has happened since the last call."""
+        """Returns the events since the last call."""
 
     def send(self, bus: str, frame: Frame, now: float) -> None:
-        """Sends a frame; what becomes of it is an event."""
+        """Sends a frame; an event tells whether it was sent."""
 
     def close(self) -> None:
-        """Closes all; sends nothing, so that the boards do what they do on loss of the master."""
+        """Closes all buses and sends nothing: the boards lose the master and do what `on_loss` says."""
 
 
 class CanBuses:
-    """Buses over python-can. See `Buses`. A bus that does not exist is opened as soon as it does."""
+    """CAN buses over python-can. See `Buses`. A missing bus is opened as soon as it exists."""
 
     def __init__(self, settings: Sequence[BusSettings]) -> None:
         """Takes the settings of each bus."""
@@ -97,17 +97,17 @@ class CanBuses:
                 self._unopened.discard(name)
             except BusError as error:
                 if first:
-                    log.error("%s; it is tried again every %g s", error, OPEN_EVERY)
+                    log.error("%s; tried again every %g s", error, OPEN_EVERY)
 
 
 class EmbeddedBoards:
-    """Simulated boards, and their faults from the standard input. See `Buses`.
+    """Simulated boards, with faults from lines on the standard input. See `Buses`.
 
-    The times of frames are the boards' own, which do not go on while the process stalls.
+    Frames have the boards' own time, which stands still while the process stalls.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
-        """Takes the wiring and the times of the arm, and the variants of its boards by name."""
+        """Takes wiring and times of the arm, and the variant of each board by the board's name."""
         self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
         self._boards = SimulatedBuses(
             wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame, self._at)), variants
@@ -128,7 +128,7 @@ class EmbeddedBoards:
         self._lines.read()
         begun = self._last > -math.inf
         until = self._time(now)
-        for _ in range(MOST_STEPS if begun else 0):  # so that each frame has the time at which it was caused
+        for _ in range(MOST_STEPS if begun else 0):  # each frame gets the time of its cause
             if (due := self._boards.next_due()) >= until:
                 break
             self._at = max(due, self._at)
@@ -156,7 +156,7 @@ class EmbeddedBoards:
 
 
 class FaultLines:
-    """Faults of simulated boards, from lines on the standard input.
+    """Reads faults of simulated boards from lines on the standard input.
 
     Attributes:
         open: whether more lines may come.
@@ -170,7 +170,7 @@ class FaultLines:
         self._boards, self._rest = boards, b""
 
     def read(self) -> None:
-        """Acts on the lines that wait."""
+        """Causes the faults of the lines that wait."""
         if not self.open or not select.select([INPUT], [], [], 0)[0]:
             return
         data = os.read(INPUT, 4096)

@@ -1,18 +1,18 @@
-"""Questions to the planner: what a stage touches, from states that nobody planned it from."""
+"""Questions to the planner: does a stage touch an obstacle, if it begins from states that were not planned?"""
 
 from collections.abc import Callable
 
 from controller.program import Clearance, Question, pack
 
-ANSWER_WITHIN = 10.0  # [s] for a planner that is alive but does not answer
+ANSWER_WITHIN = 10.0  # [s]; without an answer the stage counts as not clear
 
 
 class ClearanceQuestions:
     """One question at a time, and its answer.
 
     Attributes:
-        touched: what the stage touches that was asked about last; None if it is clear.
-        waits: periods in which the arm held because an answer was missing.
+        touched: what the stage of the last question touches, in words; None if the stage is clear.
+        waits: number of periods in which the arm waited for an answer.
 
     Args:
         ask: sends a question to the planner.
@@ -34,17 +34,18 @@ class ClearanceQuestions:
         return self._way is not None and not self._answered
 
     def known(self, start: int, stage: int, now: float) -> bool:
-        """Returns whether the answer for a stage from `start` is known, which is then in `touched`; else asks."""
+        """Returns whether the answer for `stage` from `start` is known; `touched` has it. Asks the planner if not."""
         if (start, stage) != self._way:
             self._number += 1
             self._way, self._answered, self._asked_at = (start, stage), False, now
             self._ask(Question(self._number, pack(start, self._actuators), pack(stage, self._actuators)))
         if not self._answered and now - self._asked_at > ANSWER_WITHIN:
-            self.answer(Clearance(self._number, f"nobody knows: no answer within {ANSWER_WITHIN:g} s"))
+            unknown = f"the planner did not tell within {ANSWER_WITHIN:g} s whether the stage is clear"
+            self.answer(Clearance(self._number, unknown))
         return self._answered
 
     def answer(self, message: Clearance) -> None:
-        """Takes the planner's answer, if it is for the last question."""
+        """Takes the planner's answer; ignores an answer to an earlier question."""
         if message.question == self._number and self._way is not None:
             self._answered, self.touched = True, message.touched
 

@@ -1,4 +1,4 @@
-"""The clients of the executor: one planner, and operators."""
+"""The clients of the executor: at most one planner, and operators."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -10,15 +10,15 @@ Role = Literal["planner", "operator"]
 
 
 class Clients:
-    """Who is connected, in which role, and whether the planner is alive.
+    """The connected clients, their roles, and whether the planner is alive.
 
     Attributes:
-        planner: the connected planner.
-        roles: of all clients that have said hello.
+        planner: the connected planner; None if there is none.
+        roles: role of each client that has sent Hello.
 
     Args:
         arm: name of the arm.
-        timeout: silence after which the planner counts as hung [s].
+        timeout: silence after which the planner counts as silent [s].
         send: sends a message to a client.
     """
 
@@ -40,7 +40,7 @@ class Clients:
             self._send(client, message)
 
     def greet(self, client: Client, hello: Hello, clock: float) -> bool:
-        """Returns whether a client is served; if not, says why."""
+        """Returns whether a client is accepted; a refused client gets a Goodbye with the reason."""
         reason = self._refusal(client, hello)
         if reason is not None:
             self._send(client, Goodbye(reason))
@@ -52,18 +52,18 @@ class Clients:
         return True
 
     def hear(self, clock: float) -> None:
-        """Notes a message of the planner."""
+        """Records a message of the planner."""
         self._heard, self._silent = clock, False
 
     def fell_silent(self, clock: float) -> bool:
-        """Returns whether the planner is connected and has been silent for too long; once."""
+        """Returns True once when a connected planner has been silent for longer than `timeout`."""
         if self.planner is None or self._silent or clock - self._heard < self._timeout:
             return False
         self._silent = True
         return True
 
     def remove(self, client: Client) -> bool:
-        """Forgets a client; returns whether it was the planner."""
+        """Removes a client; returns whether it was the planner."""
         self.roles.pop(client, None)
         if client != self.planner:
             return False

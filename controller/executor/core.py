@@ -1,4 +1,4 @@
-"""The core of the executor: an event comes in, actions come out. It has no clock, no I/O and no threads."""
+"""The core of the executor: takes events and returns actions. It has no clock, no I/O and no threads."""
 
 import logging
 import traceback
@@ -37,7 +37,7 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
 PERIOD = 0.01  # [s] between two ticks
-LONGEST = 2 * PERIOD  # [s] that count for supervision from one tick to the next, however late the next is
+LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay
 DEFECT = Fault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 P = ParamSpec("P")
@@ -47,17 +47,17 @@ class Executor:
     """Runs motion programs on the boards of an arm.
 
     Attributes:
-        reports: what the event loop adds to them.
-        modes: mode and faults.
+        reports: snapshots and diagnostics; the event loop adds its own figures.
+        modes: mode and active faults.
         motion: the running program or stream.
-        ending: what is done before the process ends.
+        ending: the actions before the process ends.
 
     Args:
         arm: the arm.
         journal: counts switches.
-        instance: random number of this run.
-        watchdog: greatest time between two beats for systemd [s]; None: it does not watch.
-        build_master: makes the CANopen master; tests may make another.
+        instance: random number that identifies this run.
+        watchdog: systemd's watchdog time [s]; None without a watchdog.
+        build_master: returns the CANopen master; tests pass their own.
     """
 
     def __init__(
@@ -83,29 +83,29 @@ class Executor:
         self._awake = 0.0  # until the last tick [s]
         self._next_beat = 0.0
         self._healthy = True
-        self._handed_out = False  # whether this step has frames, which no snapshot is to delay: the next step shows it
+        self._handed_out = False  # this step sends frames; the snapshot comes with the next step, to not delay them
 
     @property
     def ended(self) -> bool:
-        """Whether it was asked to end, and may."""
+        """Whether the process may end now, after a `Quit`."""
         return self.ending.over
 
     def step(self, event: Event, now: float) -> list[Action]:
-        """Acts on an event.
+        """Handles an event.
 
         Args:
             event: of a bus, a client or the loop.
             now: CLOCK_MONOTONIC, or any clock that never goes back [s].
 
         Returns:
-            What is to be done, in order.
+            The actions, in order.
         """
         self._healthy, self._handed_out = True, False
         self.motion.clock = self._clock(now)
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
-        if not (isinstance(event, Echoed) and self._master.collecting):  # one echo of many, with no news
+        if not (isinstance(event, Echoed) and self._master.collecting):  # one echo of many, nothing has changed
             self._guarded(self._conclude, on_bus(event, now), now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out:
             self._guarded(self._show, now)
@@ -113,7 +113,7 @@ class Executor:
         return actions
 
     def _guarded(self, work: Callable[P, None], *arguments: P.args, **more: P.kwargs) -> None:
-        """Does a part of a step: a defect in it must not let go of the arm, which holds and says so."""
+        """Runs a part of a step. An exception in it becomes the fault internal-error, and the arm holds."""
         try:
             work(*arguments, **more)
         except Exception:
@@ -123,12 +123,12 @@ class Executor:
     def _fail(self, text: str, now: float) -> None:
         """Holds after a defect."""
         self._healthy = False
-        if self.modes.faults.add(DEFECT):  # not a hundred times a second
+        if self.modes.faults.add(DEFECT):  # logged once, not at each tick
             self._act(Log(logging.ERROR, f"internal error\n{text}"))
         self.modes.fail(DEFECT, now)
 
     def _look_back(self, now: float) -> None:
-        """Looks, before anything is acted on, whether the process was halted: then what waited for it is stale."""
+        """Checks first whether the process was halted: then the waiting events are stale."""
         fault = self._master.halted(now)
         if fault is not None:
             self.modes.fail(fault, now)
@@ -150,8 +150,8 @@ class Executor:
                 self._master.take(event, now)
 
     def _conclude(self, at: float | None, now: float) -> None:
-        """Notes what the event has changed on the boards; `at` is when its frame was on the bus [s]."""
-        self.modes.look(now)
+        """Records what the event has changed on the boards; `at` is the time of its frame on the bus [s]."""
+        self.modes.update(now)
         self.motion.conclude(at, now)
         fault = self.motion.actuation.fault
         if fault is not None:
@@ -183,7 +183,7 @@ class Executor:
         self._report(now)
 
     def _advance(self, now: float) -> None:
-        """Goes on with the program, or with what is followed."""
+        """Advances the running program or stream."""
         if self.modes.mode == "executing":
             end = self.motion.advance(now)
             if end is not None:
@@ -203,7 +203,7 @@ class Executor:
         self._clients.to_all(self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, modes.faults.all()))
 
     def _clock(self, now: float) -> float:
-        """Returns the time that the executor was awake: it does not grow while ticks are late [s]."""
+        """Returns the executor's awake time [s], which does not grow while a tick is late."""
         return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST))
 
     # --- clients
@@ -222,7 +222,7 @@ class Executor:
                 self._journal.raise_to(message.counts)
             case _:
                 self._requests.take(client, message, now)
-                self._advance(now)  # what is due at once does not wait for the tick
+                self._advance(now)  # a stage that is due now does not wait for the tick
 
     def _greet(self, client: Client, hello: Hello) -> None:
         if self._clients.greet(client, hello, self.motion.clock):
@@ -233,13 +233,13 @@ class Executor:
             self.reports.changed = True
 
     def _hold(self, why: str) -> None:
-        """Ends what the planner wanted."""
+        """Ends the program or stream, since the planner does not answer."""
         self.motion.end("aborted", f"{why}; the arm holds")
         if self.modes.mode == "executing":
             self.modes.enter("ready", f"holding; {why}")
 
     def _quit(self, now: float) -> None:
-        """Ends what runs with a result; asked again, does not wait for the stage under way."""
+        """Ends the running program with a result; a second call does not wait for the running stage."""
         if self.ending.begun:
             self.motion.close()
             self._results.send_counts()
@@ -262,9 +262,9 @@ class Executor:
 
 
 def on_bus(event: Event, now: float) -> float | None:
-    """Returns when the frame of an event was on the bus [s]; None if it is no frame that tells when it was caused.
+    """Returns the time of an event's frame on the bus [s]; None for other events and for SDO answers.
 
-    An SDO answer does not: a board is asked after the end-stop has changed.
+    The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
     """
     if not isinstance(event, Echoed | Received) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
         return None

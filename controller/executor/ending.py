@@ -1,4 +1,4 @@
-"""The end of the executor: what the arm does before it, and what the boards do after it."""
+"""The end of the executor: contracts the arm first if `on_stop` says so, and warns of what the boards do after it."""
 
 import logging
 from collections.abc import Callable
@@ -14,16 +14,16 @@ from controller.program import Setpoint, pack
 
 
 class Ending:
-    """Contracts the arm before the executor ends, if the arm's file says so; else says what the boards will do.
+    """Contracts the arm before the executor ends, with `on_stop: contract`; otherwise warns of what the boards will do.
 
     Attributes:
-        begun: whether the executor is to end.
-        patience: how long that may take [s].
+        begun: whether the end was requested.
+        patience: longest time of the contraction [s].
 
     Args:
         arm: the arm.
-        motion: on its boards.
-        locked: its locked actuators.
+        motion: switches and supervises the actuators.
+        locked: the locked actuators.
         modes: of the executor.
         act: takes actions.
     """
@@ -45,12 +45,12 @@ class Ending:
 
     @property
     def over(self) -> bool:
-        """Whether the executor may end: no stage and no pulse is under way, and nothing is to be contracted."""
+        """Whether the executor may end: no stage, pulse or contraction is running."""
         motion = self._motion
         return self.begun and not (self._contracting or motion.committing or self._pulsing)
 
     def warning(self) -> str | None:
-        """Returns what the boards do when the executor has ended, in words; None if they hold."""
+        """Returns a sentence on what the boards do after the executor has ended; None if they hold."""
         count = self._let_go.bit_count()
         if not count or self._arm.contract_on_stop:
             return None
@@ -58,7 +58,7 @@ class Ending:
         return f"when the executor has ended, the boards contract {which} (on_loss: contract)"
 
     def begin(self, now: float) -> None:
-        """Ends what runs, and begins to contract the arm if that is asked for and allowed."""
+        """Starts the end: contracts the arm if `on_stop` says so and the mode is ready."""
         self.begun, self._pulsing = True, self._motion.actuation.pulsing(now)
         self._act(Notify("STOPPING=1"))
         warning, modes = self.warning(), self._modes
@@ -72,7 +72,7 @@ class Ending:
             self._contract()
 
     def advance(self, now: float) -> None:
-        """Notes when the arm is contracted, or cannot be; to be called every period."""
+        """Ends the contraction when the arm is contracted or cannot be. Call every period."""
         motion = self._motion
         self._pulsing = motion.actuation.pulsing(now)
         if not self._contracting:
@@ -85,7 +85,7 @@ class Ending:
                 self._modes.enter("ready", "contracted before the end of the executor")
 
     def _contract(self) -> None:
-        """Begins to contract all actuators but the locked ones, as many at once as may be."""
+        """Starts to contract all actuators but the locked ones, as many at once as `inrush` permits."""
         states, size = self._motion.actuation.states, len(self._arm.actuators)
         stages, rest = list[bytes](), states & ~self._locked.mask
         while rest:
@@ -98,7 +98,7 @@ class Ending:
         stream = SetpointStream(message, self._arm.most, self._locked, size)
         if not stages and not self._motion.homing:
             return
-        if not stages:  # the states are unknown: they are brought about, and that is all
+        if not stages:  # only actuators of unknown state: homing them is enough
             stream.stages = [stream.start]
         self._contracting = True
         self._motion.follow(stream)

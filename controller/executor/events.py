@@ -1,4 +1,4 @@
-"""What goes into the executor's core and what comes out, as plain data."""
+"""Events and actions of the executor's core, as plain data."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

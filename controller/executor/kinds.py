@@ -1,4 +1,4 @@
-"""Kinds of actuators: which outputs bring about a state, and what the end-stops tell of it."""
+"""Kinds of actuators: which outputs command a state, and which state the end-stops tell."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -22,24 +22,24 @@ class Ends(NamedTuple):
 class Kinds:
     """The kinds of A actuators; immutable.
 
-    An actuator has one output and a spring, or a pair of outputs of which one is on at most. While both are off, it
-    stays where it is. Outputs and inputs are numbers of lines in the order of `Wiring`.
+    An actuator has one output and a spring, or a pair of outputs. At most one output of a pair is on. While both are
+    off, the actuator stays in its state. Outputs and inputs are masks of lines, in the order of `Wiring`.
 
     Attributes:
         everything: mask of all actuators.
         paired: mask of those with two outputs.
-        pulsed: mask of those whose outputs are on for a pulse only.
-        pulse: lengths of the pulses by index [s].
+        pulsed: mask of those with pulsed outputs.
+        pulse: length of the pulse by actuator index [s].
         ends_extended: mask of those with an end-stop at the extended end.
         ends_contracted: mask of those with one at the contracted end.
-        sensed: mask of those with any.
-        travel: longest times to the contracted and to the extended end, (A, 2) [s].
-        margin: added to these before an actuator counts as late, (A,) [s].
+        sensed: mask of those with at least one end-stop.
+        travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
+        margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
         interlocks: in the order of their input lines.
 
     Args:
         wiring: of the arm.
-        timing: of actuators of which the wiring says nothing.
+        timing: travel time and settle margin of actuators without their own.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing) -> None:
@@ -60,29 +60,29 @@ class Kinds:
         self._first_interlock = self._size + len(self._ended)
 
     def outputs(self, states: int, on: int) -> int:
-        """Returns the outputs for the states.
+        """Returns the outputs that command states.
 
         Args:
             states: of all actuators.
-            on: mask of the paired actuators of which one output is on; both of the others are off.
+            on: mask of the paired actuators with one output on; the outputs of the others are both off.
         """
         if not self.paired:
             return states
         return (states & (on | ~self.paired)) | self._off_lines(on & ~states)
 
     def without(self, outputs: int, actuators: int) -> int:
-        """Returns outputs with both outputs of some paired actuators off."""
+        """Returns `outputs` with both outputs of some paired actuators off."""
         return outputs & ~(actuators | self._off_lines(actuators))
 
     def on(self, outputs: int) -> tuple[int, int]:
-        """Returns the masks of the paired actuators whose extending and whose contracting output is on."""
+        """Returns two masks of paired actuators: extending output on, contracting output on."""
         if not self.paired:
             return 0, 0
         contracting = outputs >> self._size
         return outputs & self.paired, _mask(k for i, k in enumerate(self._pairs) if contracting >> i & 1)
 
     def states(self, outputs: int, before: int) -> int:
-        """Returns the states that outputs bring about; of a pair that is off, or on as a whole, the state before."""
+        """Returns the states that outputs command; `before` where both outputs of a pair are off, or both on."""
         if not self.paired:
             return outputs & self.everything
         extending, contracting = self.on(outputs)
@@ -94,12 +94,15 @@ class Kinds:
         return Ends(inputs & self.ends_extended, _mask(k for i, k in enumerate(self._ended) if contracted >> i & 1))
 
     def definite(self, ends: Ends) -> int:
-        """Returns the mask of the actuators whose end-stops tell a state: not between the ends, not both at once."""
+        """Returns the mask of the actuators whose end-stops tell a state.
+
+        An actuator with two end-stops tells none between its ends, and none if both read 1.
+        """
         both = self.ends_extended & self.ends_contracted
         return self.sensed & ~(both & ~(ends.extended ^ ends.contracted))
 
     def measured(self, ends: Ends, commanded: int) -> int:
-        """Returns the states as the end-stops tell; as commanded where they tell none."""
+        """Returns the states that the end-stops tell; `commanded` where they tell none."""
         reads = merged(self.ends_extended, ends.extended, ~ends.contracted)
         return merged(self.definite(ends), reads, commanded)
 

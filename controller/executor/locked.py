@@ -32,7 +32,7 @@ class LockedActuators:
         self._labels, self._stuck = labels, 0
 
     def note_stuck(self, actuator: int) -> None:
-        """Has `settle` lock a stuck actuator, if `continue_on_stuck` is set."""
+        """Marks a stuck actuator for `lock_as_measured`, if `continue_on_stuck` is set."""
         if self.continue_on_stuck:
             self._stuck |= 1 << actuator
 
@@ -58,27 +58,27 @@ class LockedActuators:
         self._stuck &= ~bit
         self._set(merged(bit, -1 if state >= 0 else 0, self.mask), merged(bit, -1 if state > 0 else 0, self.states))
 
-    def settle(self, measured: int, readable: int) -> None:
-        """Locks the stuck actuators; all locked actuators with a readable end-stop are locked as measured."""
+    def lock_as_measured(self, measured: int, readable: int) -> None:
+        """Locks the stuck actuators. Locked actuators with a readable end-stop get the measured state."""
         mask = self.mask | self._stuck
         self._set(mask, merged((mask & readable) | self._stuck, measured, self.states))
         self._stuck = 0
 
     def aligned(self, states: int) -> int:
-        """Returns states with each locked actuator in the state in which it is locked."""
+        """Returns `states` with each locked actuator in its locked state."""
         return merged(self.mask, self.states, states)
 
     def realigned(self, outputs: int, most: int) -> int:
-        """Returns outputs after the next stage that sets those of locked actuators to their states.
+        """Returns the states after the next stage that brings locked actuators to their locked states.
 
         Args:
-            outputs: before; returned if all locked actuators have theirs.
+            outputs: states before; returned unchanged if all locked actuators have their locked state.
             most: actuators that may switch at once.
         """
         return outputs ^ first(outputs ^ self.aligned(outputs), most)
 
     def faults(self) -> tuple[Fault, ...]:
-        """Returns a warning for each locked actuator; none of them stops the arm."""
+        """Returns the warning "degraded" for each locked actuator; it does not stop the arm."""
         words = ((self._labels[k], WORDS[self.states >> k & 1]) for k in indices(self.mask))
         return tuple(
             Fault("degraded", label, f"actuator {label} is locked {state}: no program may switch it")

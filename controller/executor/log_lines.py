@@ -1,8 +1,8 @@
-"""Log lines on the standard error, written by the event loop's own thread: a reader that hangs must not stop it.
+"""Log lines on the standard error, written by the event loop's thread. A reader that hangs must not stop the loop.
 
-A second thread would hold the interpreter now and then. Without a real-time priority of its own it would not get on
-while other processes are busy, and the event loop would wait for it. Only where the standard error is a file does a
-thread write, as a write to a disk can wait for a tenth of a second.
+A second thread would take the interpreter's lock at times. Without a real-time priority it could not run while other
+processes are busy, and the event loop would wait for it. A thread writes only if the standard error is a file, since a
+write to a disk can take a tenth of a second.
 """
 
 import logging
@@ -18,12 +18,12 @@ from logging.handlers import QueueHandler, QueueListener
 from controller.journal import JournalHandler, is_journal
 
 MOST_WAITING = 1_000  # log lines; more are dropped
-MOST_WRITTEN = 4_096  # bytes at once; a pipe that can be written takes so many without waiting
-PATIENCE = 0.5  # [s] for lines that wait at the end
+MOST_WRITTEN = 4_096  # bytes in one write; a writable pipe accepts them without blocking
+PATIENCE = 0.5  # [s] for the waiting lines at the end
 
 
 class LogLines(logging.Handler):
-    """Writes each line at once if that does not wait, else with a later line.
+    """Writes each line at once if the output accepts it, else with a later line.
 
     Args:
         output: file descriptor.
@@ -34,7 +34,7 @@ class LogLines(logging.Handler):
         self._output, self._waiting = output, deque[bytes]()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Writes a record, or keeps it, or drops it if too many wait."""
+        """Writes a record, queues it, or drops it if too many wait."""
         try:
             line = (self.format(record) + "\n").encode(errors="backslashreplace")
         except Exception:  # a message that does not fit its arguments must not stop the arm
@@ -44,27 +44,27 @@ class LogLines(logging.Handler):
         self._write(0.0)
 
     def close(self) -> None:
-        """Writes what waits, as far as it is read."""
+        """Writes the waiting lines, as far as the reader accepts them."""
         self._write(PATIENCE)
         super().close()
 
     def _write(self, patience: float) -> None:
-        """Writes while the output takes it; waits for so long each time [s]."""
+        """Writes while the output accepts lines; waits for `patience` before each write [s]."""
         try:
             while self._waiting and select.select([], [self._output], [], patience)[1]:
                 line = self._waiting.popleft()
                 written = os.write(self._output, line[:MOST_WRITTEN])
                 if written < len(line):
                     self._waiting.appendleft(line[written:])
-        except (OSError, ValueError):  # nobody reads any more
+        except (OSError, ValueError):  # the reader has gone
             self._waiting.clear()
 
 
 class QueuedLines(QueueHandler):
-    """Hands records to the thread that writes them, as far as there is room."""
+    """Queues records for the thread that writes them; drops them if the queue is full."""
 
     def enqueue(self, record: logging.LogRecord) -> None:
-        """Hands one record over, or drops it."""
+        """Queues a record, or drops it."""
         try:
             self.queue.put_nowait(record)
         except queue.Full:
@@ -72,13 +72,13 @@ class QueuedLines(QueueHandler):
 
 
 def start_logging(arm: str) -> Callable[[], None]:
-    """Has all log lines written to the standard error, or to the journal if that is what the standard error is.
+    """Sends all log lines to the standard error, or to systemd's journal if the standard error is connected to it.
 
     Args:
-        arm: its name, a field of each line in the journal.
+        arm: name of the arm, a field of each line in the journal.
 
     Returns:
-        What writes the lines that wait at the end.
+        A function that writes the waiting lines at the end.
     """
     output, form = sys.stderr.fileno(), logging.Formatter("%(levelname)s %(name)s: %(message)s")
     handler: logging.Handler = LogLines(output)
@@ -95,6 +95,6 @@ def start_logging(arm: str) -> Callable[[], None]:
         handler = JournalHandler(handler, {"HYPERBIT_ARM": arm})
         end = handler.close
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    for name in ("can", "canopen"):  # each SDO of simulated boards, for one
+    for name in ("can", "canopen"):  # they log each SDO of simulated boards
         logging.getLogger(name).setLevel(logging.WARNING)
     return end

@@ -12,19 +12,20 @@ from controller.program import Mode
 from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
-RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and from a fault to the first
-PASSING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing"})  # codes
+RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
+# Codes of faults that clear by themselves.
+CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing"})
 
 
 class ActiveFaults:
-    """The faults of the arm in the order of their reports.
+    """The active faults of the arm, in the order of their reports.
 
     Args:
-        others: codes of faults that clear by themselves, beside PASSING.
+        others: further codes of faults that clear by themselves.
     """
 
     def __init__(self, others: frozenset[str] = frozenset()) -> None:
-        self._passing = PASSING | others
+        self._clearing = CLEARING | others
         self._faults: dict[tuple[str, str], Fault] = {}
 
     def __bool__(self) -> bool:
@@ -37,20 +38,20 @@ class ActiveFaults:
         return new
 
     def clear(self) -> None:
-        """Removes all."""
+        """Removes all faults."""
         self._faults.clear()
 
     @property
-    def passing(self) -> bool:
-        """Whether every active fault clears by itself: a bus or a board that is not heard."""
-        return all(code in self._passing for code, _ in self._faults)
+    def clearing(self) -> bool:
+        """Whether every active fault clears by itself."""
+        return all(code in self._clearing for code, _ in self._faults)
 
     def all(self) -> tuple[Fault, ...]:
         """Returns the faults, the oldest first."""
         return tuple(self._faults.values())
 
     def sentence(self) -> str:
-        """Returns the oldest fault's message, and the number of the others."""
+        """Returns the message of the oldest fault, and the number of the others."""
         first, *others = self._faults.values()
         return first.message + (f" (and {len(others)} more)" if others else "")
 
@@ -66,9 +67,9 @@ class Modes:
 
     Args:
         master: of the boards.
-        motion: on them.
+        motion: switches and supervises the actuators.
         locked: the locked actuators.
-        reports: are told of changes.
+        reports: gets the flag `changed`.
         act: takes actions.
     """
 
@@ -84,7 +85,7 @@ class Modes:
         self._next_try = 0.0
 
     def enter(self, mode: Mode, reason: str) -> None:
-        """Enters a mode, and says so in the log and to systemd."""
+        """Enters a mode, and reports it to the log and to systemd."""
         if (mode, reason) != (self.mode, self.reason):
             level = logging.WARNING if mode in ("fault", "stopped") else logging.INFO
             self._act(Log(level, f"{mode}: {reason}", fields_of_mode(mode)))
@@ -92,33 +93,33 @@ class Modes:
         self.mode, self.reason, self._reports.changed = mode, reason, True
 
     def new_epoch(self) -> None:
-        """Has the planner plan anew: programs and streams of the epochs before are no longer taken."""
+        """Begins an epoch: programs and streams of earlier epochs are refused, so the planner must plan again."""
         self.epoch += 1
         self._reports.changed = True
 
     def boot(self, reason: str, now: float) -> None:
-        """Boots the boards; `look` notes the end."""
+        """Boots the boards; `update` finds the end of the boot."""
         self.faults.clear()
         self._booting = self._waits = True
         self._motion.supervision.reset(0, 0, self._motion.ends, self._motion.clock)
         self.enter("starting", reason)
         self._begin_boot(now)
 
-    def look(self, now: float) -> None:
-        """Takes the master's faults, and notes the end of a boot; to be called after each event."""
+    def update(self, now: float) -> None:
+        """Takes the master's faults, and finds the end of a boot. Call after each event."""
         for fault in self._master.take_faults():
             self.fail(fault, now)
         self._begin_boot(now)
         if self._booting and not self._waits and not self._master.booting:
             self._booting = False
-            if self.mode == "starting":  # after a stop, Reset boots again
+            if self.mode == "starting":  # after a stop, only Reset boots
                 self._booted(now)
         if not self._booting:
             for fault in self._motion.interlocks():
                 self.fail(fault, now)
 
     def fail(self, fault: Fault, now: float) -> None:
-        """Holds, ends the program, and waits for Reset or recovery; during a boot, the end of the boot decides."""
+        """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
         if self.faults.add(fault):
             self._log(logging.ERROR, fault)
         self._reports.changed = True
@@ -127,17 +128,17 @@ class Modes:
             self._enter_fault(fault.message, now)
 
     def recover(self, now: float) -> None:
-        """Leaves a fault without Reset if all active faults clear by themselves, and all boards are heard again."""
-        if self.mode != "fault" or now < self._next_try or not self.faults.passing:
+        """Leaves mode fault without a Reset if every fault clears by itself and all boards are heard again."""
+        if self.mode != "fault" or now < self._next_try or not self.faults.clearing:
             return
         self._next_try = now + RETRY
         self._master.probe_silent(now)
         if self._master.back and not self._motion.moving:
             self.boot("the boards are back and are being booted", now)
 
-    def go_on(self, now: float) -> None:
-        """Holds what is measured, and is ready."""
-        self._locked.settle(self._motion.read, self._motion.definite)
+    def hold_measured(self, now: float) -> None:
+        """Adopts the measured states and enters mode ready."""
+        self._locked.lock_as_measured(self._motion.read, self._motion.definite)
         self._motion.adopt(now)
         self._motion.supervision.accept(self._motion.measured, self._master.known)
         self.new_epoch()
@@ -145,7 +146,7 @@ class Modes:
         self.enter("ready", f"holding what the boards measured{locked}")
 
     def _begin_boot(self, now: float) -> None:
-        """Has the master boot, as soon as no output is on for a pulse: nothing could end it meanwhile."""
+        """Starts the master's boot when no pulse is on: a pulse could not be ended during the boot."""
         if self._waits and not self._motion.actuation.pulsing(now):
             self._waits = False
             self._master.boot(now)
@@ -162,7 +163,7 @@ class Modes:
             self._motion.adopt(now)
             motion = self._motion
             motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
-            self.go_on(now)
+            self.hold_measured(now)
 
     def _log(self, level: int, fault: Fault) -> None:
         self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))

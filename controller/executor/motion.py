@@ -26,20 +26,20 @@ class Motion:
     """Switches the boards to the stages of the running program or stream, and supervises the actuators.
 
     Attributes:
-        execution: of the running program.
-        stream: of set-points that is followed.
-        kinds: of the actuators.
-        actuation: of the boards.
-        supervision: of the actuators.
+        execution: progress of the running program; None if none runs.
+        stream: stream of set-points; None if none is followed.
+        kinds: outputs and end-stops of the actuators.
+        actuation: switches the outputs.
+        supervision: compares end-stops with commanded states.
         clearances: questions to the planner.
-        clock: time that the executor was awake, at the last event [s].
+        clock: awake time of the executor at the last event [s].
 
     Args:
         arm: the arm.
-        master: of its boards.
+        master: CANopen master of the boards.
         journal: counts switches.
         locked: the locked actuators.
-        results: takes the result of each program.
+        results: sends the result of each program.
         send: sends a message to the planner, if there is one.
     """
 
@@ -62,9 +62,9 @@ class Motion:
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
         self.clock = 0.0
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
-        self._index, self._before = 0, 0  # of the stage whose commit is under way; states before it
-        self._homes = False  # whether actuators are on their way to their first known state
-        self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the commit under way
+        self._index, self._before = 0, 0  # the stage whose commit runs; states before it
+        self._homes = False  # whether actuators of unknown state travel to a known one
+        self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
 
     # --- what is measured
 
@@ -75,7 +75,7 @@ class Motion:
 
     @property
     def read(self) -> int:
-        """States from the end-stops, else as commanded; 0 where the board is not up."""
+        """States that the end-stops tell, else the commanded ones; 0 where the board is not operational."""
         return self.kinds.measured(self.ends, self.actuation.states) & self._master.known
 
     @property
@@ -85,7 +85,7 @@ class Motion:
 
     @property
     def measured(self) -> int:
-        """As `read`; of a locked actuator without end-stop its locked state."""
+        """As `read`, but the locked state for a locked actuator without an end-stop."""
         return merged(self._locked.mask & ~self.kinds.sensed, self._locked.states, self.read)
 
     @property
@@ -95,7 +95,7 @@ class Motion:
 
     @property
     def homing(self) -> int:
-        """Mask of the actuators that the next program is to bring to their state first, since it is unknown."""
+        """Mask of the actuators of unknown state, which the next program homes first."""
         return self.actuation.uncertain & ~self._locked.mask
 
     @property
@@ -110,7 +110,7 @@ class Motion:
 
     @property
     def committing(self) -> bool:
-        """Whether frames of a commit are on their way."""
+        """Whether frames of a commit still wait to be sent."""
         return self.busy and self._master.committing
 
     def packed(self) -> tuple[bytes, bytes]:
@@ -119,16 +119,16 @@ class Motion:
         return pack(self.measured & self.known, actuators), pack(self.known, actuators)
 
     def supervise(self, now: float) -> list[Finding]:
-        """Returns the actuators that went astray since the last call; to be called every period."""
+        """Returns new findings of the motion supervision. Call every period."""
         return self.supervision.tick(self.ends, self._master.known, self.clock, now)
 
     def adopt(self, now: float) -> None:
-        """Takes outputs and end-stops as they are now: nothing is switched for it."""
+        """Adopts outputs and end-stops as they are now; switches nothing."""
         self._travel_times.forget(-1)
         self.actuation.adopt(self.read, self.definite, now)
 
     def interlocks(self) -> list[Fault]:
-        """Returns a fault for each interlock that is open: nothing may move."""
+        """Returns a fault for each open interlock."""
         opened = self.kinds.open(self._master.ends, self._master.inputs_known)
         places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
         return [Fault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
@@ -136,15 +136,16 @@ class Motion:
     # --- begin and end
 
     def run(self, execution: ProgramExecution) -> None:
-        """Makes a program the running one."""
+        """Starts a program."""
         self.stream = None
         self.clearances.forget()
         self.execution = execution
 
     def follow(self, stream: SetpointStream) -> None:
-        """Follows a set-point, in place of the last one.
+        """Follows a set-point in place of the last one.
 
-        But not while a question is open about the last one: its answer would always come too late.
+        While a question about the last set-point is open, its stages are kept. Otherwise each answer would belong to
+        the previous set-point.
         """
         last = self.stream
         if last is not None and self.clearances.waiting and stream.stages and stream.start == last.start:
@@ -153,7 +154,7 @@ class Motion:
             self.stream = stream
 
     def end(self, status: str, message: str) -> bool:
-        """Ends program and stream; returns whether there was a program. Its result waits for the commit under way."""
+        """Ends program and stream; returns whether a program ran. The result waits for the running commit."""
         execution, self.execution, self.stream = self.execution, None, None
         self.clearances.forget()
         self.actuation.rest()
@@ -165,7 +166,7 @@ class Motion:
         return True
 
     def close(self) -> None:
-        """Gives the result of a program that has ended."""
+        """Sends the result of a program that has ended."""
         if self._closing is not None:
             execution, status, message = self._closing
             self._closing = None
@@ -178,10 +179,10 @@ class Motion:
     # --- what is due
 
     def conclude(self, at: float | None, now: float) -> None:
-        """Notes what has switched, and what has arrived, since the last call; to be called after each event.
+        """Records the switches and arrivals since the last call. Call after each event.
 
         Args:
-            at: when the event's frame was on the bus [s]; None: unknown.
+            at: time of the event's frame on the bus [s]; None: unknown.
             now: [s].
         """
         running = self.execution if self._closing is None else self._closing[0]
@@ -191,7 +192,7 @@ class Motion:
             self._travel_times.begin(mask, self.actuation.states, self.ends, at)
             if running is not None:
                 running.switches += mask.bit_count()
-        if self._travel_times.under_way:
+        if self._travel_times.measuring:
             travels = self._travel_times.arrived(self.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
@@ -202,7 +203,7 @@ class Motion:
             self._took(commit, now)
 
     def advance(self, now: float) -> str | None:
-        """Does what is due; returns a sentence when program or stream have ended by themselves."""
+        """Starts what is due; returns a sentence if the program or stream has ended by itself."""
         if self.stream is not None:
             return self._pursue(self.stream, now)
         execution = self.execution
@@ -216,17 +217,17 @@ class Motion:
         return None if self._realigns(now, *execution.homed) else self._switch(execution, now)
 
     def _realigns(self, now: float, homed: int, target: int) -> bool:
-        """Sets outputs of locked actuators to their states, and homes others, before any stage.
+        """Sets the outputs of locked actuators to their locked states, and homes others, before any stage.
 
-        A locked actuator that comes loose then stays where it is.
+        A locked actuator that comes loose then stays in its locked state.
 
         Args:
             now: [s].
-            homed: mask of the actuators that are brought to a state if theirs is unknown.
-            target: that state.
+            homed: mask of the actuators to home if their state is unknown.
+            target: states to home them to.
 
         Returns:
-            Whether that goes on.
+            Whether this realignment still runs.
         """
         before, most = self.actuation.states, self._arm.most
         states = self._locked.realigned(before, most)
@@ -247,7 +248,7 @@ class Motion:
         return False
 
     def _switch(self, execution: ProgramExecution, now: float) -> str | None:
-        """Begins the stage of a program that is due; returns a sentence if that ends the program."""
+        """Begins the due stage of a program; returns a sentence if the program has ended."""
         index = None if self.busy else execution.due(now, self.actuation.states, self._arm.most)
         if index is None:
             return None
@@ -262,7 +263,7 @@ class Motion:
         return f"holding; {execution.program.name} was aborted: {TOUCHES}{touched}"
 
     def _pursue(self, stream: SetpointStream, now: float) -> str | None:
-        """Begins the stage of a stream that is due; returns a sentence when the stream has stopped."""
+        """Begins the due stage of a stream; returns a sentence if the stream has stopped."""
         if now > stream.until:
             self.end("canceled", "")
             return "holding; the stream of setpoints has stopped"
@@ -275,17 +276,17 @@ class Motion:
         elif now >= self.actuation.free_at and not self.moving:
             touched = self._begin(index, stream.start, stream.stages[index], stream.strict, now)
             if touched is not None:
-                stream.stages = []  # the follower is to find another way
+                stream.stages = []  # the planner's follower must find other stages
         return None
 
     def _begin(self, index: int, planned: int, states: int, strict: bool, now: float) -> str | None:
-        """Begins to switch to a stage, if it may begin now; returns what it touches, in words.
+        """Starts the switch of a stage if it may begin now; returns what the stage touches, if known.
 
         Args:
             index: of the stage.
-            planned: states from which it was planned.
-            states: in which it ends.
-            strict: whether nothing may be moving, and it must be known to be clear.
+            planned: states from which the stage was planned.
+            states: states at the end of the stage.
+            strict: the stage begins only when nothing moves and it is known to be clear.
             now: [s].
         """
         self._index, self._before = index, self.actuation.states
@@ -296,7 +297,8 @@ class Motion:
         if now < self.actuation.ready_at(differ, strict) - 1e-9 or (strict and self.moving):
             return None
         if strict:
-            start = merged(self.measured ^ states, self.measured, self._before)  # what may come free on the way
+            # A stuck actuator may come free during the stage.
+            start = merged(self.measured ^ states, self.measured, self._before)
             if start not in (planned, states):
                 if not self.clearances.known(start, states, now):
                     self.clearances.waits += 1
@@ -309,7 +311,7 @@ class Motion:
         return None
 
     def _took(self, commit: Commit, now: float) -> None:
-        """Notes that the outputs have reached the stage begun last."""
+        """Records that the outputs have reached the stage begun last."""
         self.supervision.await_anew(commit.states, self.ends, self.clock, now)
         execution, stream = self.execution, self.stream
         if stream is not None and self._index < len(stream.stages) and stream.stages[self._index] == commit.states:

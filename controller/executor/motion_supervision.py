@@ -1,4 +1,4 @@
-"""Motion supervision: whether the actuators did what they were commanded, as their end-stops read."""
+"""Motion supervision: compares the commanded states with the end-stops."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from controller.executor.kinds import Ends, Kinds
 from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
-MOST_MISSED = 3  # commands one after the other that an actuator may miss, each called back before its verdict
+MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
 ASK_EVERY = 0.01  # [s] between two questions to a board
 
 
@@ -21,17 +21,17 @@ class Finding(NamedTuple):
 
 
 class MotionSupervision:
-    """Commanded states of A actuators against their end-stops, which read 1 only while the actuator is at the end.
+    """Compares the commanded states of A actuators with their end-stops.
 
-    An actuator has arrived when the end-stop that it goes to reads 1 and the one that it left reads 0. Where it goes to
-    an end without an end-stop, the travel time tells. A verdict needs an answer: an actuator that has not arrived in
-    time is "stuck" only after its board was asked for its inputs once more, and has answered or let the question time
-    out.
+    An end-stop reads 1 only while the actuator is at its end. An actuator has arrived when the end-stop at its new end
+    reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. An actuator that
+    has not arrived in time is not "stuck" at once: first its board is asked for its inputs by SDO, and has answered or
+    has not answered in time.
 
     Args:
-        boards: the master.
-        places: actuator and wiring of each actuator, for messages, shape (A,).
-        kinds: of the actuators.
+        boards: CANopen master of the boards.
+        places: label and wiring of each actuator for messages, shape (A,).
+        kinds: outputs and end-stops of the actuators.
     """
 
     def __init__(self, boards: Master, places: Sequence[str], kinds: Kinds) -> None:
@@ -42,9 +42,9 @@ class MotionSupervision:
         self.reset(0, 0, Ends(0, 0), 0.0)
 
     def reset(self, states: int, known: int, ends: Ends, clock: float) -> None:
-        """Forgets all motions and reports.
+        """Forgets all motions and reports, and takes `states` as commanded where known.
 
-        The states are right from now on, where known; but an actuator between its two end-stops is on its way.
+        An actuator between its two end-stops counts as moving.
         """
         self._commanded, self._commanded_known = states, known
         self._pending = self._confirms = self._reported = self._suspect = self._final = self._doubtful = 0
@@ -56,12 +56,12 @@ class MotionSupervision:
             self._ask_at[k] = clock + self._travel(k)
 
     def accept(self, states: int, known: int) -> None:
-        """Takes the states as right; actuators on their way stay so, they cannot stop between the ends."""
+        """Takes `states` as commanded, except for moving actuators: those cannot stop between their ends."""
         self._commanded = merged(self._pending, self._commanded, states)
         self._commanded_known = merged(self._pending, self._commanded_known, known)
 
     def switched(self, mask: int, states: int, ends: Ends, clock: float, now: float) -> None:
-        """Notes that the actuators of a mask were switched to `states`.
+        """Records that the actuators of a mask were switched to `states`.
 
         Args:
             mask: of the actuators.
@@ -75,19 +75,19 @@ class MotionSupervision:
         self._commanded_known |= mask
         self._pending |= mask
         self._final &= ~mask
-        # An actuator called back halfway has not left its end-stop; only the travel time can tell when it is there.
+        # An actuator reversed halfway may not have left its end-stop; then only the travel time tells its arrival.
         self._confirms = merged(mask, self._awaited(ends), self._confirms)
         for k in indices(mask):
             self._switched_at[k] = clock
             self._ask_at[k] = clock + self._travel(k)
 
     def await_anew(self, states: int, ends: Ends, clock: float, now: float) -> None:
-        """Awaits actuators that a stage asks for, and that did not follow their outputs before a reset.
+        """Expects a motion of actuators that did not follow their outputs before a reset.
 
-        Their outputs are as the stage has them, so nothing switches.
+        Their outputs already have the states of the stage, so nothing switches.
 
         Args:
-            states: that the stage ends in.
+            states: states at the end of the stage.
             ends: what the end-stops read.
             clock: see `tick` [s].
             now: for a question [s].
@@ -97,24 +97,24 @@ class MotionSupervision:
             self.switched(behind, states, ends, clock, now)
 
     def moving(self, ends: Ends, clock: float) -> bool:
-        """Whether a switched actuator has not arrived, by its end-stop or else by the travel time."""
+        """Returns whether a switched actuator has not arrived, by its end-stop or by the travel time."""
         if self._pending & self._confirms & self._late(ends):
             return True
         unconfirmed = self._pending & ~self._confirms
         return any(clock - self._switched_at[k] < self._travel(k) for k in indices(unconfirmed))
 
     def tick(self, ends: Ends, known: int, clock: float, now: float) -> list[Finding]:
-        """Asks the boards of late actuators for their inputs, and compares commanded states with the end-stops.
+        """Compares commanded states with the end-stops, and asks the boards of late actuators for their inputs.
 
         Args:
             ends: what the end-stops read.
-            known: mask of the actuators whose board is up.
-            clock: time that the executor was awake [s]: a stall of its loop is no delay of an actuator.
-            now: for the questions [s].
+            known: mask of the actuators whose board is operational.
+            clock: awake time of the executor [s]; a stall of its loop is no delay of an actuator.
+            now: time for the questions [s].
 
         Returns:
-            "end-stops" for each actuator that is at both ends at once, "stuck" for each that did not arrive,
-            "unexpected-motion" for each that moved by itself; one for an actuator until `reset`.
+            "end-stops" for each actuator with both end-stops at 1, "stuck" for each that did not arrive, and
+            "unexpected-motion" for each that moved without a command; at most one for an actuator until `reset`.
         """
         readable = known & self._commanded_known
         late = self._late(ends) & readable
@@ -132,25 +132,25 @@ class MotionSupervision:
         ]
 
     def _travel(self, k: int) -> float:
-        """Returns the longest time of an actuator to where it was commanded [s]."""
+        """Returns the longest travel time of an actuator to its commanded end [s]."""
         return self._kinds.travel[k][self._commanded >> k & 1]
 
     def _awaited(self, ends: Ends) -> int:
-        """Returns the mask of the actuators whose end-stop at the end they were commanded to reads 0."""
+        """Returns the mask of the actuators whose end-stop at the commanded end reads 0."""
         extended = self._kinds.ends_extended & ~ends.extended
         contracted = self._kinds.ends_contracted & ~ends.contracted
         return merged(self._commanded, extended, contracted)
 
     def _left_behind(self, ends: Ends) -> int:
-        """Returns the mask of the actuators whose end-stop at the other end reads 1."""
+        """Returns the mask of the actuators whose end-stop at the other end still reads 1."""
         return merged(self._commanded, ends.contracted, ends.extended)
 
     def _late(self, ends: Ends) -> int:
-        """Returns the mask of the actuators whose end-stops do not read as commanded."""
+        """Returns the mask of the actuators whose end-stops contradict the commanded state."""
         return self._awaited(ends) | self._left_behind(ends)
 
     def _contradicted(self, both: int, now: float) -> int:
-        """Returns the mask of the actuators whose two end-stops read 1 also after their boards were asked."""
+        """Returns the mask of the actuators whose end-stops both read 1 again after their boards were asked."""
         for k in indices(both & ~self._doubtful & ~self._reported):
             self._boards.question(self._boards.board_of[k], now)
         asked = (k for k in indices(both & self._doubtful) if not self._boards.questioning(self._boards.board_of[k]))
@@ -159,12 +159,12 @@ class MotionSupervision:
         return certain
 
     def _overdue(self, late: int, clock: float, now: float) -> int:
-        """Asks after actuators that should have arrived; returns the mask of those that have not, for certain."""
+        """Asks the boards of overdue actuators; returns the mask of the stuck ones."""
         stuck = 0
         for k in indices(self._pending):
             bit, over = 1 << k, clock - self._switched_at[k] - self._travel(k)
             margin = self._kinds.margin[k]
-            if not late & bit:  # it has arrived, or nobody can tell
+            if not late & bit:  # it has arrived, or no end-stop can tell
                 if over >= margin:
                     self._pending &= ~bit
             elif self._final & bit:
@@ -178,7 +178,7 @@ class MotionSupervision:
         return stuck
 
     def _unreliable(self, readable: int) -> int:
-        """Returns the mask of the actuators that missed too many commands, once their boards have answered."""
+        """Returns the mask of the actuators that missed MOST_MISSED commands and whose boards have answered."""
         asked = [k for k in indices(self._suspect & readable) if not self._boards.questioning(self._boards.board_of[k])]
         mask = sum(1 << k for k in asked)
         self._suspect &= ~mask
@@ -186,7 +186,7 @@ class MotionSupervision:
         return mask
 
     def _count_missed(self, mask: int, ends: Ends, clock: float, now: float) -> None:
-        """Counts commands that are called back after the travel time, before a verdict, with the end-stop unchanged."""
+        """Counts commands that are reversed after the travel time although the end-stop has not changed."""
         missed = (self._confirms & self._awaited(ends)) | self._left_behind(ends)
         for k in indices(mask & self._pending & missed & ~self._reported):
             if clock - self._switched_at[k] >= self._travel(k):
@@ -196,7 +196,7 @@ class MotionSupervision:
                     self._boards.question(self._boards.board_of[k], now)
 
     def _forgive(self, ends: Ends) -> None:
-        """Forgets the missed commands of the actuators whose end-stops have changed: they move."""
+        """Forgets the missed commands of actuators whose end-stops have changed."""
         if ends == self._last:
             return
         for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
@@ -211,7 +211,7 @@ class MotionSupervision:
             self._boards.question(board, now)
 
     def _reads(self, k: int, ends: Ends) -> str:
-        """Returns what the end-stops of an actuator read that should be where it was commanded, in words."""
+        """Returns in words what the end-stops of a late actuator read."""
         should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
         if self._left_behind(ends) >> k & 1:
             return f"its end-stop still reads {other}"
@@ -223,7 +223,7 @@ class MotionSupervision:
         should, place = WORDS[self._commanded >> k & 1], self._places[k]
         limit = self._travel(k) + self._kinds.margin[k]
         if self._missed[k] >= MOST_MISSED:
-            text = f"actuator {place} missed {self._missed[k]} commands; its end-stop reads the same all the time"
+            text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
         else:
             text = f"actuator {place} was to be {should} within {limit:g} s; {self._reads(k, ends)}"
         return Finding(k, Fault("stuck", place, text))
@@ -232,7 +232,7 @@ class MotionSupervision:
         should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
         place = self._places[k]
         reads = f"reads {other}" if self._left_behind(ends) >> k & 1 else f"does not read {should} any more"
-        text = f"the end-stop of actuator {place} {reads}, and it was not commanded: it should be {should}"
+        text = f"actuator {place} moved without a command: its end-stop {reads}; it should be {should}"
         return Finding(k, Fault("unexpected-motion", place, text))
 
     def _broken(self, k: int) -> Finding:

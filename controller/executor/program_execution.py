@@ -1,4 +1,4 @@
-"""One motion program: which stage is due when, and which mark has settled. It only reckons; `motion` acts."""
+"""Progress of one motion program: which stage is due, and which mark has settled. `motion` does the switching."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -7,14 +7,18 @@ from controller.executor.locked import LockedActuators
 from controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
 
 EPSILON = 1e-9  # [s]
-MOST_AHEAD = 1_000  # stages that may be left out at once
+MOST_AHEAD = 1_000  # stages that may be skipped at once
 
 
 class Misfit(ValueError):
-    """Stages are refused. `cause` is one of `Declined`."""
+    """Stages do not fit the arm or the running program; the text says why.
+
+    Attributes:
+        locked: whether a locked actuator is the reason.
+    """
 
     def __init__(self, reason: str, locked: bool = False) -> None:
-        """Takes the reason, and whether a locked actuator is it."""
+        """Takes the reason, and whether a locked actuator is the reason."""
         super().__init__(reason)
         self.locked = locked
 
@@ -23,20 +27,21 @@ class ProgramExecution:
     """The progress of a running program.
 
     Attributes:
-        program: as it was sent.
-        begin: its zero of time [s].
+        program: the program as it was sent.
+        begin: zero of the program's time [s].
         taken: index of the last stage that the outputs have reached; -1 before the first.
-        mark: the last mark reached, -1 if none.
-        switches: actuators switched so far.
-        stages: stages switched since the mark before.
-        planned: whether all stages since the mark before were taken as planned.
-        travels: the ways of actuators that were measured so far.
-        strict: no stage is left out or begins before the one before has settled.
+        mark: the last mark reached; -1 before the first.
+        switches: number of switches so far.
+        stages: number of stages that switched something since the previous mark.
+        planned: whether all stages since the previous mark were taken as planned.
+        travels: travel times measured so far.
+        strict: no stage is skipped, and none begins before the previous one has settled.
+        final: no more stages will come.
 
     Args:
-        program: with stages that were checked.
-        begin: see above.
-        locked: the locked actuators; every stage has them in their states.
+        program: a program whose stages were checked.
+        begin: zero of the program's time [s].
+        locked: the locked actuators; they have their locked states in every stage.
     """
 
     def __init__(self, program: Program, begin: float, locked: LockedActuators) -> None:
@@ -56,28 +61,30 @@ class ProgramExecution:
         self._settles: float | None = None  # when the mark reached settles [s]
 
     def state(self, index: int) -> int:
-        """Returns the states in which a stage ends; of stage -1 those from which the program was planned."""
+        """Returns the states at the end of a stage; those from which the program was planned for stage -1."""
         return self._start if index < 0 else self._states[index]
 
     @property
     def homed(self) -> tuple[int, int]:
-        """Mask of the actuators that are brought to a state before the first stage if theirs is unknown; that state."""
+        """Mask of the actuators to home before the first stage if their state is unknown, and the states to home to."""
         if self.program.homed:
             return unpack(self.program.homed), self._states[-1] if self._states else self._start
         return -1, self._start
 
     def delay(self, now: float) -> None:
-        """Begins now, if the time for the first stage has come before actuators were homed."""
+        """Moves the zero of time to now if the first stage was due before homing ended."""
         if self.taken < 0:
             self.begin = max(self.begin, now)
 
     def due(self, now: float, outputs: int, most: int) -> int | None:
-        """Returns the stage to switch to now: the latest whose time has come, for nothing old is made up for.
+        """Returns the index of the stage to switch to now, or None. Overdue stages are skipped, unless `strict`.
+
+        The latest due stage within `most` switches is returned, else the next stage.
 
         Args:
             now: [s].
-            outputs: states.
-            most: actuators that may switch at once. If no later stage is so near, the next one is due.
+            outputs: states that the outputs command.
+            most: actuators that may switch at once.
         """
         following = self.taken + 1
         latest = bisect_right(self._at, now - self.begin + EPSILON, lo=following) - 1
@@ -90,17 +97,17 @@ class ProgramExecution:
         return following
 
     def begins(self, index: int) -> None:
-        """Notes that the commit of a stage has begun: it can no longer be replaced."""
+        """Records that the commit of a stage has begun: the stage can no longer be replaced."""
         self._begun = max(self._begun, index)
 
     def took(self, index: int, before: int, switched: bool, settled: float) -> None:
-        """Notes that the outputs have reached a stage.
+        """Records that the outputs have reached a stage.
 
         Args:
             index: of the stage.
-            before: outputs before it.
-            switched: whether anything has.
-            settled: when the last switch has settled, by travel time [s].
+            before: states before the stage.
+            switched: whether anything was switched.
+            settled: when the last switched actuator has settled, by its travel time [s].
         """
         if self.taken >= 0 and self._stages[self.taken].mark >= 0:
             self.stages, self.planned = 0, True
@@ -116,7 +123,7 @@ class ProgramExecution:
         self._settles = max(self.begin + stage.settled, settled) if stage.mark >= 0 else None
 
     def settles(self, now: float) -> bool:
-        """Returns whether the mark reached is settled by time; once."""
+        """Returns True once when the mark reached has settled, by its time."""
         if self._settles is None or now < self._settles - EPSILON:
             return False
         self._settles = None
@@ -129,14 +136,14 @@ class ProgramExecution:
 
     @property
     def finished(self) -> bool:
-        """Whether all stages were taken, no more come, and the last mark has settled."""
+        """Whether all stages were taken, no more will come, and the last mark has settled."""
         return self.final and self.taken == len(self._stages) - 1 and self._settles is None
 
     def replace(self, message: Replacement, most: int, actuators: int) -> None:
-        """Takes other stages from `message.first` on, see `Replacement`.
+        """Replaces the stages from `message.first` on, see `Replacement`.
 
         Raises:
-            Misfit: they do not fit; nothing has changed.
+            Misfit: the stages do not fit; nothing has changed.
         """
         first = message.first
         if message.generation <= self._generation:
@@ -158,18 +165,18 @@ class ProgramExecution:
 
 
 def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: int, locked: int, actuators: int) -> None:
-    """Checks stages that follow on states.
+    """Checks successive stages.
 
     Args:
-        stages: to check.
-        before: states that they follow on.
-        earliest: the first may begin then at the earliest, after the program's zero of time [s].
+        stages: stages to check.
+        before: states before the first stage.
+        earliest: earliest time of the first stage, from the program's zero of time [s].
         most: actuators that may switch at once.
         locked: mask of the locked actuators.
         actuators: number.
 
     Raises:
-        Misfit: they do not fit; the text says why.
+        Misfit: a stage does not fit; the text says why.
     """
     for k, stage in enumerate(stages):
         states = checked_states(stage.states, actuators)
@@ -187,7 +194,7 @@ def checked_states(states: bytes, actuators: int) -> int:
     """Returns packed states as an integer.
 
     Raises:
-        Misfit: they are not of so many actuators.
+        Misfit: they are states of another number of actuators.
     """
     bits = unpack(states)
     if len(states) != (actuators + 7) // 8 or bits >> actuators:

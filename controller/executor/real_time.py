@@ -1,4 +1,4 @@
-"""Real time: SCHED_FIFO and locked memory, from the service's unit or as the arm's file asks."""
+"""Real time: SCHED_FIFO and locked memory, given by the service's unit or requested by the arm's file."""
 
 import contextlib
 import ctypes
@@ -12,21 +12,21 @@ from controller.settings import RealTimeSettings
 
 log = logging.getLogger(__name__)
 
-# Of asm-generic/mman.h. With ONFAULT, pages that were never touched stay out of memory, where they need no room.
+# From asm-generic/mman.h. With ONFAULT, pages that were never touched take no memory.
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
-CAP_IPC_LOCK = 14  # of linux/capability.h
+CAP_IPC_LOCK = 14  # from linux/capability.h
 
 
 def enter_real_time(settings: RealTimeSettings | None) -> str:
     """Gives the process a priority of SCHED_FIFO, unless it has one, and locks its memory.
 
-    Without a permission the executor goes on: the arm moves as safely, its periods are less even.
+    Without permission the executor continues: motions are as safe, but the loop's period varies more.
 
     Args:
-        settings: of the arm's file; None: only a priority that the unit has given counts.
+        settings: field `real_time` of the arm's file; None: the unit alone decides.
 
     Returns:
-        "off", "on", or what is missing, in a sentence.
+        "off", "on", or a sentence on what is missing.
     """
     given = is_real_time()
     if settings is None and not given:
@@ -35,12 +35,12 @@ def enter_real_time(settings: RealTimeSettings | None) -> str:
     words = [None if given or settings is None else raise_priority(settings.priority), lock_memory()]
     missing = [word for word in words if word]
     for word in missing:
-        log.warning("real time: %s; going on without", word)
+        log.warning("real time: %s; continuing without it", word)
     return "; ".join(missing) or "on"
 
 
 def leave_real_time() -> None:
-    """Takes back both; for tests."""
+    """Returns to normal scheduling and unlocks the memory; for tests."""
     ctypes.CDLL(None).munlockall()
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -52,7 +52,7 @@ def is_real_time() -> bool:
 
 
 def raise_priority(priority: int) -> str | None:
-    """Gives the process, and none that it starts, a priority of SCHED_FIFO; returns what forbids it."""
+    """Gives the process a priority of SCHED_FIFO, which children do not inherit; returns what is missing, or None."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except PermissionError:
@@ -64,9 +64,9 @@ def raise_priority(priority: int) -> str | None:
 
 
 def lock_memory() -> str | None:
-    """Keeps all memory of the process from being paged out; returns what forbids it."""
+    """Locks the memory of the process, so that it is never paged out; returns what is missing, or None."""
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if limit != resource.RLIM_INFINITY and not may_lock_all():  # it would be refused in the middle of a motion
+    if limit != resource.RLIM_INFINITY and not may_lock_all():  # an allocation would fail in the middle of a motion
         return f"memory can be locked up to {limit} bytes only: LimitMEMLOCK=infinity in the unit is needed"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
@@ -75,7 +75,7 @@ def lock_memory() -> str | None:
 
 
 def may_lock_all() -> bool:
-    """Returns whether the process has CAP_IPC_LOCK, which lifts the limit."""
+    """Returns whether the process has CAP_IPC_LOCK, for which the limit does not hold."""
     lines = Path("/proc/self/status").read_text().splitlines()
     (effective,) = (int(line.split()[1], 16) for line in lines if line.startswith("CapEff"))
     return bool(effective >> CAP_IPC_LOCK & 1)

@@ -13,22 +13,22 @@ from drivers.canopen.faults import Fault as BoardFault
 from drivers.canopen.master import Master
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
-MOST_FAULTS, MOST_TEXT = 50, 300  # what a snapshot carries, so that it fits one message
+MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a snapshot fits one message
 
 
 class Reports:
     """Makes snapshots and diagnostics when they are due.
 
     Attributes:
-        changed: whether something has that no snapshot shows yet.
-        loop_status: returns how the event loop keeps time since the last call.
-        real_time: "off", "on", or what is missing, in a sentence.
-        dropped: returns how many snapshots the server has dropped.
+        changed: whether something has changed since the last snapshot.
+        loop_status: returns the timing figures of the event loop since the last call.
+        real_time: "off", "on", or a sentence on what is missing.
+        dropped: returns how many snapshots and diagnostics the server has dropped.
 
     Args:
         arm: the arm.
-        master: of its boards.
-        motion: on them.
+        master: CANopen master of the boards.
+        motion: switches and supervises the actuators.
         locked: the locked actuators.
         journal: counts switches.
     """
@@ -46,7 +46,7 @@ class Reports:
         self._shown: tuple[int, ...] = ()
 
     def snapshot_due(self, now: float) -> bool:
-        """Returns whether a snapshot is due at a tick, also because what is measured has changed."""
+        """Returns whether a snapshot is due at this tick: by time, or because the state has changed."""
         motion = self._motion
         shown = (motion.actuation.states, motion.measured, motion.known, int(motion.moving))
         self.changed |= shown != self._shown
@@ -108,5 +108,5 @@ class Reports:
 
     def _unknown(self, k: int) -> BoardFault:
         label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]
-        text = f"nobody knows where actuator {label} is: the next goal brings it to {guess} first, or jog it"
+        text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
         return BoardFault("unknown-position", label, text)

@@ -1,4 +1,4 @@
-"""What clients ask for: programs, set-points, cancel, halt, reset, locks."""
+"""Requests of clients: programs, set-points, cancel, halt, reset, lock."""
 
 import logging
 from collections.abc import Callable
@@ -30,15 +30,14 @@ from controller.program import (
 
 
 class Requests:
-    """Acts on the messages of clients that were greeted.
+    """Handles the messages of accepted clients.
 
     Attributes:
-        greatest: number of a program or stream so far.
-        quitting: whether the executor ends, and takes nothing more.
+        quitting: the executor is ending; it accepts no more programs and set-points.
 
     Args:
         arm: the arm.
-        motion: on its boards.
+        motion: switches and supervises the actuators.
         locked: the locked actuators.
         modes: of the executor.
         clients: of the executor.
@@ -62,11 +61,11 @@ class Requests:
 
     @property
     def greatest(self) -> int:
-        """Number of a program or stream so far."""
+        """The greatest number of a program or stream so far."""
         return max(self._program, self._stream)
 
     def take(self, client: Client, message: Down, now: float) -> None:
-        """Acts on a message."""
+        """Handles a message."""
         if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
             self._act(ToClient(client, Goodbye("an operator may only halt")))
             return
@@ -92,7 +91,7 @@ class Requests:
     # --- programs and set-points
 
     def _take_program(self, message: Program, now: float) -> None:
-        """Runs a program in place of the running one, or declines it."""
+        """Starts a program in place of the running one, or declines it."""
         declined = self._declined(message)
         if declined is not None:
             self._clients.to_planner(declined)
@@ -126,7 +125,7 @@ class Requests:
         return None
 
     def _replace(self, message: Replacement) -> None:
-        """Takes other stages for the running program, or not."""
+        """Replaces stages of the running program, or refuses to."""
         execution = self._motion.execution
         accepted = execution is not None and execution.program.program == message.program
         if execution is not None and accepted:
@@ -138,7 +137,7 @@ class Requests:
         self._clients.to_planner(Replaced(message.program, message.generation, accepted))
 
     def _follow(self, message: Setpoint, now: float) -> None:
-        """Follows a set-point, but none of a stream or an epoch that has ended."""
+        """Follows a set-point; ignores one of an earlier stream or epoch."""
         old = message.stream <= self._program or message.stream < self._stream or message.epoch != self._modes.epoch
         if old or self.quitting or now > message.until or self._modes.mode not in ("ready", "executing"):
             return
@@ -157,7 +156,7 @@ class Requests:
     # --- cancel, halt, reset, lock
 
     def _cancel(self, message: Cancel) -> str:
-        """Ends one program, or whatever runs; returns the answer."""
+        """Ends one program, or whatever is running; returns the answer."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
             return f"program {message.program} is not running"
@@ -175,7 +174,7 @@ class Requests:
         self._modes.enter("stopped", "emergency stop; the arm holds until reset")
 
     def _reset(self, now: float) -> tuple[bool, str]:
-        """Boots the boards after a fault or a halt; returns whether, and the answer."""
+        """Boots the boards after a fault or a halt; returns whether the request is accepted, and the answer."""
         if self._modes.mode not in ("fault", "stopped"):
             return True, f"nothing to reset: the arm is {self._modes.mode}"
         if opened := self._motion.interlocks():
@@ -185,7 +184,7 @@ class Requests:
         return True, "resetting; the mode will be ready, or fault with the reason"
 
     def _lock(self, client: Client, message: Lock, now: float) -> None:
-        """Locks an actuator, or unlocks it; nothing moves."""
+        """Locks or unlocks an actuator; nothing moves."""
         motion = self._motion
         refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
         mode = self._modes.mode
@@ -197,7 +196,7 @@ class Requests:
         self._locked.change(message.actuator, message.state)
         waits = mode in ("fault", "stopped")
         if mode == "ready":
-            self._modes.go_on(now)
+            self._modes.hold_measured(now)
         self._modes.new_epoch()
         text = f"{self._locked.sentence()}{', from the reset on' if waits else ''}"
         self._answer(client, message.request, True, text)

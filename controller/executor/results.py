@@ -1,4 +1,4 @@
-"""Results of programs, kept until the planner has acknowledged them."""
+"""Results of programs, stored until the planner acknowledges them."""
 
 from collections.abc import Callable
 
@@ -6,11 +6,11 @@ from controller.executor.program_execution import ProgramExecution
 from controller.executor.switch_journal import SwitchJournal
 from controller.program import MOST_TRAVELS, Counted, Ended, Up
 
-MOST_KEPT = 1_000
+MOST_STORED = 1_000
 
 
 class Results:
-    """The results that no planner has acknowledged yet.
+    """Sends the results of programs, and stores them until the planner acknowledges them.
 
     Args:
         send: sends a message to the planner, if there is one.
@@ -20,10 +20,10 @@ class Results:
     def __init__(self, send: Callable[[Up], None], journal: SwitchJournal) -> None:
         self._send, self._journal = send, journal
         self._number = 0
-        self._kept: dict[int, Ended] = {}
+        self._stored: dict[int, Ended] = {}
 
     def add(self, execution: ProgramExecution, status: str, message: str, measured: bytes, known: bytes) -> None:
-        """Sends the one result of a program, after the counts, and keeps it."""
+        """Sends the single result of a program after the counts, and stores it."""
         self._number += 1
         program = execution.program
         result = Ended(
@@ -38,21 +38,21 @@ class Results:
             known=known,
             travels=tuple(execution.travels[:MOST_TRAVELS]),
         )
-        self._kept[self._number] = result
-        if len(self._kept) > MOST_KEPT:  # a planner that acknowledges nothing
-            del self._kept[min(self._kept)]
+        self._stored[self._number] = result
+        if len(self._stored) > MOST_STORED:  # the planner acknowledges nothing
+            del self._stored[min(self._stored)]
         self.send_counts()
         self._send(result)
 
     def acknowledge(self, number: int) -> None:
-        """Forgets a result."""
-        self._kept.pop(number, None)
+        """Removes a result."""
+        self._stored.pop(number, None)
 
     def send_counts(self) -> None:
-        """Sends how often each actuator has switched."""
+        """Sends the number of switches of each actuator."""
         self._send(Counted(tuple(self._journal.counts)))
 
     def send_again(self) -> None:
-        """Sends all to a planner that has just connected."""
-        for result in self._kept.values():
+        """Sends all stored results to a planner that has just connected."""
+        for result in self._stored.values():
             self._send(result)

@@ -1,4 +1,4 @@
-"""The event loop: CAN, socket, ticks and signals around the core. One thread; nothing in it waits but `select`."""
+"""The event loop: CAN, socket, ticks and signals around the core. One thread, which blocks only in `select`."""
 
 import contextlib
 import gc
@@ -20,23 +20,23 @@ from controller.notify import Notifier
 log = logging.getLogger("executor")
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
-MOST_ROUNDS = 32  # of events that the handling of others brings, before the tick is looked at
-CLOSING = 0.25  # [s] for the stage under way at the end
-FLUSHING = 0.5  # [s] for what waits to be sent at the end
-WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; to collect so many takes about 3 ms
+MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
+CLOSING = 0.25  # [s] for the running stage at the end
+FLUSHING = 0.5  # [s] for the messages that wait at the end
+WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; collecting 5,000 takes about 3 ms
 
 
 class EventLoop:
-    """Brings events to the core, and does what it says.
+    """Passes events to the core, and performs its actions.
 
-    Frames leave at once, for the arm waits for them. Messages and log lines wait until nothing is to be read, but not
-    beyond the next tick.
+    Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events wait, and
+    at the next tick at the latest.
 
     Args:
-        core: of the executor.
-        buses: of its arm.
-        server: of its clients.
-        notifier: to systemd.
+        core: the executor's core.
+        buses: the buses of the arm.
+        server: the socket of the clients.
+        notifier: sends states to systemd.
         clock: CLOCK_MONOTONIC [s].
     """
 
@@ -53,19 +53,19 @@ class EventLoop:
         self._time = Timekeeper(PERIOD)
         self._garbage = Garbage()
         self._quitting = False
-        self._unsaid = deque[Action]()
+        self._queued = deque[Action]()
         self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         core.reports.loop_status = self._time.take
         core.reports.dropped = lambda: server.dropped
 
     def quit(self) -> None:
-        """Asks the loop to end; from any thread or signal handler."""
+        """Asks the loop to end. Any thread or signal handler may call this."""
         self._quitting = True
         with contextlib.suppress(OSError):  # the loop has ended already
             os.write(self._woken, b"q")
 
     def run(self) -> None:
-        """Runs until `quit`; ends with a result for the running program, and all closed."""
+        """Runs until `quit`; then gives the running program its result, and closes everything."""
         with self._garbage:
             self._time.start(self._clock())
             while not self._quitting:
@@ -77,11 +77,11 @@ class EventLoop:
         for number in SIGNALS:
             signal.signal(number, lambda *_: self.quit())
         self.run()
-        for number in SIGNALS:  # a second one, as of a parent that has died, must not cut the rest short
+        for number in SIGNALS:  # a second signal, such as that of a parent's death, must not interrupt the end
             signal.signal(number, signal.SIG_IGN)
 
     def _round(self) -> None:
-        """Waits for the next event, and acts on all there are."""
+        """Waits for events and handles them."""
         try:
             ready = self._wait()
             self._take_frames()
@@ -89,17 +89,17 @@ class EventLoop:
                 self._step(event)
                 self._take_frames()
             began = self._clock()
-            if self._time.left(began) <= 0:
+            if self._time.remaining(began) <= 0:
                 self._tick(began)
-            elif not ready and self._unsaid:
-                self._say(self._unsaid.popleft())
-        except Exception:  # the arm holds, and the boards are not let go
+            elif not ready and self._queued:
+                self._report(self._queued.popleft())
+        except Exception:  # the arm holds, and the boards keep their master
             self._step(Defect(traceback.format_exc()))
 
     def _wait(self) -> list[int]:
-        """Waits until something can be read or written, or the tick is due; returns what can be read."""
+        """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
         now = self._clock()
-        patience = 0.0 if self._unsaid else max(min(self._time.left(now), self._buses.wait(now)), 0.0)
+        patience = 0.0 if self._queued else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
         readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], patience)
@@ -110,30 +110,30 @@ class EventLoop:
         return read
 
     def _take_frames(self) -> None:
-        """Acts on what happens on the buses, also because of that, until nothing does or the tick is due."""
+        """Handles events of the buses until there are no more, or the tick is due."""
         for _ in range(MOST_ROUNDS):
             events = self._buses.poll(self._clock())
             for event in events:
                 self._step(event)
-            if not events or self._time.left(self._clock()) <= 0:
+            if not events or self._time.remaining(self._clock()) <= 0:
                 return
 
     def _tick(self, began: float) -> None:
-        self._say_all()
+        self._report_all()
         self._step(Tick())
         self._take_frames()
         self._time.ticked(began, self._clock())
         self._garbage.collect(self._core.modes.mode != "executing")
 
     def _step(self, event: Event) -> None:
-        """Brings an event to the core, sends the frames that it asks for, and keeps the rest for `_say`."""
+        """Passes an event to the core, sends its frames, and queues its other actions for `_report`."""
         for action in self._core.step(event, self._clock()):
             if isinstance(action, Send):
                 self._buses.send(action.bus, action.frame, self._clock())
             else:
-                self._unsaid.append(action)
+                self._queued.append(action)
 
-    def _say(self, action: Action) -> None:
+    def _report(self, action: Action) -> None:
         match action:
             case ToClient():
                 self._server.send(action.client, action.message)
@@ -144,18 +144,18 @@ class EventLoop:
             case _:
                 pass
 
-    def _say_all(self) -> None:
-        while self._unsaid:
-            self._say(self._unsaid.popleft())
+    def _report_all(self) -> None:
+        while self._queued:
+            self._report(self._queued.popleft())
 
     def _end(self) -> None:
-        """Ends the program with a result, and closes all."""
+        """Ends the program with a result, and closes everything."""
         self._step(Quit())
         until = self._clock() + CLOSING + self._core.ending.patience
         while not self._core.ended and self._clock() < until:
             self._round()
         self._step(Quit())
-        self._say_all()
+        self._report_all()
         until = self._clock() + FLUSHING
         while self._server.waiting and self._clock() < until:
             select.select([], self._server.writable(), [], max(until - self._clock(), 0.0))
@@ -168,7 +168,7 @@ class EventLoop:
 
 
 class Timekeeper:
-    """Ticks at a fixed phase; missed ticks are counted and left out.
+    """Ticks at a fixed phase; missed ticks are counted and skipped.
 
     Args:
         period: between two ticks [s].
@@ -186,12 +186,12 @@ class Timekeeper:
         """Makes the first tick due now."""
         self._next = self._last = now
 
-    def left(self, now: float) -> float:
+    def remaining(self, now: float) -> float:
         """Returns the time until the next tick [s], 0 if it is due."""
         return max(self._next - now, 0.0)
 
     def ticked(self, began: float, ended: float) -> None:
-        """Notes begin and end of a tick, and sets the next."""
+        """Records begin and end of a tick, and sets the next one."""
         self._late.append(began - self._next)
         self._periods.append(began - self._last)
         self._works.append(ended - began)
@@ -203,7 +203,7 @@ class Timekeeper:
             self._next += missed * self._period
 
     def take(self) -> dict[str, float]:
-        """Returns the figures since the last call [s], and starts anew: see `Diagnostics.loop`."""
+        """Returns the figures since the last call [s], and resets them; see `Diagnostics.loop`."""
         count = max(len(self._works), 1)
         late = sorted(self._late)
         status = {
@@ -223,7 +223,7 @@ class Timekeeper:
 
 
 class Garbage:
-    """Garbage collection while it does no harm: a full collection would stop the loop for milliseconds.
+    """Garbage collection at harmless times: a full collection would stop the loop for milliseconds.
 
     Objects that live as long as the process are excluded from collection.
     """
@@ -239,7 +239,7 @@ class Garbage:
         gc.unfreeze()
 
     def collect(self, holding: bool) -> None:
-        """Collects everything if the arm holds, else the youngest objects if they are too many."""
+        """Collects all objects if the arm holds, else only the youngest ones, when there are TOO_MANY."""
         young, older, _ = gc.get_count()
         if holding and (young > WORTH or older > 0):
             gc.collect()

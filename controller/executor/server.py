@@ -1,4 +1,4 @@
-"""The executor's socket: clients, their messages, and what is sent to them. Nothing here waits."""
+"""The executor's socket: its clients and their messages. Nothing here blocks."""
 
 import contextlib
 import fcntl
@@ -16,29 +16,29 @@ from controller.program import MOST_BYTES, Diagnostics, Goodbye, Malformed, Snap
 log = logging.getLogger(__name__)
 
 MOST_CLIENTS = 16
-MOST_MESSAGES = 64  # of one client in one poll, so that a flood does not stop the caller
-MOST_QUEUED = 1_000  # messages for a client that does not read; then it is disconnected
-CREDENTIALS = struct.Struct("3i")  # of SO_PEERCRED: pid, uid, gid
+MOST_MESSAGES = 64  # of one client in one poll, so that a flood does not block the loop
+MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
+CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: pid, uid, gid
 
 
-class Taken(Exception):
-    """Another executor has the socket."""
+class SocketInUse(Exception):
+    """Another executor uses the socket."""
 
 
 class Connection:
-    """One client: its socket, and what waits to be sent."""
+    """The connection of one client, with the messages that wait to be sent."""
 
     def __init__(self, number: int, connected: socket.socket) -> None:
-        """Takes the number of the connection."""
+        """Takes the number of the connection and its socket."""
         connected.setblocking(False)
         options = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
         self.client = Client(number, CREDENTIALS.unpack(options)[0])
         self.socket = connected
         self.waiting: deque[bytes] = deque()
-        self.leaving = False  # after a Goodbye
+        self.closing = False  # after a Goodbye
 
     def flush(self) -> bool:
-        """Sends what waits, as far as the client reads; returns whether the connection is open still."""
+        """Sends waiting messages until the client's buffer is full; returns whether the connection is still open."""
         try:
             while self.waiting:
                 self.socket.send(self.waiting[0])
@@ -47,23 +47,23 @@ class Connection:
             return True
         except OSError:
             return False
-        return not self.leaving
+        return not self.closing
 
 
 class Server:
     """Listens on a Unix socket of the type SOCK_SEQPACKET.
 
-    Snapshots and diagnostics are dropped for a client that does not read; other messages wait for it.
+    Snapshots and diagnostics are dropped for a client that does not read; other messages are queued.
 
     Attributes:
-        dropped: snapshots and diagnostics so far.
+        dropped: number of dropped snapshots and diagnostics.
 
     Args:
-        path: of the socket. A file beside it, with the suffix ".lock", keeps a second executor away.
+        path: of the socket. A locked file beside it, with the suffix ".lock", excludes a second executor.
 
     Raises:
-        Taken: another executor listens there; the text names its process.
-        OSError: the socket cannot be made.
+        SocketInUse: another executor listens there; the text names its process.
+        OSError: the socket cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,7 +92,7 @@ class Server:
         """Returns what the clients sent since the last call.
 
         Args:
-            ready: file descriptors that can be read, others are not looked at; None: looks at all.
+            ready: readable file descriptors; None: try all.
         """
         if ready is None or self._listening.fileno() in ready:
             self._accept()
@@ -106,9 +106,9 @@ class Server:
         return events
 
     def send(self, client: Client, message: Up) -> None:
-        """Sends a message to a client, or has it wait."""
+        """Sends a message to a client, or queues it."""
         connection = self._connections.get(client)
-        if connection is None or connection.leaving:
+        if connection is None or connection.closing:
             return
         data = encode(message)
         telemetry = isinstance(message, Snapshot | Diagnostics)
@@ -116,7 +116,7 @@ class Server:
             self.dropped += 1
             return
         connection.waiting.append(data)
-        connection.leaving = isinstance(message, Goodbye)
+        connection.closing = isinstance(message, Goodbye)
         if not connection.flush() or len(connection.waiting) > MOST_QUEUED:
             self._drop(connection)
 
@@ -146,7 +146,7 @@ class Server:
                     connected, _ = self._listening.accept()
                 except BlockingIOError:
                     raise
-                except OSError as error:  # no file descriptor is left
+                except OSError as error:  # out of file descriptors
                     log.warning("a client cannot connect: %s", error)
                     return
                 if len(self._connections) >= MOST_CLIENTS:
@@ -157,7 +157,7 @@ class Server:
                 self._connections[connection.client] = connection
 
     def _read(self, connection: Connection, events: list[FromClient | ClientGone]) -> bool:
-        """Reads what a client sent; returns whether the connection is open still."""
+        """Reads the messages of a client; returns whether the connection is still open."""
         for _ in range(MOST_MESSAGES):
             try:
                 size = connection.socket.recv_into(self._buffer)
@@ -172,8 +172,8 @@ class Server:
             except Malformed as error:
                 log.warning("process %d: %s", connection.client.pid, error)
                 self.send(connection.client, Goodbye(str(error)[:1_000]))
-                return not connection.leaving
-            if not connection.leaving:
+                return not connection.closing
+            if not connection.closing:
                 events.append(FromClient(connection.client, message))
         return True
 
@@ -184,10 +184,10 @@ class Server:
 
 
 def lock(path: Path) -> int:
-    """Returns the file descriptor of a file that names this process and is locked by it.
+    """Locks a file, writes the process id into it, and returns its file descriptor.
 
     Raises:
-        Taken: another process has locked it.
+        SocketInUse: another process has locked the file.
     """
     number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
@@ -195,7 +195,7 @@ def lock(path: Path) -> int:
     except BlockingIOError:
         pid = os.pread(number, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(number)
-        raise Taken(f"an executor is running on {path.with_suffix('')}, process {pid}") from None
+        raise SocketInUse(f"an executor is running on {path.with_suffix('')}, process {pid}") from None
     os.ftruncate(number, 0)
     os.pwrite(number, b"%d\n" % os.getpid(), 0)
     return number

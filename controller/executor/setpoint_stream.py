@@ -1,4 +1,4 @@
-"""A followed set-point: the stages on the way to what it asks for, until the next one comes."""
+"""The stream of set-points: the stages of the latest set-point."""
 
 from controller.executor.locked import LockedActuators
 from controller.executor.program_execution import Misfit, checked_states
@@ -6,24 +6,24 @@ from controller.program import Setpoint
 
 
 class SetpointStream:
-    """What a stream of set-points asks for now.
+    """The latest set-point of a stream.
 
     Attributes:
-        number: of the stream.
-        until: when the stream has stopped [s].
-        reason: a sentence on what is followed.
-        strict: no stage is left out.
-        start: outputs from which the stages were planned; here and in stages, locked actuators have their states.
-        stages: states that each stage ends in; empty: stay.
+        number: number of the stream.
+        until: time after which the stream counts as stopped [s].
+        reason: sentence on the set-point, for the mode.
+        strict: no stage is skipped.
+        start: states from which the stages were planned, with the locked states of locked actuators.
+        stages: states at the end of each stage, likewise; empty: do not move.
 
     Args:
-        message: of the planner.
+        message: the planner's message.
         most: actuators that may switch at once.
         locked: the locked actuators.
-        actuators: number.
+        actuators: number of actuators.
 
     Raises:
-        Misfit: its stages do not fit the arm.
+        Misfit: a stage does not fit the arm.
     """
 
     def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:
@@ -44,10 +44,10 @@ class SetpointStream:
             before = states
 
     def due(self, outputs: int, most: int) -> int | None:
-        """Returns the stage to switch to; None if the stages are planned from other outputs, or there are none.
+        """Returns the index of the stage to switch to; None if there is none, or they were planned from other states.
 
         Args:
-            outputs: states.
+            outputs: states that the outputs command.
             most: actuators that may switch at once.
         """
         if not self.stages or self.start != outputs:
@@ -58,5 +58,5 @@ class SetpointStream:
         return max(near, default=0)
 
     def took(self, index: int) -> None:
-        """Notes that the outputs have reached a stage."""
+        """Records that the outputs have reached a stage."""
         self.start, self.stages = self.stages[index], self.stages[index + 1 :]

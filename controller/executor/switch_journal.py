@@ -1,7 +1,7 @@
 """The switch journal: counts of switches that survive a killed process and a reboot.
 
-One file of two records, each with a checksum, which are written in turn; one of them is whole whenever the process
-ends. The file is mapped into memory: a write never waits for the disk, and the kernel writes it out.
+The file has two records with checksums, which are written in turn. One of them is whole whenever the process ends. The
+file is mapped into memory: a write never waits for the disk, and the kernel writes the pages out.
 """
 
 import fcntl
@@ -22,39 +22,44 @@ MAGIC = b"hyperbit switches 1\n"
 PAGE = mmap.PAGESIZE
 
 
-class Held(Exception):
+class JournalInUse(Exception):
     """Another process uses the file."""
 
 
 class SwitchJournal(Protocol):
     """Counts the switches of A actuators.
 
-    The states that a stage is to bring about are noted before its SYNC. A process that is killed after that cannot know
-    whether the SYNC has left; the boards' outputs tell the next process.
+    The intended states of a stage are recorded before its SYNC. A process that is killed after that cannot know whether
+    the SYNC was sent; the boards' outputs tell the next process.
 
     Attributes:
-        counts: switches of each actuator, shape (A,).
-        problem: why counts are lost with the process, or were lost; None if they are not.
+        counts: number of switches of each actuator, shape (A,).
+        problem: why counts were lost or will be lost, as a sentence; None if they are safe.
     """
 
     counts: list[int]
     problem: str | None
 
     def intend(self, before: int, after: int) -> None:
-        """Notes that outputs are to be switched from the states `before` to the states `after`."""
+        """Records the intention to switch from the states `before` to the states `after`."""
 
     def resolve(self, states: int, unknown: int = 0) -> int:
-        """Counts the intended switches that the states show, where known; returns the mask of these actuators."""
+        """Counts the intended switches that took place, as `states` show; returns the mask of these actuators.
+
+        Args:
+            states: present states of the outputs.
+            unknown: mask of the actuators whose state is unknown; these are not counted.
+        """
 
     def raise_to(self, counts: Sequence[int]) -> None:
-        """Raises counts (A,) to those that somebody else knows: counts only grow, so the greater is right."""
+        """Raises counts (A,) to those of the planner's ledger: counts only grow, so the greater one is right."""
 
     def close(self) -> None:
         """Closes the file."""
 
 
 class MemoryJournal:
-    """A journal that ends with the process. See `SwitchJournal`."""
+    """A journal in memory, lost with the process. See `SwitchJournal`."""
 
     def __init__(self, actuators: int) -> None:
         """Takes the number of actuators."""
@@ -94,14 +99,14 @@ class MemoryJournal:
 class FileJournal(MemoryJournal):
     """A journal in a file. See `SwitchJournal`.
 
-    The first page of the file names its user; a record begins with each of the two parts that follow.
+    The first page of the file has the number of the process that uses it. The two records follow on further pages.
 
     Args:
         path: of the file; created if it does not exist.
-        actuators: labels (A,); counts of other actuators are not taken over.
+        actuators: labels (A,); counts of other actuators are not read.
 
     Raises:
-        Held: another process uses the file; the text names it.
+        JournalInUse: another process uses the file; the text names it.
         OSError: the file cannot be written.
     """
 
@@ -117,19 +122,19 @@ class FileJournal(MemoryJournal):
         try:
             self._lock(path)
             fresh = os.fstat(self._file).st_size == 0
-            os.posix_fallocate(self._file, 0, PAGE + 2 * self._part)  # a hole on a full disk would be a SIGBUS later
+            os.posix_fallocate(self._file, 0, PAGE + 2 * self._part)  # no SIGBUS on a full disk
             self._map = mmap.mmap(self._file, PAGE + 2 * self._part)
         except BaseException:
             os.close(self._file)
             raise
         self._map[:PAGE] = (MAGIC + b"%d\n" % os.getpid()).ljust(PAGE, b"\0")
         if not self._read() and not fresh:
-            self.problem = f"{path} is damaged or of other actuators: counts of switches begin at what the ledger knows"
+            self.problem = f"{path} is damaged or of other actuators: counts of switches continue from the ledger's"
             log.warning("%s", self.problem)
         self._write()
 
     def close(self) -> None:
-        """Closes the file, and writes it to the disk."""
+        """Writes the file to the disk and closes it."""
         if not self._map.closed:
             self._map.flush()
             self._map.close()
@@ -141,7 +146,7 @@ class FileJournal(MemoryJournal):
         except BlockingIOError:
             lines = os.pread(self._file, PAGE, 0).split(b"\n")
             pid = lines[1].decode(errors="replace") if len(lines) > 1 else "unknown"
-            raise Held(f"the switch journal {path} is in use by process {pid}") from None
+            raise JournalInUse(f"the switch journal {path} is in use by process {pid}") from None
 
     def _write(self) -> None:
         """Writes a record over the older of the two."""
@@ -154,7 +159,7 @@ class FileJournal(MemoryJournal):
         self._map[begin : begin + 4 + len(body)] = zlib.crc32(body).to_bytes(4, "little") + body
 
     def _read(self) -> bool:
-        """Takes over the newer of the whole records; returns whether there was one of these actuators."""
+        """Reads the newer intact record; returns whether there is one of these actuators."""
         for begin in (PAGE, PAGE + self._part):
             body = self._map[begin + 4 : begin + 4 + self._record.size]
             if int.from_bytes(self._map[begin : begin + 4], "little") != zlib.crc32(body):
@@ -167,7 +172,7 @@ class FileJournal(MemoryJournal):
 
 
 def default_path(arm: str) -> Path:
-    """Returns where an arm's journal is: in systemd's StateDirectory, else in the user's folder of states."""
+    """Returns the path of an arm's journal: in systemd's StateDirectory, else in XDG_STATE_HOME."""
     folder = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
     return (Path(folder) if folder else Path(base) / "hyperbit") / f"{arm}.switches"

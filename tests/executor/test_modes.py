@@ -7,7 +7,7 @@ import pytest
 from controller.executor.actuation import BUSY_FOR
 from controller.executor.core import PERIOD
 from controller.executor.events import Quit
-from controller.executor.modes import PASSING, RETRY
+from controller.executor.modes import CLEARING, RETRY
 from controller.program import (
     Answer,
     Cancel,
@@ -108,7 +108,7 @@ def test_lines_on_modes_and_faults_have_fields_for_the_journal(rig: Rig) -> None
     assert len({fault["MESSAGE_ID"], mode["MESSAGE_ID"]}) == 2
 
 
-@pytest.mark.parametrize("code", sorted(PASSING))
+@pytest.mark.parametrize("code", sorted(CLEARING))
 def test_what_passes_is_left_by_itself(rig: Rig, code: str) -> None:
     rig.run(A, B)
     rig.go(0.15)

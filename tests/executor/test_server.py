@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from controller.executor.events import ClientGone, FromClient
-from controller.executor.server import MOST_CLIENTS, MOST_QUEUED, Server, Taken
+from controller.executor.server import MOST_CLIENTS, MOST_QUEUED, Server, SocketInUse
 from controller.program import (
     MOST_BYTES,
     Alive,
@@ -140,7 +140,7 @@ def test_only_so_many_clients(server: Server, path: Path) -> None:
 
 
 def test_a_second_executor_hears_who_the_first_is(server: Server, path: Path) -> None:
-    with pytest.raises(Taken, match=f"running on {path}, process {os.getpid()}"):
+    with pytest.raises(SocketInUse, match=f"running on {path}, process {os.getpid()}"):
         Server(path)
 
 

@@ -60,7 +60,7 @@ def test_a_planner_that_does_not_answer_ends_it(rig: Rig) -> None:
     partly_switched(rig)
     rig.go(ANSWER_WITHIN + 1)
     assert rig.results == [(1, "aborted")]
-    assert "nobody knows" in rig.last(Ended).message
+    assert "the planner did not tell" in rig.last(Ended).message
 
 
 def test_a_planner_that_dies_while_it_is_asked_ends_it(rig: Rig) -> None:

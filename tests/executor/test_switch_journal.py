@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.switch_journal import PAGE, FileJournal, Held, MemoryJournal, default_path
+from controller.executor.switch_journal import PAGE, FileJournal, JournalInUse, MemoryJournal, default_path
 
 LABELS = [f"1.{k}" for k in range(11)]
 
@@ -87,7 +87,7 @@ def test_counts_of_other_actuators_are_not_taken_over(path: Path) -> None:
 
 def test_a_second_user_hears_who_the_first_is(path: Path) -> None:
     journal = FileJournal(path, LABELS)
-    with pytest.raises(Held, match=f"in use by process {os.getpid()}"):
+    with pytest.raises(JournalInUse, match=f"in use by process {os.getpid()}"):
         FileJournal(path, LABELS)
     journal.close()
     FileJournal(path, LABELS).close()

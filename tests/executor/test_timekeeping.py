@@ -13,20 +13,20 @@ def keeper() -> Timekeeper:
 
 
 def test_ticks_are_due_by_the_period(keeper: Timekeeper) -> None:
-    assert keeper.left(50.0) == 0
+    assert keeper.remaining(50.0) == 0
     keeper.ticked(50.0, 50.002)
-    assert keeper.left(50.002) == pytest.approx(0.008)
-    assert keeper.left(51.0) == 0
+    assert keeper.remaining(50.002) == pytest.approx(0.008)
+    assert keeper.remaining(51.0) == 0
 
 
 def test_a_late_tick_does_not_shift_the_next(keeper: Timekeeper) -> None:
     keeper.ticked(50.004, 50.005)
-    assert keeper.left(50.005) == pytest.approx(0.005)
+    assert keeper.remaining(50.005) == pytest.approx(0.005)
 
 
 def test_missed_ticks_are_counted_and_left_out(keeper: Timekeeper) -> None:
     keeper.ticked(50.0, 50.034)
-    assert keeper.left(50.034) == pytest.approx(0.006)
+    assert keeper.remaining(50.034) == pytest.approx(0.006)
     assert keeper.take()["overruns"] == 3
 
 

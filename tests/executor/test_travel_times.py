@@ -112,7 +112,7 @@ def test_a_way_whose_frames_tell_no_time_is_not_measured(begun: float | None, en
     times = TravelTimes()
     times.begin(0b1, 0b1, Ends(0, 0b1), begun)
     assert times.arrived(Ends(0b1, 0), ended) == []
-    assert not times.under_way
+    assert not times.measuring
 
 
 def test_a_way_that_was_called_back_is_measured_anew() -> None:
@@ -121,4 +121,4 @@ def test_a_way_that_was_called_back_is_measured_anew() -> None:
     times.begin(0b1, 0b0, Ends(0, 0), 1.1)
     assert times.arrived(Ends(0, 0), 1.15) == []
     assert times.arrived(Ends(0, 0b1), 1.2) == [Travel(0, 0, pytest.approx(0.1))]
-    assert not times.under_way
+    assert not times.measuring
