@@ -1,4 +1,4 @@
-"""The command that compares methods on goal sets with certified optima: bench."""
+"""The command `bench`: compares methods on goal sets with certified optima."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
     from controller.bench.methods import Prepare
     from controller.bench.running import Row
 
-LEGEND = """solved: within the tolerances, and clear of obstacles. fewest: with the fewest switches there are.
-proven: claimed to be optimal, and not contradicted. switches: mean of the solved. above: the certified optimum,
-mean/most. ms: median/99 %. tables: seconds to prepare. wrong: certificates that are contradicted."""
+LEGEND = """solved: within the tolerances and clear of obstacles. fewest: with the certified minimum of switches.
+proven: claimed to be optimal, not contradicted. switches: mean over solved goals. above: switches above the certified
+optimum, mean/most. ms: median/99 %. tables: seconds to prepare. wrong: contradicted certificates."""
 
-OWN = "module:function, or file.py:function, of a method of your own; may be given several times."
+OWN = "Your own method, as module:function or file.py:function; repeatable."
 
 
 def bench(
     sets: Annotated[
-        list[str] | None, typer.Option("--set", help="Name of a set; several times; all if absent.")
+        list[str] | None, typer.Option("--set", help="Name of a goal set; repeatable. Default: all.")
     ] = None,
     methods: Annotated[
         str | None,
-        typer.Option(help="Names with commas; all if absent, with --method minimum-switch only."),
+        typer.Option(help="Names separated by commas. Default: all; with --method: minimum-switch."),
     ] = None,
     method: Annotated[list[str] | None, typer.Option(metavar="MODULE:FUNCTION", help=OWN)] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="At most so many goals of each set.")] = None,
-    limit: Annotated[float, typer.Option(min=0.001, help="Longest time of a method for a goal [s].")] = 60.0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures there; - for stdout.")] = None,
-    names: Annotated[bool, typer.Option("--list", help="Print the names of sets and methods only.")] = False,
+    count: Annotated[int | None, typer.Option(min=1, help="Most goals of each set.")] = None,
+    limit: Annotated[float, typer.Option(min=0.001, help="Longest time for one goal [s].")] = 60.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to a file; - is stdout.")] = None,
+    names: Annotated[bool, typer.Option("--list", help="Only print the names of sets and methods.")] = False,
 ) -> None:
     """Compare methods of inverse kinematics on goals whose fewest switches are proven.
 
-    Each answer is checked by forward kinematics, and its switches are counted anew. A method of your own is a function
+    The benchmark checks each answer by forward kinematics and counts its switches. Your own method is a function
 
     \b
         def prepare(arm):
@@ -64,11 +64,11 @@ def bench(
     \b
         hyperbit bench --method mine.py:prepare --set paper
 
-    `solve` returns a configuration (B,), or None if it finds none, or an object whose `configuration` it is; if the
-    object has a `certificate` ("optimal", "unreachable") or a `bound`, these are checked as well. NotImplementedError
-    leaves an arm or a goal out. Other exceptions and answers that are no configuration are counted and named. The time
-    of `prepare` and of the first goal of each arm is that of the tables. Methods run in this process: run no program
-    that you do not trust.
+    `solve` returns a configuration (B,), None if it finds none, or an object with the attribute `configuration`. If the
+    object has a `certificate` ("optimal", "unreachable") or a `bound`, the benchmark checks these as well. A method
+    skips an arm or a goal with NotImplementedError. Other exceptions and invalid answers are counted and named. The
+    column `tables` has the time of `prepare` and of the first goal of each arm. Methods run in this process: run only
+    programs that you trust.
     """  # noqa: D301 - \b keeps click from filling the lines
     from controller.bench.goal_sets import SETS, read, spread
 
@@ -102,14 +102,14 @@ def bench(
         else:
             json_file.write_text(text, encoding="utf-8")
     if impossible := sum(row.impossible for row in rows):
-        raise Failed(f"{impossible} answers have fewer switches than are proven to be possible: a set is wrong")
+        raise Failed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
 
 
 def chosen_sets(wanted: list[str] | None, known: list[str]) -> list[str]:
     """Returns the names of the sets to run.
 
     Raises:
-        InputFaults: there is no such set.
+        InputFaults: a set is unknown.
     """
     if unknown := [name for name in wanted or [] if name not in known]:
         raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(known)}" for name in unknown])
@@ -120,7 +120,7 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
     """Returns the methods to run, by name.
 
     Raises:
-        InputFaults: there is no such method.
+        InputFaults: a method is unknown, or cannot be loaded.
     """
     usual = ["minimum-switch"] if own else list(METHODS)
     listed = usual if wanted is None else [name.strip() for name in wanted.split(",") if name.strip()]
@@ -135,7 +135,7 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
 
 
 def measured(name: str, tasks: list[Task], methods: dict[str, Prepare], limit: float) -> list[Row]:
-    """Returns a row for each method, with a progress bar on stderr."""
+    """Runs each method on a goal set, with a progress bar on stderr; returns a row for each method."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from controller.bench.arm import bench_arm
@@ -155,7 +155,7 @@ def measured(name: str, tasks: list[Task], methods: dict[str, Prepare], limit: f
 
 
 def table(title: str, goals: int, proven: int, rows: list[Row]) -> Table:
-    """Returns the table of a set: a line for each method that takes goals of it."""
+    """Returns the table of a goal set: a line for each method that accepts at least one of its goals."""
     headers = ("method", "goals", "solved", "fewest", "proven", "switches", "above", "ms", "tables", "wrong", "errors")
     result = common.results_table(*headers)
     result.title, result.title_justify = f"{title}: {goals} goals, the fewest switches of {proven} proven", "left"

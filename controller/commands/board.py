@@ -1,4 +1,4 @@
-"""The command that looks after one board of an arm without its executor: board."""
+"""The command `board`: reads the errors of one board, or resets it, while no executor runs."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from drivers.canopen.survey import Survey, survey
 from drivers.canopen.wiring import MASTER, BusSettings
 
 ANSWER_WITHIN = 1.0  # [s]
-BOARD = "As in can0/5."
-ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; the outputs go off, actuators may move."
-SOCKET = "Of the arm's executor, or its folder: where to look whether it runs."
+BOARD = "Bus and node id, such as can0/5."
+ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; outputs go off, actuators may move."
+SOCKET = "Socket of the arm's executor, or its folder; the command checks that no executor answers there."
 
 
 def board(
@@ -59,13 +59,13 @@ def board(
 
 
 def show_errors(found: Survey, name: str, as_json: bool) -> None:
-    """Prints error register and error history of the one board that was asked.
+    """Prints error register and error history of a surveyed board.
 
     Raises:
-        Failed: it does not answer.
+        Failed: the board does not answer.
     """
     if not found.found or not found.found[0].answers:
-        raise Failed(f"board {name} does not answer: is it powered, and is its node id right?")
+        raise Failed(f"board {name} does not answer: check its power supply and its node id")
     it = found.found[0]
     if as_json:
         history = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
@@ -76,12 +76,12 @@ def show_errors(found: Survey, name: str, as_json: bool) -> None:
 
 
 def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json: bool) -> None:
-    """Resets a board and prints when it has booted.
+    """Resets a board and prints how long it took to boot.
 
     Raises:
-        Failed: it does not boot, or nobody wants it to.
+        Failed: the board does not boot, or the user declined.
     """
-    question = f"Board {name} switches its outputs off when it is reset: its actuators may move. Go on?"
+    question = f"A reset switches the outputs of board {name} off: its actuators may move. Continue?"
     if not yes and not typer.confirm(question, err=True):
         raise Failed("nothing was reset")
     patience = settings.boards.boot_timeout
@@ -97,14 +97,14 @@ def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json
 
 
 def refuse_running(arm: str, path: Path | None) -> None:
-    """Refuses while an executor runs on an arm: it would be disturbed.
+    """Refuses to work on an arm's board while the arm's executor runs.
 
     Raises:
-        Failed: one does.
+        Failed: an executor of this arm answers.
     """
     for own in dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]):
         if answers(own, arm):
-            raise Failed(f"the executor of {arm} runs (it answers at {own}): stop it first, it would be disturbed")
+            raise Failed(f"the executor of {arm} is running (it answers at {own}): stop it first")
 
 
 def answers(path: Path, arm: str) -> bool:
@@ -116,6 +116,6 @@ def answers(path: Path, arm: str) -> bool:
             connection.send(encode(Hello(VERSION, "operator", arm)))
             return bool(connection.recv(1))
     except TimeoutError:
-        return True  # it has the connection, and is slow
+        return True  # the executor has accepted the connection, but is slow
     except OSError:
         return False

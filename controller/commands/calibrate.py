@@ -1,4 +1,4 @@
-"""The command that fits an arm's file to measured tips."""
+"""The command `calibrate`: fits an arm's file to measured tips."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def calibrate(
             show_default=False,
         ),
     ],
-    out: Annotated[Path | None, typer.Option(metavar="NEW.yaml", help="Where the fitted arm goes.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
-    each: Annotated[bool, typer.Option("--each", help="Fit every module by itself, and every leg of a truss.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="NEW.yaml", help="File for the fitted arm.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    each: Annotated[bool, typer.Option("--each", help="Fit each module, and each leg of a truss, separately.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit the modules and the base of an arm's file to measured tips; print the residuals before and after."""
@@ -41,7 +41,7 @@ def calibrate(
     arm = load(file)
     measured = read_samples(samples, arm.manipulator)
     if out is not None and out.exists() and not force:
-        raise InputFaults(out, ["is there already; name another file, or add --force"])
+        raise InputFaults(out, ["the file exists; name another file, or add --force"])
     try:
         with errors.status("fitting"):
             found = calibrated(arm, measured, each=each)
@@ -55,15 +55,16 @@ def calibrate(
         show(found)
     if not found.better:
         raise Failed(
-            "the new numbers meet samples held out no better than the file's do with a fitted base; nothing is written"
+            "on held-out samples the fitted numbers are no better than the file's numbers with a fitted base;"
+            " nothing is written"
         )
 
 
 def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
-    """Writes a file with the new numbers, once it has been read back.
+    """Writes the fitted arm's file, after reading a draft of it back.
 
     Raises:
-        Failed: it cannot be written, or no arm is in it.
+        Failed: the file cannot be written, or the fitted numbers describe no valid arm.
     """
     raw = {**read_yaml(file), **found.description}
     before, after = found.before.position.rms, found.after.position.rms
@@ -75,7 +76,7 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
         load(draft)
         draft.replace(out)
     except InputFaults as error:
-        raise Failed(f"the samples lead to an arm that cannot be, so nothing is written: {error.faults[0]}") from None
+        raise Failed(f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}") from None
     except OSError as error:
         raise Failed(f"{out} cannot be written: {error.strerror}") from None
     finally:
@@ -83,7 +84,7 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
 
 
 def payload(found: Calibration) -> dict[str, Any]:
-    """Returns what is told in JSON."""
+    """Returns a calibration for JSON."""
     return {
         "samples": found.samples,
         "set_aside": list(found.aside),
@@ -105,7 +106,7 @@ def payload(found: Calibration) -> dict[str, Any]:
 
 
 def misfits(found: Calibration) -> dict[str, Misfit]:
-    """Returns the residuals by their names."""
+    """Returns the residuals by name."""
     return {
         "before": found.before,
         "base_only": found.base_only,
@@ -116,9 +117,9 @@ def misfits(found: Calibration) -> dict[str, Misfit]:
 
 
 def show(found: Calibration) -> None:
-    """Prints what was found."""
+    """Prints a calibration: residuals and changed numbers."""
     lines = ", ".join(map(str, found.aside))
-    aside = f"; {len(found.aside)} set aside, far off, in lines {lines}" if found.aside else ""
+    aside = f"; {len(found.aside)} outliers set aside, lines {lines}" if found.aside else ""
     console.print(f"{found.samples} samples{aside}")
     table = results_table("residuals", "", "rms", "95 %", "worst")
     for kind in ("position", "orientation"):
@@ -135,13 +136,14 @@ def show(found: Calibration) -> None:
             written(before),
             written(after),
             f"{change.deviation:.2g}",
-            "" if change.told else "not determined, held near the file's",
+            "" if change.told else "not determined: kept near the file's value",
         )
     console.print(table)
     if found.loose:
         console.print(
-            f"In {found.loose} directions the samples tell less of the numbers than the file does, where one makes up"
-            " for another, or a state was not measured: there the file's values are kept, as nearly as may be."
+            f"In {found.loose} directions of the parameter space the samples determine the numbers less well than the"
+            " file: two parameters compensate each other, or a state was not measured. There the fit keeps the file's"
+            " values."
         )
 
 

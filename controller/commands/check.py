@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 def check(
     file: ArmFile,
-    bus: Annotated[bool, typer.Option("--bus", help="Ask each board, too; changes nothing on it.")] = False,
+    bus: Annotated[bool, typer.Option("--bus", help="Also read each board; changes nothing on it.")] = False,
     eds: Annotated[
-        Path | None, typer.Option(help="The maker's data sheet of the boards (EDS): compare it, without a bus.")
+        Path | None, typer.Option(help="Maker's electronic data sheet (EDS) of the boards: compare it, without a bus.")
     ] = None,
-    node: Annotated[str | None, typer.Option(help="As in can0/5: the one board that the EDS is of.")] = None,
+    node: Annotated[str | None, typer.Option(help="Only board that the EDS describes, such as can0/5.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Check an arm's file and name each fault by its field; --bus also reads the boards.
@@ -31,7 +31,7 @@ def check(
     from controller.config import load
 
     if node is not None and eds is None:
-        raise InputFaults(Path("check"), ["--node is for --eds: give the file, too"])
+        raise InputFaults(Path("check"), ["--node needs --eds FILE"])
 
     try:
         arm = load(file)
@@ -56,11 +56,15 @@ def check(
     if missing:
         if as_json:
             raise typer.Exit(1)
-        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer as they should, or lack what is needed")
+        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer, or lack an object that hyperbit needs")
 
 
 def ask_boards(arm: Arm) -> list[dict[str, Any]]:
-    """Returns what each board of an arm answers."""
+    """Reads each board of an arm; returns an answer for each.
+
+    Raises:
+        Failed: a bus cannot be used.
+    """
     from controller.executor.arm import timing_of, wiring_of
     from drivers.canopen.faults import BusError
     from drivers.canopen.probe import probe
@@ -73,7 +77,12 @@ def ask_boards(arm: Arm) -> list[dict[str, Any]]:
 
 
 def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
-    """Returns what each board of an arm lacks by an EDS; of one board alone if `node` names it.
+    """Compares the boards of an arm with an EDS; returns an answer for each board, naming what the EDS lacks.
+
+    Args:
+        arm: the arm.
+        eds: path of the EDS.
+        node: the only board to compare; None: all boards.
 
     Raises:
         InputFaults: the file is no EDS, or the arm has no such board.
@@ -93,6 +102,6 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
                 found = lacks(Eds(eds, board.node), board, timing_of(arm.settings), wiring.error_state)
             except UnreadableEds as error:
                 raise InputFaults(eds, [str(error)]) from None
-            text = "; ".join(map(str, found)) or f"by {eds.name} it has all that is needed"
+            text = "; ".join(map(str, found)) or f"has all needed objects, according to {eds.name}"
             answers.append({"board": name, "ok": not found, "answer": text, "lacks": [one._asdict() for one in found]})
     return answers

@@ -1,7 +1,6 @@
-"""What the commands share: reading arms, densities, goals and configurations, and ways to write what is found.
+"""Arguments, readers and printers that the commands share.
 
-Commands that only talk to a daemon import this module, too: kernels and NumPy are imported in the functions that use
-them.
+Commands that only talk to a daemon import this module, too. It therefore imports kernels and NumPy inside functions.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ ArmFile = Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's fil
 ArmName = Annotated[str, typer.Argument(metavar="ARM", help="The arm's file, or its name.", show_default=False)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
-ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, in place of the endpoint.")]
+ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, instead of an endpoint.")]
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Console:
-    """Returns `console` or `errors`, created at their first use: a request must not wait for the import of rich."""
+    """Returns `console` or `errors`, created at the first use: a request must not wait for the import of rich."""
     if name not in ("console", "errors"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from rich.console import Console
@@ -50,11 +49,11 @@ def __getattr__(name: str) -> Console:
 
 
 class Failed(Exception):
-    """What was asked for failed; the command ends with 1.
+    """A request failed; the command exits with code 1.
 
     Args:
         message: what happened.
-        step: what the user can do next; "" if hyperbit does not know.
+        step: next step for the user; "" if there is none.
     """
 
     def __init__(self, message: str, step: str = "") -> None:
@@ -62,12 +61,12 @@ class Failed(Exception):
 
 
 class Named(Struct, frozen=True):
-    """The one field of an arm's file that its clients need."""
+    """The field of an arm's file that clients of its daemon need."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 
 
-NEXT = {  # what to do next, by a part of the daemon's sentence
+NEXT = {  # next step, by a part of the daemon's message
     "the arm is stopped": "leave the stop by: hyperbit reset {arm}",
     "the arm is fault": "remove the cause, then: hyperbit reset {arm}",
     "the arm is starting": "wait until it is ready: hyperbit watch {arm}",
@@ -78,7 +77,7 @@ NEXT = {  # what to do next, by a part of the daemon's sentence
 
 
 def refusal(answer: Mapping[str, Any], arm: str) -> Failed:
-    """Returns the error for an answer or a result of an arm's daemon that is not a success."""
+    """Returns the error for a refusing answer or a failed result of an arm's daemon."""
     status, message = answer.get("status", "refused"), answer["message"]
     step = next((step for part, step in NEXT.items() if part in message), "")
     return Failed(f"{status} (code {answer['code']}): {message}", step.format(arm=arm))
@@ -96,7 +95,13 @@ def shipped(name: str) -> Path:
 
 
 def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> Densities:
-    """Returns the densities of an arm from the cache, or maps them with a progress bar on stderr."""
+    """Reads an arm's densities from the cache, or computes them with a progress bar on stderr.
+
+    Args:
+        arm: the arm.
+        rebuild: compute them even if the cache has them.
+        silent: show no progress bar.
+    """
     from rich.progress import Progress
 
     from controller.commands import common
@@ -118,10 +123,10 @@ def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> De
 
 
 def load_wired(path: Path) -> Arm:
-    """Returns the arm of a file that maps its actuators to boards.
+    """Returns the arm of a file, which must map actuators to boards.
 
     Raises:
-        InputFaults: it is wrong, or maps none.
+        InputFaults: the file is wrong, or maps no actuator.
     """
     from controller.config import load
 
@@ -132,9 +137,9 @@ def load_wired(path: Path) -> Arm:
 
 
 def arm_name(arm: str) -> str:
-    """Returns the name of an arm given by its file or by its name.
+    """Returns the name of an arm, given by its file or by its name.
 
-    Only the name is read: building the arm would import the kernels.
+    This function reads only the name: building the arm would import the kernels.
 
     Raises:
         InputFaults: the file is missing, is not YAML, or holds no valid name.
@@ -150,10 +155,18 @@ def arm_name(arm: str) -> str:
 
 
 def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
-    """Returns position and orientation in "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]": an angle, a quaternion, or None.
+    """Parses a goal, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]".
+
+    Args:
+        text: the goal.
+        dimension: of the arm, 2 or 3.
+        where: option or line that messages name.
+
+    Returns:
+        Position, shape (dimension,), and orientation: an angle [rad], a unit quaternion x, y, z, w, or None.
 
     Raises:
-        InputFaults: they are not as many finite numbers, or the quaternion has not length 1.
+        InputFaults: the numbers are not finite, their count is wrong, or the quaternion has not length 1.
     """
     try:
         goal = [float(part) for part in text.split(",")]
@@ -172,7 +185,11 @@ def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], floa
 
 
 def configuration(arm: Arm, text: str, where: str) -> Configuration:
-    """Returns the configuration that `text` writes; what is wrong with it is told of `where`."""
+    """Parses a configuration, shape (B,).
+
+    Raises:
+        InputFaults: the text is no configuration of the arm; the message begins with `where`.
+    """
     from controller.manipulator.notation import parse_configuration
 
     try:
@@ -182,14 +199,14 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
 
 
 def shown(values: Any) -> str:
-    """Returns numbers for a table."""
+    """Returns numbers with four decimals, separated by commas."""
     import numpy as np
 
     return ", ".join(f"{v:.4f}" for v in np.atleast_1d(values))
 
 
 def results_table(*columns: str) -> Table:
-    """Returns an empty table that leaves configurations whole on a narrow terminal."""
+    """Returns an empty table whose cells do not wrap on a narrow terminal."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold underline")

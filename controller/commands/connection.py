@@ -23,10 +23,16 @@ START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or na
 
 @contextlib.contextmanager
 def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Client]:
-    """Opens a session with an arm's daemon.
+    """Opens a Zenoh session with an arm's daemon.
+
+    Args:
+        arm: file or name of the arm.
+        connect: Zenoh endpoint of the daemon.
+        zenoh_file: Zenoh configuration, instead of the endpoint.
 
     Raises:
-        Failed: there is no daemon, or it does not answer while the context lasts.
+        Failed: no daemon is there, or the daemon does not answer a request inside the context.
+        InputFaults: the arm's file or the Zenoh configuration is wrong.
     """
     import zenoh
 
@@ -47,11 +53,11 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
         try:
             yield client
         except Unanswered as error:
-            raise Failed(str(error), others(live, name)) from None
+            raise Failed(str(error), after_silence(live, name)) from None
 
 
-def others(session: zenoh.Session, arm: str) -> str:
-    """Returns what to do next where the daemon of an arm did not answer: the other arms that are there, if any."""
+def after_silence(session: zenoh.Session, arm: str) -> str:
+    """Returns the next step after a daemon did not answer; it names the arms that have a daemon."""
     tokens = session.liveliness().get("hyperbit/*/alive", timeout=1.0)
     names = sorted({str(token.ok.key_expr).split("/")[1] for token in tokens if token.ok is not None})
     if arm in names:
@@ -60,7 +66,7 @@ def others(session: zenoh.Session, arm: str) -> str:
 
 
 def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bool) -> None:
-    """Prints what the daemon answers.
+    """Sends a request and prints the daemon's answer.
 
     Raises:
         Failed: the daemon refused.
@@ -76,12 +82,17 @@ def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bo
 
 
 def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
-    """Returns the payload in a YAML or JSON file; `what` it is, with which `field`, is told where it is none.
+    """Reads a payload from a YAML or JSON file.
+
+    Args:
+        path: of the file.
+        what: kind of the payload, for messages.
+        field: its main field, for messages.
 
     Raises:
-        InputFaults: it holds no mapping, or one that cannot be sent.
+        InputFaults: the file holds no mapping, or the mapping cannot be written as JSON.
     """
-    value = read_yaml(path)  # JSON is YAML, too
+    value = read_yaml(path)  # JSON is a subset of YAML
     if not isinstance(value, dict):
         raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
     try:

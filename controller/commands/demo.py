@@ -1,4 +1,4 @@
-"""The demo: a real daemon with simulated boards in one process, its client in this one."""
+"""The command `demo`: a daemon with simulated boards in processes of its own, and its client in this process."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ if TYPE_CHECKING:
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 36
 MANY = 100.0  # configurations expected within the tolerance of each point of the curve
-MOST = 100.0  # natural logarithm of the largest number of configurations worth telling apart
-DRAWN = 1000  # configurations among which targets are chosen
-STEP = 0.1  # [s] between waypoints, or the arm's travel time and a half, for each stage, where that is longer
-PATIENT = 10.0  # [s] of silence until boards or executor count as lost: a computer in use stands still at times
-PATIENCE = 180.0  # [s] for the daemon to be ready, or to end; the first start compiles its kernels
+MOST = 100.0  # log counts are clipped here, so that exp does not overflow
+DRAWN = 1000  # configurations drawn to find targets
+STEP = 0.1  # [s] between waypoints; 1.5 travel times for each stage, if that is longer
+PATIENT = 10.0  # [s] of silence until boards or executor count as lost: a busy computer stands still at times
+PATIENCE = 180.0  # [s] until the daemon is ready, or has ended; its first start compiles the kernels
 
 
 def demo(
-    file: Annotated[Path | None, typer.Argument(metavar="ARM.yaml", help="The paper's arm if absent.")] = None,
-    picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("demo.png"),
-    animation: Annotated[Path | None, typer.Option(help="Where an animation goes: .gif, .png or .webp.")] = None,
+    file: Annotated[Path | None, typer.Argument(metavar="ARM.yaml", help="The arm's file. Default: planar16.")] = None,
+    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("demo.png"),
+    animation: Annotated[Path | None, typer.Option(help="File for an animation: .gif, .png or .webp.")] = None,
 ) -> None:
     """Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture."""
     arm = load_wired(file or shipped("planar16.yaml"))
@@ -94,22 +94,22 @@ def demo(
 
 
 def states_of(arm: Arm, result: Message) -> list[int]:
-    """Returns the states of the actuators, shape (A,), at the end of a goal."""
+    """Returns the actuator states, shape (A,), of a result's configuration."""
     configuration = parse_configuration(arm.manipulator, result["configuration"])
     return [int(state) for state in arm.manipulator.actuator_states(configuration)]
 
 
 class Watched(list[list[int]]):
-    """Commanded states of the actuators, shape (A,) each, as they changed."""
+    """History of the commanded actuator states, shape (A,) each, without repetitions."""
 
     def take(self, state: Message) -> None:
-        """Appends the states of a message if they are known and new."""
+        """Appends the commanded states of a state message, if they are known and new."""
         commanded = state["commanded"]
         if commanded is not None and self[-1:] != [commanded]:
             self.append(commanded)
 
     def find(self, states: list[int]) -> int:
-        """Returns the index of the last states, once they are these; messages come 20 times a second."""
+        """Waits until the last entry equals `states`, and returns its index; messages come 20 times a second."""
         until = time.monotonic() + PATIENT
         while self[-1:] != [states] and time.monotonic() < until:
             time.sleep(0.02)
@@ -117,7 +117,7 @@ class Watched(list[list[int]]):
 
 
 def sample(arm: Arm, count: int) -> list[list[float]]:
-    """Returns tips of configurations drawn at random, the same each time, that touch nothing."""
+    """Returns tips (count, dimension) of random collision-free configurations; the same at each call."""
     states = np.random.default_rng(16).integers(0, arm.manipulator.states, (DRAWN, len(arm.manipulator.modules)))
     states = states[~arm.clearance().blocked(states)][:count]
     tips = arm.manipulator.tips(states)[:, : arm.manipulator.dimension, 3]
@@ -125,9 +125,10 @@ def sample(arm: Arm, count: int) -> list[list[float]]:
 
 
 def closed_curve(arm: Arm, densities: Densities) -> NDArray[np.float64]:
-    """Returns waypoints (n, dimension) on an ellipse, as large as the densities promise that the arm reaches all of it.
+    """Returns waypoints (n, dimension) on the largest ellipse that the arm reaches according to its densities.
 
-    It lies around one of the arm's tips, in the plane in which they differ most. The smallest is within the tolerance.
+    The centre is the tip of a random configuration. The ellipse lies in the plane of the tips' two principal
+    directions.
     """
     chain, base = Manipulator(arm.manipulator.modules), arm.manipulator.base
     states = np.random.default_rng(0).integers(0, chain.states, (500, len(chain.modules)))
@@ -147,9 +148,9 @@ def closed_curve(arm: Arm, densities: Densities) -> NDArray[np.float64]:
 
 
 def expected(densities: Densities, tolerance: float, planar: bool) -> NDArray[np.float64]:
-    """Returns how many configurations to expect within the tolerance, for each pixel (z, y, x) of W_0.
+    """Returns the expected number of configurations within the tolerance of each pixel (z, y, x) of W_0.
 
-    Pixels are taken with their neighbours: where the last modules have few states, every other one may be empty.
+    Counts are averaged over neighbouring pixels: with few states in the last modules, every other pixel may be empty.
     """
     values = densities.level(0).astype(float)
     counts = np.where(values >= 0, np.exp(np.minimum(values, MOST)), 0.0)
@@ -162,7 +163,7 @@ def expected(densities: Densities, tolerance: float, planar: bool) -> NDArray[np
 
 
 def looked_up(densities: Densities, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the values (z, y, x) of the pixels of W_0 in which points (..., 3) lie, 0 outside."""
+    """Returns the values (z, y, x) of W_0's pixels at points (..., 3); 0 outside W_0."""
     index = np.round((points - densities.references[0]) / densities.pixels[0]).astype(int)[..., ::-1]
     inside = ((index >= 0) & (index < values.shape)).all(axis=-1)
     z, y, x = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
@@ -177,12 +178,12 @@ def outside(arm: Arm, curves: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def stages(arm: Arm) -> int:
-    """Returns how many stages there should be time for: along the curve fewer than a third of the actuators switch."""
+    """Returns the number of stages to allow time for, if less than a third of the actuators switch at each waypoint."""
     return 1 if arm.settings.inrush is None else math.ceil(len(arm.manipulator.actuators) / 3 / arm.settings.inrush)
 
 
 def patient(file: Path, folder: Path) -> Path:
-    """Writes a copy of an arm's file whose boards, executor and planner wait long for each other; returns its path."""
+    """Writes a copy of an arm's file with long time-outs between boards, executor and planner; returns its path."""
     document = yaml.safe_load(file.read_text())
     document["boards"] = {**document.get("boards", {}), "heartbeat_timeout": PATIENT}
     document["planner_timeout"] = PATIENT
@@ -196,9 +197,12 @@ def patient(file: Path, folder: Path) -> Path:
 
 @contextlib.contextmanager
 def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Runs the daemon with simulated boards that are patient; yields its process and its Zenoh endpoint.
+    """Runs a daemon with simulated boards and long time-outs; yields its process and its Zenoh endpoint.
 
-    The folder has its sockets, ledger and log: another daemon of this arm may run on the computer.
+    Sockets, ledger and log are in `folder`, so another daemon of this arm may run on the computer.
+
+    Raises:
+        Failed: the daemon did not start within PATIENCE.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -231,10 +235,14 @@ def listening(endpoint: str) -> bool:
 
 
 def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: None) -> None:
-    """Waits for the mode ready; `ended` returns the exit code of a daemon that has ended.
+    """Waits until the arm is in mode ready.
+
+    Args:
+        client: connected to the arm's daemon.
+        ended: returns the daemon's exit code, None while the daemon runs.
 
     Raises:
-        Failed: the daemon reports a fault, or nothing, or has ended.
+        Failed: the daemon reports a fault, publishes no state, or has ended.
     """
     states: queue.SimpleQueue[Message] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
@@ -248,16 +256,16 @@ def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: N
             if state["mode"] == "fault":
                 raise Failed(f"the daemon reports a fault: {state['reason']}")
     except queue.Empty:
-        raise Failed(f"the daemon said nothing for {PATIENCE:g} s") from None
+        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
-    """Sends a goal with a progress bar; returns its result, the worst error of its waypoints in place of the last.
+    """Sends a goal and shows its progress; returns its result, with the worst error of its waypoints as `worst`.
 
     Raises:
-        Failed: it was refused, or not reached.
+        Failed: the goal was refused, or not reached.
     """
     errors_seen = [0.0]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -276,7 +284,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
 
 
 def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:
-    """Returns the table of what was reached."""
+    """Returns the table of targets and results."""
     table = Table("target", "reached", "error", "switches", "time [s]", title=f"{arm.settings.name}, tip positions")
     for target, result, seconds in rows:
         table.add_row(
@@ -286,5 +294,5 @@ def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:
 
 
 def written(position: list[float], digits: int = 2) -> str:
-    """Returns a position as text."""
+    """Returns a position as text, with commas."""
     return ", ".join(f"{x:.{digits}f}" for x in position)

@@ -1,4 +1,4 @@
-"""The command `execute`, which becomes the executor's process."""
+"""The command `execute`: becomes the executor's process."""
 
 import os
 import sys
@@ -10,18 +10,18 @@ import typer
 
 def execute(
     file: Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)],
-    socket: Annotated[Path | None, typer.Option(help="The socket for the planner, or its folder.")] = None,
-    simulate: Annotated[bool, typer.Option("--simulate", help="Simulated boards in this process.")] = False,
+    socket: Annotated[Path | None, typer.Option(help="Socket to create for the planner, or its folder.")] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Use simulated boards, in this process.")] = False,
     board: Annotated[
-        list[str], typer.Option(help="What simulated boards are like; see `simulate --help`.", show_default=False)
+        list[str], typer.Option(help="Kind of the simulated boards; see `simulate --help`.", show_default=False)
     ] = [],  # noqa: B006  # typer needs a list
-    journal: Annotated[Path | None, typer.Option(help="Where the switches are counted.")] = None,
+    journal: Annotated[Path | None, typer.Option(help="File of the switch journal, which counts switches.")] = None,
     list_modules: Annotated[bool, typer.Option("--list-modules", hidden=True)] = False,
 ) -> None:
     """Run the executor until SIGTERM: it takes motion programs from a planner and commands boards over CAN."""
     options = [f"--socket={socket}"] * (socket is not None) + [f"--journal={journal}"] * (journal is not None)
     options += [f"--board={word}" for word in board]
     flags = ["--simulate"] * simulate + ["--list-modules"] * list_modules
-    # The executor must not carry the command line's modules: this process becomes another, of the same number.
+    # exec, because the executor's process must not contain the command line's modules; the process id stays the same.
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-P", "-m", "controller.executor", *options, *flags, "--", str(file)])

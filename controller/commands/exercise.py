@@ -1,4 +1,4 @@
-"""The command that moves each actuator once there and back, and measures its travel times: exercise."""
+"""The command `exercise`: moves each actuator once there and back, and measures its travel times."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from controller.strict import InputFaults
 if TYPE_CHECKING:
     from controller.gateway.client import Client
 
-ONLY = "As in 5.left: exercise these actuators only."
-RESERVE = 1.25  # of the proposed travel times over the longest measured
-DIFFERENT = 1.5  # an actuator whose time is shorter than the arm's by this factor gets lines of its own
+ONLY = "Only these actuators, such as 5.left. Default: all."
+RESERVE = 1.25  # proposed travel time over the longest measured time
+DIFFERENT = 1.5  # an actuator that is faster than the arm's time by this factor gets its own travel time
 PATIENCE = 10.0  # [s] for the daemon's state
 FIELDS = {"extended": "extend", "contracted": "contract"}  # in the arm's file, by state
 END_STOPS = {"extended": "input", "contracted": "input_contracted"}
 
 
-class Way(NamedTuple):
+class Travel(NamedTuple):
     """A motion of an actuator to one of its ends.
 
     Attributes:
         actuator: label.
-        state: of the end, "contracted" or "extended".
-        seconds: travel time by the executor's measurement [s]; None if it could not be measured.
+        state: state at the end, "contracted" or "extended".
+        seconds: travel time measured by the executor [s]; None if it could not be measured.
     """
 
     actuator: str
@@ -72,24 +72,24 @@ def exercise(
         where = dict(zip(description["actuators"], commanded(client), strict=True))
         if not yes:
             what = f"{len(chosen)} actuators" if len(chosen) > 1 else chosen[0]
-            question = f"The arm {arm_name(arm)} will move: {what}, one at a time, there and back. Go on?"
+            question = f"The arm {arm_name(arm)} will move: {what}, one at a time, there and back. Continue?"
             if not typer.confirm(question, err=True):
                 raise Failed("nothing was moved")
-        ways: list[Way] = []
+        travels: list[Travel] = []
         failure = None
         try:
             for label in chosen:
                 for state in there_and_back(where[label]):
-                    ways.append(move(client, label, state))
+                    travels.append(move(client, label, state))
                     if as_json:
-                        print_json(ways[-1]._asdict())
+                        print_json(travels[-1]._asdict())
         except KeyboardInterrupt:
             common.errors.print("interrupted: canceling the motion", markup=False)
             client.request("cancel")
             raise typer.Exit(130) from None
         except Failed as error:
             failure = error
-        report(ways, description, as_json)
+        report(travels, description, as_json)
     if failure is not None:
         raise failure
 
@@ -107,36 +107,36 @@ def choose(wanted: list[str], labels: list[str]) -> list[str]:
 
 
 def commanded(client: Client) -> list[int]:
-    """Returns the commanded state of each actuator of an arm that holds.
+    """Returns the commanded state of each actuator, shape (A,), of an arm in mode ready.
 
     Raises:
-        Failed: the arm does not hold, or its state is unknown.
+        Failed: the arm is in another mode, or the state of an actuator is unknown.
     """
     states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
     try:
         state = states.get(timeout=PATIENCE)
     except queue.Empty:
-        raise Failed(f"the daemon told no state for {PATIENCE:g} s") from None
+        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]
     if state["mode"] != "ready":
-        raise Failed(f"the arm is {state['mode']}: {state['reason']}; an exercise needs an arm that is ready")
+        raise Failed(f"the arm is {state['mode']}: {state['reason']}; `exercise` needs an arm in mode ready")
     if state["commanded"] is None:
-        raise Failed("nobody knows the state of some actuators: jog them first, see `faults` in `hyperbit watch`")
+        raise Failed("the state of some actuators is unknown: jog them first; `hyperbit watch` names them as faults")
     return [int(bit) for bit in state["commanded"]]
 
 
 def there_and_back(state: int) -> tuple[str, str]:
-    """Returns the states to which an actuator is switched."""
+    """Returns the two states to switch an actuator to: the other state, then its present state."""
     return STATES[1 - state], STATES[state]
 
 
-def move(client: Client, label: str, state: str) -> Way:
-    """Switches one actuator and returns its way.
+def move(client: Client, label: str, state: str) -> Travel:
+    """Switches one actuator and returns its measured travel.
 
     Raises:
-        Failed: the daemon refused, or the actuator is not where it was sent.
+        Failed: the daemon refused, or the actuator did not arrive.
     """
     result = client.run({"actuators": {label: state}}, key="jog")
     if "status" not in result:
@@ -144,19 +144,19 @@ def move(client: Client, label: str, state: str) -> Way:
     if result["code"] != 0:
         raise Failed(f"{label} to {state}: {result['status']} (code {result['code']}): {result['message']}")
     measured = [t["seconds"] for t in result["travels"] if (t["actuator"], t["state"]) == (label, state)]
-    return Way(label, state, measured[0] if measured else None)
+    return Travel(label, state, measured[0] if measured else None)
 
 
-def report(ways: list[Way], description: Mapping[str, Any], as_json: bool) -> None:
-    """Prints the ways and the proposal for the arm's file."""
-    lines = proposal(ways)
+def report(travels: list[Travel], description: Mapping[str, Any], as_json: bool) -> None:
+    """Prints the measured times and the proposal for the arm's file."""
+    lines = proposal(travels)
     if as_json:
         print_json({"proposal": "\n".join(lines)})
         return
     wired = {f"{board['module']}.{board['actuator']}": board for board in description["boards"]}
     table = results_table("actuator", *(rf"{field} \[ms]" for field in FIELDS.values()))
-    for label in dict.fromkeys(way.actuator for way in ways):
-        own = {way.state: way for way in ways if way.actuator == label}
+    for label in dict.fromkeys(travel.actuator for travel in travels):
+        own = {travel.state: travel for travel in travels if travel.actuator == label}
         table.add_row(label, *(shown(own.get(state), wired.get(label, {}), state) for state in FIELDS))
     common.console.print(table)
     if lines:
@@ -165,20 +165,20 @@ def report(ways: list[Way], description: Mapping[str, Any], as_json: bool) -> No
             common.console.print(line, markup=False)
 
 
-def shown(way: Way | None, wired: Mapping[str, Any], state: str) -> str:
-    """Returns the travel time of a way, or why there is none."""
-    if way is None:
+def shown(travel: Travel | None, wired: Mapping[str, Any], state: str) -> str:
+    """Returns a travel time as text [ms], or the reason why it is missing."""
+    if travel is None:
         return ""
-    if way.seconds is not None:
-        return f"{1000 * way.seconds:.1f}"
+    if travel.seconds is not None:
+        return f"{1000 * travel.seconds:.1f}"
     return f"no `{END_STOPS[state]}`" if wired.get(END_STOPS[state]) is None else "not measured"
 
 
-def proposal(ways: Iterable[Way]) -> list[str]:
-    """Returns YAML lines for the arm's file: a travel time of the arm, and those of actuators that are much faster."""
+def proposal(travels: Iterable[Travel]) -> list[str]:
+    """Returns YAML lines for the arm's file: the arm's travel time, and travel times of much faster actuators."""
     longest: dict[str, float] = {}
     single: dict[str, dict[str, float]] = {}
-    for label, state, seconds in ways:
+    for label, state, seconds in travels:
         if seconds is not None:
             time = reserved(seconds)
             single.setdefault(label, {})[FIELDS[state]] = time
@@ -195,12 +195,12 @@ def proposal(ways: Iterable[Way]) -> list[str]:
 
 
 def reserved(seconds: float) -> float:
-    """Returns a measured time with the reserve, in whole milliseconds [s]."""
+    """Returns a measured time with the reserve [s], rounded up to a millisecond."""
     return math.ceil(round(1000 * RESERVE * seconds, 6)) / 1000
 
 
 def written(times: Mapping[str, float]) -> str:
-    """Returns times as YAML: a number, or one for each direction."""
+    """Returns times as YAML: one number, or one for each direction."""
     if "" in times:
         return f"{times['']:g}"
     return "{" + ", ".join(f"{field}: {times[field]:g}" for field in FIELDS.values()) + "}"

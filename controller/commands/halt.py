@@ -17,12 +17,12 @@ from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Halt, Hello
 from controller.sockets import found_sockets, socket_path
 
 ENDPOINT = "tcp/127.0.0.1:7447"  # as in controller.commands.common, which takes longer to import
-ARM = "The arm's file, or its name; with --local all arms of this computer if absent."
-LOCAL = "Ask the executor on this computer at its socket, past planner and Zenoh."
-ZENOH = "Zenoh configuration file, in place of the endpoint."
+ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
+LOCAL = "Ask the executor of this computer directly at its socket, without planner and Zenoh."
+ZENOH = "Zenoh configuration file, instead of an endpoint."
 ANSWER_WITHIN = 1.0  # [s]
-JOIN = "become a member of the group of the executor: sudo usermod --append --groups hyperbit USER, or use sudo"
-SEARCH = "name the executor's socket or its folder by --socket; an executor starts by: hyperbit run ARM.yaml"
+JOIN = "join the executor's group: sudo usermod --append --groups hyperbit USER, or use sudo"
+SEARCH = "name the executor's socket or its folder by --socket, or start an executor: hyperbit run ARM.yaml"
 
 
 def halt(
@@ -48,7 +48,7 @@ def halt(
 
 
 def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:
-    """Halts an arm, or all arms, by the executors' sockets.
+    """Halts an arm, or all arms, and prints the executors' answers.
 
     Raises:
         Failed: an executor did not answer, or there is none.
@@ -65,11 +65,11 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
     """Halts an arm, or all arms whose executors run on this computer.
 
     Args:
-        name: of the arm; "": all.
-        path: of the executor's socket, or of its folder; None: the default ones.
+        name: name of the arm; "": all arms.
+        path: path of the executor's socket or of its folder; None: the default paths.
 
     Returns:
-        The executors' answers, one a line.
+        The executors' answers, one in each line.
 
     Raises:
         Failed: an executor did not answer, or there is none.
@@ -92,8 +92,8 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
     if failures or not paths:
         from controller.commands.common import Failed
 
-        told = "\n".join([*answers, *failures])
-        raise Failed(told or "no executor is running: there is no socket", step if told else SEARCH)
+        lines = "\n".join([*answers, *failures])
+        raise Failed(lines or "no executor is running: there is no socket", step if lines else SEARCH)
     return "\n".join(answers)
 
 
@@ -102,7 +102,7 @@ def halt_at(path: Path, name: str) -> str:
 
     Raises:
         OSError: the executor does not answer.
-        Malformed: it answers something else.
+        Malformed: the answer is no message of the contract.
     """
     with Socket(AF_UNIX, SOCK_SEQPACKET) as connection:
         connection.settimeout(ANSWER_WITHIN)
@@ -112,7 +112,7 @@ def halt_at(path: Path, name: str) -> str:
         while True:
             data = connection.recv(MOST_BYTES + 1)
             if not data:
-                raise ConnectionAbortedError(None, "it has closed the connection")
+                raise ConnectionAbortedError(None, "the executor closed the connection")
             match decode_up(data):
                 case Answer() as answer:
                     return answer.message

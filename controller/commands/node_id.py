@@ -1,4 +1,4 @@
-"""The command that sets a board's node id and bit rate by LSS: node-id."""
+"""The command `node-id`: sets a board's node id and bit rate by LSS (CiA 305)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivers.canopen.wiring import MASTER, BusSettings
 
 NEW = f"The new node id, 1 to {MASTER - 1}."
 RATE = "The new bit rate [bit/s]."
-BOARD = "VENDOR:PRODUCT:REVISION:SERIAL of 1018h, as --list and `probe` tell; without, the only board on the bus."
+BOARD = "Identity 1018h, VENDOR:PRODUCT:REVISION:SERIAL, as --list and `probe` print it. Default: the only board."
 UNCONFIGURED = "Only list the boards that have no node id yet."
 
 
@@ -36,7 +36,7 @@ def node_id(
 ) -> None:
     """Set and store a board's node id and bit rate by LSS; they apply from the next power-on.
 
-    Connect one board alone, or name one by --board. No executor may use the bus.
+    Connect a single board, or name one by --board. No executor may use the bus.
 
     Example: hyperbit node-id can0 5 --board 0x21:0x2f1:0x10000:0x1a2b
     """
@@ -44,7 +44,7 @@ def node_id(
         raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
     if new is not None and not 1 <= new < MASTER:
         raise InputFaults(
-            Path("node-id"), [f"{new} is no node id of a board: 1 to {MASTER - 1} are ({MASTER}: master)"]
+            Path("node-id"), [f"{new}: a board's node id is 1 to {MASTER - 1} ({MASTER} is the master's)"]
         )
     if new_bitrate is not None and new_bitrate not in BIT_TIMINGS:
         rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
@@ -59,9 +59,9 @@ def node_id(
             return
         if identity is None and len(present.found) > 1:
             nodes = ", ".join(str(node.node) for node in present.found)
-            raise Failed(f"nodes {nodes} are on {channel}: connect one board alone, or name one by --board")
+            raise Failed(f"nodes {nodes} are on {channel}: connect a single board, or name one by --board")
         try:
-            told, old = lss.select(identity)
+            selected, old = lss.select(identity)
             if new is not None and new != old:
                 refuse_taken(present, new, channel)
             lss.configure(new, new_bitrate)
@@ -69,26 +69,26 @@ def node_id(
             lss.release()
     node, rate = new or old, new_bitrate or bitrate
     if as_json:
-        print_json({"identity": str(told), "before": old, "node": node, "bitrate": rate})
+        print_json({"identity": str(selected), "before": old, "node": node, "bitrate": rate})
         return
     before = "none" if old > MASTER else str(old)
-    typer.echo(f"board {told}: node id {node} (before: {before}) and {rate} bit/s are stored")
+    typer.echo(f"board {selected}: stored node id {node} (before: {before}) and {rate} bit/s")
     hint = f"switch its supply off and on, then: hyperbit probe {channel} --bitrate {rate}"
     typer.echo(hint + (f" --interface {interface}" if interface != "socketcan" else ""))
 
 
 def parse_identity(text: str) -> Identity:
-    """Returns the identity in "VENDOR:PRODUCT:REVISION:SERIAL".
+    """Parses an identity, "VENDOR:PRODUCT:REVISION:SERIAL".
 
     Raises:
-        InputFaults: it is not written so.
+        InputFaults: the text has another form.
     """
     try:
         numbers = [int(part, 0) for part in text.split(":")]
     except ValueError:
         numbers = []
     if len(numbers) != 4 or not all(0 <= number < 1 << 32 for number in numbers):
-        form = "four numbers are needed, VENDOR:PRODUCT:REVISION:SERIAL, as in 0x21:0x2f1:0x10000:0x1a2b"
+        form = "four numbers are needed, VENDOR:PRODUCT:REVISION:SERIAL, such as 0x21:0x2f1:0x10000:0x1a2b"
         raise InputFaults(Path("--board"), [f"{text!r}: {form}"])
     return Identity(*numbers)
 
@@ -97,10 +97,10 @@ def refuse_taken(present: Survey, new: int, channel: str) -> None:
     """Refuses a node id that another board has.
 
     Raises:
-        Failed: it has.
+        Failed: another board has it.
     """
     if new in [node.node for node in present.found]:
-        raise Failed(f"node id {new} is taken on {channel}: hyperbit probe {channel} tells by which board")
+        raise Failed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
 
 
 def show(found: list[Identity], channel: str, as_json: bool) -> None:
@@ -111,7 +111,7 @@ def show(found: list[Identity], channel: str, as_json: bool) -> None:
         else:
             typer.echo(f"{one}  hyperbit node-id {channel} NODE --board {one}")
     if not found and not as_json:
-        typer.echo(f"no board on {channel} lacks a node id; `hyperbit probe {channel}` finds those that have one")
+        typer.echo(f"each board on {channel} has a node id; list them: hyperbit probe {channel}")
 
 
 @contextlib.contextmanager
@@ -119,7 +119,7 @@ def opened(settings: BusSettings) -> Iterator[Lss]:
     """Opens a bus for LSS.
 
     Raises:
-        Failed: the bus cannot be opened, or a board does not do as it is asked.
+        Failed: the bus cannot be opened, or a board refuses a request.
     """
     bus = CanBus(settings)
     try:

@@ -1,4 +1,4 @@
-"""The command that serves the operator's page: panel."""
+"""The command `panel`: serves the operator's web page."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from controller.commands.common import ENDPOINT, Failed, ZenohFile
 from controller.strict import InputFaults
 
 LISTEN = "127.0.0.1:7480"
-PEOPLE = "Who may look and command; without, an operator and a viewer get a token at each start."
-CLIENTS = "Authority of client certificates; whose certificate is named in --people needs no token."
+PEOPLE = "File of people who may view or command. Default: new tokens for one operator and one viewer at each start."
+CLIENTS = "Authority of client certificates; people whose certificate is named in --people need no token."
 
 
 def panel(
-    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where the page is served.")] = LISTEN,
-    connect: Annotated[list[str], typer.Option(help="Zenoh endpoint of a daemon; may be given several times.")] = [],  # noqa: B006  # typer needs a list
+    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address of the page.")] = LISTEN,
+    connect: Annotated[list[str], typer.Option(help="Zenoh endpoint of a daemon; repeatable.")] = [],  # noqa: B006  # typer needs a list
     zenoh_file: ZenohFile = None,
     people: Annotated[Path | None, typer.Option(metavar="PEOPLE.yaml", help=PEOPLE)] = None,
     new_token: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Print a token and its entry; serve not.")
+        str | None, typer.Option(metavar="NAME", help="Only print a new token and its entry for PEOPLE.yaml.")
     ] = None,
     certificate: Annotated[Path | None, typer.Option(help="Certificate for TLS.")] = None,
-    key: Annotated[Path | None, typer.Option(help="Its key.")] = None,
+    key: Annotated[Path | None, typer.Option(help="Private key of the certificate.")] = None,
     client_ca: Annotated[Path | None, typer.Option(help=CLIENTS)] = None,
     prefix: Annotated[
-        str, typer.Option(help="Of all Zenoh keys; `replay` for what `hyperbit replay` serves.")
+        str, typer.Option(help="Prefix of all Zenoh keys; `replay` shows a recording that `hyperbit replay` serves.")
     ] = "hyperbit",
 ) -> None:
     """Serve the operator's web page, which shows and commands all connected arms, until SIGTERM."""
@@ -42,7 +42,7 @@ def panel(
     try:
         from controller.panel.serve import Tls, parse_address, serve, zenoh_configuration
     except ImportError as error:
-        raise Failed(f"{error}: install the page's libraries with: pip install 'hyperbit[panel]'") from None
+        raise Failed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
     tls = None if certificate is None or key is None else Tls(certificate, key, client_ca)
     try:
         config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
@@ -51,11 +51,11 @@ def panel(
     try:
         serve(parse_address(listen), tls, people, config, prefix)
     except OSError as error:
-        raise Failed(f"the page is not served at {listen}: {error}") from None
+        raise Failed(f"the page cannot be served at {listen}: {error}", "name another address by --listen") from None
 
 
 def print_token(name: str) -> None:
-    """Prints a new token for somebody, and the entry for the file of people, which does not tell the token."""
+    """Prints a new token for a person, and the entry for the file of people, which holds only the token's digest."""
     from controller.panel.access import digest_of
     from controller.panel.access import new_token as make
 

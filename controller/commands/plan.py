@@ -1,4 +1,4 @@
-"""The command that searches configurations for goals: plan."""
+"""The command `plan`: searches configurations for goals."""
 
 from __future__ import annotations
 
@@ -32,20 +32,24 @@ from controller.strict import InputFaults
 if TYPE_CHECKING:
     from controller.search.solution import Solution
 
-ONE_GOAL = "One goal, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
-MANY_GOALS = "Columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and maybe previous."
+ONE_GOAL = "One goal, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
+MANY_GOALS = "Goals with columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and optionally `previous`."
 
 
 def plan(
     file: ArmFile,
     goal: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
     goals: Annotated[Path | None, typer.Option(metavar="FILE.csv", help=MANY_GOALS)] = None,
-    to: Annotated[str | None, typer.Option("--configuration", help="Configuration to go to, without a search.")] = None,
-    previous: Annotated[str | None, typer.Option(help="Configuration to start from; contracted if absent.")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="Of the position; the arm's if absent.")] = None,
-    turn: Annotated[float | None, typer.Option(help="Tolerance of the orientation [rad]; the arm's if absent.")] = None,
-    path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between --goals.")] = None,
-    method: Annotated[Method | None, typer.Option(help="The arm's if absent.")] = None,
+    to: Annotated[
+        str | None, typer.Option("--configuration", help="Configuration to describe instead of a search.")
+    ] = None,
+    previous: Annotated[str | None, typer.Option(help="Configuration to start from. Default: all contracted.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Position tolerance. Default: the arm's.")] = None,
+    turn: Annotated[float | None, typer.Option(help="Orientation tolerance [rad]. Default: the arm's.")] = None,
+    path_tolerance: Annotated[
+        float | None, typer.Option(help="Follow straight lines between --goals within this distance.")
+    ] = None,
+    method: Annotated[Method | None, typer.Option(help="Search method. Default: the arm's.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Search configurations for goals, without hardware."""
@@ -59,7 +63,7 @@ def plan(
             kind = "angle" if name == "--turn" else "length"
             raise InputFaults(Path(name), [f"{length:g} is no {kind} from 1e-9 to 1e6"])
     if path_tolerance is not None and goals is None:
-        raise InputFaults(Path("--path-tolerance"), ["lines run between --goals, one goal has none"])
+        raise InputFaults(Path("--path-tolerance"), ["lines need several goals: give --goals FILE.csv"])
     home = np.zeros(len(arm.reduced.modules), dtype=np.int64)
     start = home if previous is None else unstuck(arm, previous, "--previous")
     end = None if to is None else unstuck(arm, to, "--configuration")
@@ -113,7 +117,7 @@ def plan(
 
 
 def answer(arm: Arm, position: list[float], orientation: Orientation, found: Solution) -> dict[str, Any]:
-    """Returns what was found for a goal, for JSON."""
+    """Returns the solution of a goal, for JSON."""
     whole = transferred(found.configuration, arm.reduced, arm.manipulator)
     return {
         "goal": position,
@@ -130,34 +134,34 @@ def answer(arm: Arm, position: list[float], orientation: Orientation, found: Sol
 
 
 def sentence(whole: dict[str, Any]) -> str:
-    """Returns in words what is proven of a whole trajectory."""
+    """Returns a sentence on switches and certificate of a whole trajectory."""
     proven = {"optimal": "proven to be the fewest", "bound": f"proven: at least {whole['lower_bound'] or 0:g}"}
     weighted = "" if whole["cost"] == whole["switches"] else f" of cost {whole['cost']:.6g}"
     return f"{whole['switches']} switches{weighted} in all; {proven.get(whole['certificate'], 'nothing is proven')}"
 
 
 def check_lines(wanted: Goals, path: Path) -> None:
-    """Checks that lines can run between goals.
+    """Checks that straight lines can join the goals of a file.
 
     Raises:
-        InputFaults: the goals of the file ask for what lines have not.
+        InputFaults: a goal has an orientation, or a previous configuration.
     """
     if any(given is not None for _, _, given in wanted):
-        raise InputFaults(path, ["column previous: a line begins where the one before ended"])
+        raise InputFaults(path, ["column previous: remove it, each line begins at the end of the previous line"])
     if any(orientation is not None for _, orientation, _ in wanted):
-        raise InputFaults(path, ["orientations: lines are followed by position only"])
+        raise InputFaults(path, ["orientations: remove them, lines are followed by position only"])
 
 
 def turned(orientation: Orientation) -> list[float]:
-    """Returns an orientation's numbers: none, the angle, or the quaternion."""
+    """Returns the numbers of an orientation: none, the angle, or the quaternion."""
     return [] if orientation is None else orientation if isinstance(orientation, list) else [orientation]
 
 
 def read_goals(arm: Arm, path: Path) -> Goals:
-    """Returns position, orientation and previous configuration, where given, of each row of a CSV file.
+    """Reads goals from a CSV file: position, and orientation and previous configuration if given.
 
     Raises:
-        InputFaults: the file is missing, or what is wrong in which lines.
+        InputFaults: the file is missing or wrong; each fault names its line.
     """
     columns = ["x", "y", "z"][: arm.manipulator.dimension]
     turns = ["th"] if arm.manipulator.planar else ["qx", "qy", "qz", "qw"]
@@ -170,8 +174,8 @@ def read_goals(arm: Arm, path: Path) -> Goals:
             if set(turns) <= set(names):
                 columns += turns
             if not set(columns) <= set(names) <= {*columns, "previous"}:
-                needed = f"columns {','.join(columns)} and maybe {','.join(turns)} and previous are needed"
-                raise InputFaults(path, [f"{needed}, got {names}"])
+                needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and previous are optional"
+                raise InputFaults(path, [f"{needed}; got {names}"])
             for row in reader:
                 where = f"line {reader.line_num}"
                 try:
@@ -189,9 +193,13 @@ def read_goals(arm: Arm, path: Path) -> Goals:
 
 
 def unstuck(arm: Arm, text: str, where: str) -> Configuration:
-    """Returns the configuration that `text` writes as one of `arm.reduced`; faults name `where`."""
+    """Parses a configuration of the whole arm and returns it as a configuration of `arm.reduced`, shape (B,).
+
+    Raises:
+        InputFaults: the arm has no such configuration, or a locked actuator is in another state.
+    """
     whole = configuration(arm, text, where)
     try:
         return transferred(whole, arm.manipulator, arm.reduced)
     except ValueError as error:
-        raise InputFaults(Path(where), [f"{text}: as actuators are stuck, {error}"]) from None
+        raise InputFaults(Path(where), [f"{text}: as actuators are locked, {error}"]) from None

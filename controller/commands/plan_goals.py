@@ -1,4 +1,4 @@
-"""Goals of `plan`: each for itself, or all as one trajectory."""
+"""Searches for the goals of `plan`: for each goal separately, or for all goals as one trajectory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
 from controller.search.method import Method
 
-if TYPE_CHECKING:  # its kernels take a second to import: only those who search wait for it
+if TYPE_CHECKING:  # the search's kernels take a second to import
     from controller.motion.whole import Goals as Positions
     from controller.search.solution import Solution
     from controller.search.solver import Solver
@@ -24,14 +24,14 @@ Goals = list[tuple[list[float], Orientation, Configuration | None]]
 
 
 class Answer(NamedTuple):
-    """What was found for a goal.
+    """The solution of a goal, or of a point between two goals.
 
     Attributes:
-        position: that was asked for.
-        orientation: that was asked for.
-        solution: what was found.
-        between: whether it is a point of a line between goals.
-        whole: what is proven of the whole trajectory, for JSON; None: the goal was searched for itself.
+        position: of the goal, shape (dimension,).
+        orientation: of the goal, an angle [rad] or a quaternion; None: any orientation.
+        solution: configuration, tip and certificate.
+        between: whether the point lies on a line between goals.
+        whole: switches, cost and certificate of the whole trajectory, for JSON; None: a separate search.
     """
 
     position: list[float]
@@ -47,23 +47,26 @@ Answers = Iterator[Answer]
 def search(
     solver: Solver, wanted: Goals, start: Configuration, tolerance: float, turn: float, method: Method
 ) -> Answers:
-    """Gives each goal with its solution, searched from the one before unless told; none is between goals."""
+    """Yields the solution of each goal, searched separately.
+
+    Each search starts at the previous solution, or at the goal's own previous configuration.
+    """
     for position, orientation, given in wanted:
         goal = np.array(position) if orientation is None else frame(position, orientation)
         own = start if given is None else given
-        found = solver.solve(goal, own, tolerance, method, turn=np.inf if orientation is None else turn)
+        found = solver.solve(goal, own, tolerance, method, angle_tolerance=np.inf if orientation is None else turn)
         start = found.configuration
         yield Answer(position, orientation, found)
 
 
 def given(solver: Solver, configuration: Configuration, start: Configuration, tolerance: float) -> Answer:
-    """Returns a configuration as the solution for the position of its own tip; no search."""
+    """Returns a configuration as the solution of its own tip position, without a search."""
     position = solver.manipulator.tip(configuration)[: solver.manipulator.dimension, 3]
     return Answer(position.tolist(), None, solver.described(configuration, position, start, tolerance))
 
 
 def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:
-    """Returns the tip's frame (4, 4) that a goal asks for."""
+    """Returns the tip's frame (4, 4) of a goal."""
     if isinstance(orientation, float):
         return frames.planar(position[0], position[1], orientation)
     return frames.spatial(position, orientation)
@@ -78,12 +81,22 @@ def follow(
     path_tolerance: float | None,
     method: Method,
 ) -> Answers:
-    """Gives each point of a trajectory with its solution, as a daemon answers `plan` for a goal with enough time.
+    """Yields the solution of each point of a trajectory, as the daemon answers `plan`.
 
-    A goal with a previous configuration begins a trajectory of its own.
+    The trajectory leaves enough time for all switches. A goal with a previous configuration begins a new trajectory.
+    Goals that cannot be planned as one trajectory are searched separately.
+
+    Args:
+        arm: the arm.
+        solver: solver of the reduced arm.
+        wanted: the goals.
+        start: configuration before the first goal, shape (B,).
+        tolerances: position tolerance and orientation tolerance [rad].
+        path_tolerance: follow straight lines within this distance; None: do not.
+        method: search method.
 
     Raises:
-        Failed: the lines between the goals cannot be followed, why.
+        Failed: the lines between the goals cannot be followed.
     """
     from controller.motion.pacing import pace_of
     from controller.motion.whole import plan_whole, unhurried
@@ -99,7 +112,7 @@ def follow(
         except Refusal as refusal:
             if path_tolerance is not None:
                 raise Failed(str(refusal)) from None
-            errors.print(f"not one trajectory: {refusal}; each goal is searched for itself")
+            errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
             for answer in search(solver, [(p, o, None) for p, o, _ in part], start, *tolerances, method):
                 start = answer.solution.configuration
                 yield answer
@@ -115,7 +128,7 @@ def follow(
 
 
 def as_arrays(wanted: Goals, tolerance: float, turn: float) -> Positions:
-    """Returns goals as arrays, with tolerances of their positions and orientations."""
+    """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
     from controller.motion.whole import Goals as Positions
 
     turns = np.array([np.inf if orientation is None else turn for _, orientation, _ in wanted])

@@ -1,4 +1,4 @@
-"""The command that records an arm: record."""
+"""The command `record`: records what an arm publishes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 RETRY = 1.0  # [s] between attempts to reach the daemon
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-SMALLEST = 100_000  # bytes of a recording, and of all
+SMALLEST = 100_000  # bytes; least value of --size and --keep
 
-FOLDER = "Where recordings are written; made if it is missing."
-SIZE = "A new recording begins after so many bytes: 100M, 2G."
-MINUTES = "A new recording begins after so many minutes."
-KEEP = "The oldest recordings of this arm are deleted when all together have more bytes: 2G."
-FSYNC = "Each second wait until the disk has the data: a cut power supply, too, then costs a second at most."
-CAN = "Write the frames of the arm's buses as candump text beside; ARM must be the arm's file."
+FOLDER = "Folder of the recordings; created if it is missing."
+SIZE = "Begin a new recording after this size, such as 100M or 2G."
+MINUTES = "Begin a new recording after this time [min]."
+KEEP = "Delete the oldest recordings of this arm if all together exceed this size, such as 2G."
+FSYNC = "Flush the data to disk each second: a power failure then loses at most one second."
+CAN = "Also write the frames of the arm's buses as candump text; ARM must be the arm's file."
 
 
 def record(
@@ -46,7 +46,7 @@ def record(
 ) -> None:
     """Record what an arm publishes, and the requests to it, as MCAP files until SIGTERM."""
     name = arm_name(arm)
-    most, kept = parse_size(size, "--size"), None if keep is None else parse_size(keep, "--keep")
+    most, most_kept = parse_size(size, "--size"), None if keep is None else parse_size(keep, "--keep")
     if not 0.0 < minutes < 1e6:
         raise InputFaults(Path("--minutes"), [f"a number above 0 is needed, got {minutes:g}"])
     require("mcap")
@@ -63,7 +63,7 @@ def record(
         signal.signal(number, lambda *_: ending.set())
     with contextlib.ExitStack() as stack:
         try:
-            where = Folder(folder, name, kept)
+            where = Folder(folder, name, most_kept)
         except FolderInUse as error:
             raise Failed(str(error)) from None
         except OSError as error:
@@ -102,17 +102,26 @@ def record(
 def opened(
     connect: str, zenoh_file: Path | None, wait: Callable[[float], bool], beat: Callable[[], None]
 ) -> Iterator[zenoh.Session | None]:
-    """Opens a session with a daemon as soon as there is one; None if `wait` ends before.
+    """Opens a session with a daemon as soon as one is there.
+
+    Args:
+        connect: Zenoh endpoint of the daemon.
+        zenoh_file: Zenoh configuration, instead of the endpoint.
+        wait: waits for a time [s]; returns whether the command is to end.
+        beat: called before each wait.
+
+    Yields:
+        The session, or None if the command is to end before a daemon was there.
 
     Raises:
-        InputFaults: the Zenoh file is wrong.
+        InputFaults: the Zenoh configuration is wrong.
     """
     import zenoh
 
     from controller.gateway import session
 
     zenoh.init_log_from_env_or("error")
-    told = False
+    warned = False
     while True:
         try:
             config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
@@ -122,8 +131,8 @@ def opened(
             live = zenoh.open(config)
             break
         except zenoh.ZError as error:
-            if not told:
-                told = True
+            if not warned:
+                warned = True
                 where, why = zenoh_file or connect, session.reason(error)
                 logging.getLogger(__name__).warning("no daemon at %s yet, waiting for one: %s", where, why)
         beat()
@@ -135,10 +144,10 @@ def opened(
 
 
 def can_log(file: Path) -> CanLog:
-    """Begins to read the buses of an arm's file.
+    """Opens the buses of an arm's file for a log of their frames.
 
     Raises:
-        InputFaults: it is no arm's file, or wrong.
+        InputFaults: the file is missing or wrong.
     """
     if not file.is_file():
         raise InputFaults(Path("--can"), [f"{file}: no such file; --can needs the arm's file, which names its buses"])
@@ -150,10 +159,10 @@ def can_log(file: Path) -> CanLog:
 
 
 def parse_size(text: str, option: str) -> int:
-    """Returns the bytes that a text such as "200M" stands for.
+    """Returns a size such as "200M" in bytes.
 
     Raises:
-        InputFaults: it is not written so, or too small for a recording.
+        InputFaults: the text is no size, or the size is too small for a recording.
     """
     unit = text[-1:].upper()
     number, factor = (text[:-1], UNITS[unit]) if unit in UNITS and unit else (text, 1)
@@ -165,12 +174,12 @@ def parse_size(text: str, option: str) -> int:
 
 
 def require(package: str) -> None:
-    """Looks whether what recording needs is installed.
+    """Checks that a package for recordings is installed.
 
     Raises:
-        Failed: it is not.
+        Failed: the package is missing.
     """
     from importlib.util import find_spec
 
     if find_spec(package) is None:
-        raise Failed(f"{package} is missing: install hyperbit with recorder, as by pip install '.[recorder]'")
+        raise Failed(f"the package {package} is missing", "install it with: pip install '.[recorder]'")

@@ -1,4 +1,4 @@
-"""The command that replays a recording: replay."""
+"""The command `replay`: publishes a recording again, or repeats its goals."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 LISTEN = "tcp/127.0.0.1:7457"
 
-RECORDING = "What `hyperbit record` wrote."
-SPEED = "Seconds of the recording in a second."
-BEGIN = "Begin so many seconds after the recording's begin."
-PREFIX = "Keys are republished below PREFIX/<arm>."
-STAY = "Stay at the end, for a page that moves the time line, until SIGTERM."
+RECORDING = "A file that `hyperbit record` wrote."
+SPEED = "Speed of the replay; 2 is twice as fast as recorded."
+BEGIN = "Time in the recording at which the replay begins [s]."
+PREFIX = "Prefix of the keys: they are published below PREFIX/<arm>."
+STAY = "Continue after the end of the recording until SIGTERM, so that a page can move the timeline."
 GOALS = "Send the recorded goals to a simulated arm instead, and compare the configurations."
-ARM = "With --goals: the arm's file in place of the recorded one."
-CONNECT = "Zenoh endpoint to connect to, in place of --listen."
+ARM = "With --goals: an arm's file to use instead of the recorded one."
+CONNECT = "Zenoh endpoint to connect to, instead of --listen."
 
 
 def replay(
@@ -53,10 +53,10 @@ def replay(
     if not 0.0 <= begin < 1e9:
         raise InputFaults(Path("--from"), [f"seconds from 0 on are needed, got {begin:g}"])
     if arm is not None and not goals:
-        raise InputFaults(Path("--arm"), ["it is for --goals"])
+        raise InputFaults(Path("--arm"), ["only with --goals"])
     keys = prefix.split("/")
     if "hyperbit" in keys or not all(key.isascii() and key.replace("-", "").replace("_", "").isalnum() for key in keys):
-        words = f"{prefix!r}: letters, digits, - and _ are needed, and another word than hyperbit: the present is there"
+        words = f"{prefix!r}: letters, digits, - and _ are needed, and not hyperbit, the prefix of running daemons"
         raise InputFaults(Path("--prefix"), [words])
     try:
         past = Past(file)
@@ -64,7 +64,7 @@ def replay(
         raise InputFaults(file, [str(error).removeprefix(f"{file}: ")]) from None
     with contextlib.closing(past):
         if not past.whole:
-            common.errors.print(f"{file} was not completed: what it has is replayed", markup=False)
+            common.errors.print(f"{file} is incomplete: its readable part is replayed", markup=False)
         try:
             if goals:
                 compare_goals(past, arm, as_json)
@@ -75,7 +75,20 @@ def replay(
 
 
 def play(past: Past, speed: float, begin: float, listen: str, connect: str | None, prefix: str, *, stay: bool) -> None:
-    """Republishes a recording."""
+    """Publishes a recording again, until its end or SIGTERM.
+
+    Args:
+        past: the recording.
+        speed: recorded seconds in a second.
+        begin: time after the recording's begin [s].
+        listen: Zenoh endpoint to listen at.
+        connect: Zenoh endpoint to connect to instead; None: listen.
+        prefix: of the keys.
+        stay: continue after the recording's end.
+
+    Raises:
+        Failed: there is no Zenoh session.
+    """
     import zenoh
 
     from controller.gateway import session
@@ -103,21 +116,21 @@ def play(past: Past, speed: float, begin: float, listen: str, connect: str | Non
 
 
 def compare_goals(past: Past, file: Path | None, as_json: bool) -> None:
-    """Prints what becomes of the recorded goals on a simulated arm.
+    """Sends the recorded goals to a simulated arm and prints how their configurations compare.
 
     Raises:
-        Failed: one led elsewhere, there is none, or the arm does not start.
-        InputFaults: the file given is wrong, or of another arm.
+        Failed: a configuration differs, no goal can be compared, or the arm does not start.
+        InputFaults: the arm's file is wrong, or describes another arm.
     """
     from controller.recorder.regression import ArmFailed, Compared, compare
 
     if file is not None:
         common.load_wired(file)
         if (name := arm_name(str(file))) != past.arm:
-            raise InputFaults(file, [f"it is of the arm {name!r}, the recording of {past.arm!r}"])
+            raise InputFaults(file, [f"the file describes the arm {name!r}, the recording is of {past.arm!r}"])
     counts = {"equal": 0, "differs": 0, "unproven": 0, "skipped": 0}
 
-    def tell(it: Compared) -> None:
+    def show(it: Compared) -> None:
         counts[it.outcome] += 1
         line: dict[str, Any] = {"goal": it.id, "outcome": it.outcome, "reason": it.reason or None}
         if as_json:
@@ -126,12 +139,12 @@ def compare_goals(past: Past, file: Path | None, as_json: bool) -> None:
             common.console.print(f"goal {it.id} {it.outcome}: {it.reason}", markup=False)
 
     try:
-        compare(past, file, tell)
+        compare(past, file, show)
     except ArmFailed as error:
         raise Failed(str(error)) from None
     if not as_json:
-        words = f"{counts['equal']} goals led to the same configurations, {counts['differs']} did not"
-        words += f"; {counts['unproven']} were not proven and differ, {counts['skipped']} cannot be compared"
+        words = f"{counts['equal']} goals led to the same configurations, {counts['differs']} to others;"
+        words += f" {counts['unproven']} differ, but were not proven optimal; {counts['skipped']} cannot be compared"
         common.console.print(words, markup=False)
     if counts["differs"] or not counts["equal"]:
         raise Failed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")

@@ -1,4 +1,4 @@
-"""Commands that tell of an arm, and of the paper's: fk, map, figure5."""
+"""The commands `fk`, `map` and `figure5`: forward kinematics, densities, and the paper's experiment."""
 
 import time
 from pathlib import Path
@@ -37,7 +37,9 @@ def fk(
 
 def map_(
     file: ArmFile,
-    rebuild: Annotated[bool, typer.Option("--rebuild", help="Map anew, whatever is in the cache.")] = False,
+    rebuild: Annotated[
+        bool, typer.Option("--rebuild", help="Compute the densities even if the cache has them.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Compute the point densities of all intermediate workspaces and store them in the cache."""
@@ -69,7 +71,7 @@ def map_(
 
 
 def figure5(
-    picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("figure5.png"),
+    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("figure5.png"),
     as_json: AsJson = False,
 ) -> None:
     """Repeat the paper's experiment of section 4: three targets, three algorithms."""

@@ -13,10 +13,10 @@ from controller.commands.connection import ask, connected, read_payload
 from controller.strict import InputFaults
 
 STATES = ("contracted", "extended")  # as controller.manipulator.locked has them, without its import of NumPy
-PAUSE = 0.002  # [s]; more than one request of a kind in a millisecond are lost where others are let in
-LOCKS = "As in 5.left=contracted: held contracted or extended from now on, or free, to be used again."
-SWITCHES = "As in 5.left=extended: the state that the actuator switches to, contracted or extended."
-REGIONS = "The regions, YAML or JSON, written under `regions` as under `obstacles` in the arm's file."
+PAUSE = 0.002  # [s]; deploy/zenoh-tls.json5 drops a second request of a kind within a millisecond
+LOCKS = "Actuator and state, such as 5.left=contracted: contracted or extended locks it, free unlocks it."
+SWITCHES = "Actuator and the state to switch it to, contracted or extended, such as 5.left=extended."
+REGIONS = "Obstacles, YAML or JSON: a list `regions`, written as `obstacles` in the arm's file."
 
 
 def cancel(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
@@ -52,7 +52,7 @@ def jog(
             form = "an actuator, =, and contracted or extended are needed, as in 5.left=extended"
             raise InputFaults(Path("jog"), [f"{change!r}: {form}"])
         if actuator in actuators:
-            raise InputFaults(Path("jog"), [f"{change!r}: {actuator} stands twice"])
+            raise InputFaults(Path("jog"), [f"{change!r}: {actuator} is given twice"])
         actuators[actuator] = state
     with connected(arm, connect, zenoh_file) as client:
         ask(client, arm, "jog", {"actuators": actuators}, as_json)
@@ -66,9 +66,9 @@ def degrade(
     as_json: AsJson = False,
 ) -> None:
     """Lock actuators that are stuck, or unlock them. Nothing moves."""
-    wishes = [wish(change) for change in changes]
+    payloads = [parse_lock(change) for change in changes]
     with connected(arm, connect, zenoh_file) as client:
-        for payload in wishes:
+        for payload in payloads:
             ask(client, arm, "degrade", payload, as_json)
             time.sleep(PAUSE)
 
@@ -87,7 +87,7 @@ def lock(
 def obstacles(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="REGIONS.yaml", help=REGIONS, show_default=False)] = None,
-    none: Annotated[bool, typer.Option("--none", help="Keep out of those of the arm's file only.")] = False,
+    none: Annotated[bool, typer.Option("--none", help="Remove all obstacles that were sent.")] = False,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
@@ -100,11 +100,11 @@ def obstacles(
         ask(client, arm, "obstacles", payload, as_json)
 
 
-def wish(change: str) -> dict[str, Any]:
-    """Returns the payload that "ACTUATOR=STATE" stands for.
+def parse_lock(change: str) -> dict[str, Any]:
+    """Returns the payload of `degrade` for "ACTUATOR=STATE".
 
     Raises:
-        InputFaults: it is not written so.
+        InputFaults: the text has another form.
     """
     actuator, _, state = change.partition("=")
     states = {**{word: k for k, word in enumerate(STATES)}, "free": None}

@@ -1,4 +1,4 @@
-"""The command that runs an arm: run."""
+"""The command `run`: runs the daemon of an arm."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ import typer
 from controller.commands.common import ENDPOINT, ArmFile, Failed, ZenohFile, densities_of, load_wired
 from controller.strict import InputFaults
 
-SOCKET = "Of an executor that runs already, or the folder of its socket; without, this command starts one."
-POLL = 0.2  # [s] between two looks whether the executor still runs
+SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
+LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
+POLL = 0.2  # [s] between two checks that the executor still runs
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 def run(
     file: ArmFile,
-    simulate: Annotated[bool, typer.Option("--simulate", help="Simulated boards, inside the executor.")] = False,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Use simulated boards, inside the executor.")] = False,
     board: Annotated[
-        list[str], typer.Option(help="What simulated boards are like; see `simulate --help`.", show_default=False)
+        list[str], typer.Option(help="Kind of the simulated boards; see `simulate --help`.", show_default=False)
     ] = [],  # noqa: B006  # typer needs a list
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
     zenoh_file: ZenohFile = None,
-    ledger: Annotated[Path | None, typer.Option(help="Where the ledger is kept, the switch journal beside it.")] = None,
+    ledger: Annotated[Path | None, typer.Option(help=LEDGER)] = None,
     panel: Annotated[
-        bool, typer.Option("--panel", help="Serve the operator's page, too, and print its address.")
+        bool, typer.Option("--panel", help="Also serve the operator's web page, and print its address.")
     ] = False,
 ) -> None:
     """Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor."""
@@ -41,7 +42,7 @@ def run(
     if board and not simulate:
         raise InputFaults(Path("run"), ["--board is for simulated boards: give --simulate as well"])
     if panel and zenoh_file is not None:
-        raise InputFaults(Path("run"), ["with --zenoh start the page by itself: hyperbit panel --zenoh FILE"])
+        raise InputFaults(Path("run"), ["with --zenoh start the page separately: hyperbit panel --zenoh FILE"])
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
 
     from controller.actuators import ending_time, read_wired
@@ -50,14 +51,14 @@ def run(
     from controller.scheduling import shorten_slice
     from controller.sockets import socket_path
 
-    shorten_slice()  # of this process's threads, so that a stop waits less for other processes
+    shorten_slice()  # shorter time slices of this process's threads: a stop waits less for other processes
     settings, actuators, _ = read_wired(file)
     start_logging({"HYPERBIT_ARM": settings.name})
     path = socket_path(socket, settings.name)
     with contextlib.ExitStack() as stack:
         executor = None
-        if socket is None:  # first, so that the boards boot while the kernels load
-            journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # the counts of this ledger alone
+        if socket is None:  # before the kernels are loaded, so that the boards boot meanwhile
+            journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # a ledger has its own counts
             executor = ExecutorProcess(file, path, simulate=simulate, journal=journal, board=board)
             stack.callback(executor.close, PATIENCE + ending_time(settings, len(actuators)))
         if panel:
@@ -67,7 +68,7 @@ def run(
 
 
 def reachable(listen: str) -> str:
-    """Returns the endpoint by which this computer connects to one that is listened at."""
+    """Returns the endpoint by which a process of this computer connects to a listening endpoint."""
     for every in ("/0.0.0.0:", "/[::]:"):
         listen = listen.replace(every, "/127.0.0.1:")
     return listen
@@ -81,19 +82,19 @@ def serve(
     zenoh_file: Path | None,
     ledger: Path | None,
 ) -> None:
-    """Serves an arm until a signal comes or the executor that this command started ends.
+    """Serves an arm until a signal arrives, or until the executor that this command started ends.
 
     Args:
-        file: of the arm.
-        path: of the executor's socket.
-        ended: returns the exit code of that executor; None while it runs, or if it is not this command's.
+        file: the arm's file.
+        path: socket of the executor.
+        ended: returns the exit code of the started executor; None while it runs, or if none was started.
         listen: Zenoh endpoint.
-        zenoh_file: Zenoh configuration, in place of the endpoint.
-        ledger: path of the ledger; the default if None.
+        zenoh_file: Zenoh configuration, instead of the endpoint.
+        ledger: path of the ledger; None: the default path.
 
     Raises:
-        Failed: the executor ended, there is no session, or another daemon serves the arm.
-        InputFaults: the arm's file or that of Zenoh is wrong.
+        Failed: the executor ended, there is no Zenoh session, or another daemon serves the arm.
+        InputFaults: the arm's file or the Zenoh configuration is wrong.
     """
     import zenoh
 
@@ -112,12 +113,12 @@ def serve(
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     book, ending = ledger or default_path(arm.settings.name), threading.Event()
     try:
-        for number in SIGNALS:  # before anybody is served, whose goals are to end in order
+        for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
             signal.signal(number, lambda *_: ending.set())
         with running(arm, densities, config, book, path, digest):
             while not ending.wait(POLL):
                 if (code := ended()) is not None:
-                    raise Failed(f"the executor ended with code {code}: see above")
+                    raise Failed(f"the executor ended with code {code}: its messages are above")
     except (AlreadyRunning, LedgerInUse) as error:
         raise Failed(str(error)) from None
     except zenoh.ZError as error:

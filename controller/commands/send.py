@@ -25,15 +25,19 @@ from controller.strict import InputFaults
 if TYPE_CHECKING:
     from controller.gateway.client import Client
 
-ONE_GOAL = "Where to go now, with an orientation if it matters; in space X,Y,Z[,QX,QY,QZ,QW]."
+ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
 
 
 def send(
     arm: ArmName,
     file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
     to: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
-    configuration: Annotated[str | None, typer.Option(help="Module states to go to, as `fk` takes them.")] = None,
-    path_tolerance: Annotated[float | None, typer.Option(help="Follow the straight lines between waypoints.")] = None,
+    configuration: Annotated[
+        str | None, typer.Option(help="Configuration to go to: module states, base first.")
+    ] = None,
+    path_tolerance: Annotated[
+        float | None, typer.Option(help="Follow straight lines between waypoints within this distance.")
+    ] = None,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
@@ -50,11 +54,11 @@ def send(
     if to is not None and numbers != 3:
         goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
 
-    def tell(message: dict[str, Any]) -> None:
+    def show(message: dict[str, Any]) -> None:
         if as_json:
             print_json(message)
         elif "waypoint" in message:
-            error = "unknown" if message["error"] is None else missed(message)
+            error = "unknown" if message["error"] is None else errors_of(message)
             common.console.print(
                 f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
                 f" {message['switches']} switches so far"
@@ -64,10 +68,10 @@ def send(
 
     goal.setdefault("id", uuid.uuid4().hex[:12])
     with connected(arm, connect, zenoh_file) as client:
-        if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH, as the arm is
+        if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
             goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
         try:
-            result = client.run(goal, tell)
+            result = client.run(goal, show)
         except KeyboardInterrupt:
             cancel_goal(client, goal["id"], as_json)
             raise typer.Exit(130) from None
@@ -77,11 +81,11 @@ def send(
         raise refusal(result, arm)
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
-        common.console.print(f"reached ({position}), error {missed(result)}, {result['switches']} switches")
+        common.console.print(f"reached ({position}), error {errors_of(result)}, {result['switches']} switches")
 
 
 def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
-    """Cancels a goal whose command was interrupted, and prints the daemon's answer.
+    """Cancels the goal of an interrupted command and prints the daemon's answer.
 
     Raises:
         Unanswered: the daemon did not answer; `connected` makes this a Failed.
@@ -94,13 +98,13 @@ def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
         common.console.print(f"goal {goal}: {answer['message']}", markup=False)
 
 
-def missed(message: dict[str, Any]) -> str:
-    """Returns the errors in a message, of the position and, if one was asked for, of the orientation."""
+def errors_of(message: dict[str, Any]) -> str:
+    """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
     angle = message["orientation_error"]
     return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")
 
 
 def waypoint(to: str, dimension: int) -> dict[str, Any]:
-    """Returns the waypoint in "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]"."""
+    """Parses a waypoint, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]"."""
     position, orientation = parse_goal(to, dimension, "--to")
     return {"position": position} if orientation is None else {"position": position, "orientation": orientation}

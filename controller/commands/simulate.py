@@ -1,4 +1,4 @@
-"""The command that runs simulated boards: simulate."""
+"""The command `simulate`: runs simulated boards."""
 
 import signal
 import sys
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from drivers.simulation.simulation import Simulation
 
 
-BOARD = "What boards are like: NAME for all, or BOARD=NAME for one, e.g. can0/5=guarding-only; several times."
+BOARD = "Kind of the boards: NAME for all, or BOARD=NAME for one, such as can0/5=guarding-only; repeatable."
 
 
 def simulate(
@@ -55,13 +55,13 @@ def simulate(
         simulation.stop()
 
 
-simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nNames of boards:\n" + "\n".join(
+simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nKinds of boards:\n" + "\n".join(
     f"  {name:18} {variant.text}" for name, variant in VARIANTS.items()
 )
 
 
 def obey(simulation: "Simulation") -> None:
-    """Makes the faults that lines on standard input ask for."""
+    """Injects the faults that lines on standard input name."""
     for line in sys.stdin:
         try:
             simulation.fault(*line.split())

@@ -41,7 +41,7 @@ def watch(
                     key, message = news.get(timeout=2.0)
                 except queue.Empty:
                     if not client.alive():
-                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not there, or is gone", START) from None
+                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not running", START) from None
                     continue
                 if live is None:
                     if key == "state":
@@ -53,22 +53,22 @@ def watch(
 
 
 class View:
-    """Renders the last state and diagnostics of an arm."""
+    """Renders the latest state and diagnostics of an arm."""
 
     def __init__(self, arm: str) -> None:
-        """Takes the arm's name."""
+        """Creates a view of the arm of this name."""
         self._arm = arm
         self._latest: dict[str, dict[str, Any]] = {}
 
     def take(self, key: str, message: dict[str, Any]) -> None:
-        """Takes a message on "state" or "diagnostics"."""
+        """Keeps the latest message of a key, "state" or "diagnostics"."""
         self._latest[key] = message
 
     def __rich__(self) -> RenderableType:
-        """Returns what is to be shown."""
+        """Returns the panel to draw."""
         state = self._latest.get("state")
         if state is None:
-            return Text(f"waiting for word from {self._arm} ...")
+            return Text(f"waiting for the state of {self._arm} ...")
         parts = [self._summary(state), self._actuators(state)]
         parts += [Text(f"{fault['code']}: {fault['message']}", style="red") for fault in state["faults"]]
         if (diagnostics := self._latest.get("diagnostics")) is not None:
@@ -97,7 +97,7 @@ class View:
         return text
 
     def _hardware(self, diagnostics: dict[str, Any]) -> RenderableType:
-        buses = Table("bus", "state", "load", "at worst", "sent", "received", "dropped", "errors tx/rx")
+        buses = Table("bus", "state", "load", "worst-case load", "sent", "received", "dropped", "errors tx/rx")
         for bus in diagnostics["buses"]:
             buses.add_row(
                 bus["name"],
@@ -109,9 +109,9 @@ class View:
                 str(bus["dropped"]),
                 f"{bus['tx_errors']}/{bus['rx_errors']}",
             )
-        unwell = [b for b in diagnostics["boards"] if b["state"] != "operational" or b["emergency"]]
-        boards = Text(f"{len(diagnostics['boards']) - len(unwell)} of {len(diagnostics['boards'])} boards operational")
-        for board in unwell:
+        faulty = [b for b in diagnostics["boards"] if b["state"] != "operational" or b["emergency"]]
+        boards = Text(f"{len(diagnostics['boards']) - len(faulty)} of {len(diagnostics['boards'])} boards operational")
+        for board in faulty:
             boards.append(f"\n{board['bus']}/{board['node']}: {board['state']} {board['emergency'] or ''}", style="red")
         loop = diagnostics["loop"]
         figures = Text(

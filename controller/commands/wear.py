@@ -12,14 +12,14 @@ from controller.commands import common
 from controller.commands.common import ArmFile, AsJson, Failed, print_json
 from controller.strict import InputFaults
 
-# StateDirectory of the service, and what it links to under DynamicUser, which root alone can read.
+# StateDirectory of the service, and its link target under DynamicUser, which only root can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
 INSTANCES = Path("/var/lib/hyperbit-arms")  # of the services by instance
 
 
 def wear(
     file: ArmFile,
-    ledger: Annotated[Path | None, typer.Option(help="The ledger; the daemon's if absent.")] = None,
+    ledger: Annotated[Path | None, typer.Option(help="Ledger to read. Default: the daemon's.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Print how often each actuator has switched, and how goals ended."""
@@ -41,7 +41,7 @@ def wear(
     try:
         switches, goals = read(path)
     except sqlite3.Error as error:
-        raise Failed(f"{path}: no ledger there: {error}") from None
+        raise Failed(f"{path}: no ledger there: {error}", "name it by --ledger, or run the daemon first") from None
     counts = {label: switches.get(label, 0) for label in actuators}
     if as_json:
         print_json({"ledger": str(path), "switches": counts, "goals": goals})
@@ -59,9 +59,9 @@ def wear(
 
 
 def last_written(ledgers: list[Path]) -> Path:
-    """Returns the ledger that was written last, the first path if there is none.
+    """Returns the ledger that was written last; the first path if none exists.
 
-    A ledger that this user cannot read is named on stderr.
+    This function names ledgers that the user cannot read on stderr.
     """
     times: dict[Path, float] = {}
     for path in ledgers:
@@ -71,6 +71,6 @@ def last_written(ledgers: list[Path]) -> Path:
             if path in parts:
                 times[path] = max(part.stat().st_mtime for part in parts)
         except OSError as error:
-            if os.path.lexists(path.parent):  # else there is no service, only /var/lib/private
+            if os.path.lexists(path.parent):  # otherwise no service is installed, and only /var/lib/private exists
                 common.errors.print(f"{path}: {error.strerror}; root can read the service's ledger", markup=False)
     return max(times, key=lambda path: times[path], default=ledgers[0])

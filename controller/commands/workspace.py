@@ -1,4 +1,4 @@
-"""The command that draws and reports where an arm can reach: workspace."""
+"""The command `workspace`: draws and reports where an arm can reach."""
 
 from __future__ import annotations
 
@@ -31,19 +31,23 @@ if TYPE_CHECKING:
     from controller.workspace.orientations import Orientations
 
 FIGURES = ("reach", "covered", "redundancy")
-DRAWN = "mapping's densities lead random draws to the point; a grid with orientation has pixels far above a tolerance"
-MAPPED = "the search uses the same densities, with every intermediate workspace; convolution has that of the whole only"
-LOCKED = "a lock changes only the intermediate workspaces below its module; those above are mapped once"
+DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
+MAPPED = "the search uses the same densities of all intermediate workspaces"
+LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
 
 
 def workspace(
     file: ArmFile,
-    at: Annotated[str | None, typer.Option(metavar="X,Y[,Z]", help="Point at which orientations are told.")] = None,
-    locked: Annotated[int | None, typer.Option(metavar="K", help="Number of actuators to lock.")] = None,
-    samples: Annotated[int, typer.Option(help="Most choices of more than one locked actuator.")] = 100,
-    tolerance: Annotated[float | None, typer.Option(help="Distance from a goal; the arm's if absent.")] = None,
-    picture: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("workspace.png"),
-    seed: Annotated[int, typer.Option(help="Of random draws and choices.")] = 0,
+    at: Annotated[
+        str | None, typer.Option(metavar="X,Y[,Z]", help="Also report the orientations at this point.")
+    ] = None,
+    locked: Annotated[
+        int | None, typer.Option(metavar="K", help="Also report the reach with K actuators locked.")
+    ] = None,
+    samples: Annotated[int, typer.Option(help="Most random choices of locked actuators, if K is above 1.")] = 100,
+    tolerance: Annotated[float | None, typer.Option(help="Position tolerance. Default: the arm's.")] = None,
+    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("workspace.png"),
+    seed: Annotated[int, typer.Option(help="Seed of random draws and choices.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators."""
@@ -58,32 +62,32 @@ def workspace(
         raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
     point = None if at is None else position(at, arm.manipulator.dimension)
     densities = densities_of(arm, silent=as_json)
-    told: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(arm, densities, own)}
+    report: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(arm, densities, own)}
     fields = [positions_field(densities, arm.manipulator.dimension, own)]
     found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
     if found is not None:
-        told["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
+        report["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
     if locked is not None:
         choices = locked_reach(arm, densities, locked, own, samples, seed, silent=as_json)
-        told["locked"] = locks(arm, choices, locked)
+        report["locked"] = locks(arm, choices, locked)
         fields.append(locked_field(choices, locked))
     some = found if found is not None and len(found.counts) else None
     try:
         draw_workspace(arm.reduced, fields, point, some, arm.settings.name).savefig(picture, dpi=130)
     except (OSError, ValueError) as error:
         raise InputFaults(picture, [f"cannot be written: {error}"]) from None
-    told["picture"] = str(picture)
+    report["picture"] = str(picture)
     if as_json:
-        print_json(told)
+        print_json(report)
     else:
-        show(told)
+        show(report)
 
 
 def position(text: str, dimension: int) -> list[float]:
-    """Returns the position that `--at` gives.
+    """Parses the position of `--at`.
 
     Raises:
-        InputFaults: it is none.
+        InputFaults: the text is no position.
     """
     found, orientation = parse_goal(text, dimension, "--at")
     if orientation is not None:
@@ -94,10 +98,10 @@ def position(text: str, dimension: int) -> list[float]:
 def locked_reach(
     arm: Arm, densities: Densities, locked: int, tolerance: float, samples: int, seed: int, *, silent: bool
 ) -> LockedReach:
-    """Returns the reach with locked actuators, with a progress bar on stderr.
+    """Returns the reach with locked actuators; shows a progress bar on stderr.
 
     Raises:
-        InputFaults: so many cannot be locked.
+        InputFaults: the arm has too few actuators to lock.
     """
     from rich.progress import Progress
 
@@ -120,7 +124,7 @@ def locked_reach(
 
 
 def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any]:
-    """Returns what is told of the density of positions."""
+    """Returns the figures of the density of positions."""
     planar, dimension = arm.manipulator.planar, arm.manipulator.dimension
     values, pixel = densities.level(0).astype(float), float(densities.pixels[0])
     some = values[values >= 0]
@@ -143,13 +147,13 @@ def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any
 
 
 def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
-    """Returns what is told of the density of orientations at a point."""
+    """Returns the figures of the density of orientations at a point."""
     from controller.workspace_plots import angles_of, arcs, directions, twists
 
     exact = found.draws == 0
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "method": "enumeration" if exact else "mapping",
-        "why": "the arm has so few configurations that all are tried" if exact else DRAWN,
+        "why": "the arm has few configurations, all are enumerated" if exact else DRAWN,
         "configurations": found.total,
         "standard_error": found.deviation,
         "draws": found.draws,
@@ -157,21 +161,21 @@ def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
         "spread": None,
     }
     if len(found.counts) == 0:
-        return told
+        return fields
     frame = np.eye(4)
     frame[:3, :3] = found.mean
-    told["mean"] = float(angles_of(frame[None, :3, :3])[0]) if planar else quaternion(frame).tolist()
-    told["spread"] = found.spread
+    fields["mean"] = float(angles_of(frame[None, :3, :3])[0]) if planar else quaternion(frame).tolist()
+    fields["spread"] = found.spread
     if planar:
-        return told | {"angles": arcs(angles_of(found.rotations), found.counts).tolist()}
-    return told | {
+        return fields | {"angles": arcs(angles_of(found.rotations), found.counts).tolist()}
+    return fields | {
         "directions": directions(found).tolist(),
         "twists": arcs(twists(found.rotations), found.counts).tolist(),
     }
 
 
 def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
-    """Returns what is told of reach and redundancy with locked actuators."""
+    """Returns the figures of reach and redundancy with locked actuators."""
     return {
         "method": "mapping",
         "why": LOCKED,
@@ -187,37 +191,37 @@ def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
 
 
 def figures(reach: Reach) -> dict[str, float | None]:
-    """Returns the figures of one arm."""
+    """Returns the figures of one choice of locked actuators."""
     return {name: finite(getattr(reach, name)) for name in FIGURES}
 
 
 def choice(arm: Arm, reach: Reach) -> dict[str, Any]:
-    """Returns the figures of one choice of locked actuators, with their states by label."""
+    """Returns the figures of one choice of locked actuators, and the locked states by label."""
     labels = zip(arm.manipulator.actuators, reach.locked.tolist(), strict=True)
     return {"locked": {label: STATES[state] for label, state in labels if state >= 0}, **figures(reach)}
 
 
 def finite(value: float) -> float | None:
-    """Returns a number for JSON, which has no infinity."""
+    """Returns a number, or None if it is infinite: JSON has no infinity."""
     return value if math.isfinite(value) else None
 
 
 def power(exponent: float | None) -> str:
-    """Returns a power of ten for the table."""
+    """Returns a power of ten as text."""
     return "none" if exponent is None else f"10^{exponent:.1f}"
 
 
-def show(told: dict[str, Any]) -> None:
+def show(report: dict[str, Any]) -> None:
     """Prints the figures."""
-    own, tolerance = told["positions"], told["tolerance"]
+    own, tolerance = report["positions"], report["tolerance"]
     kind = "area" if len(own["densest"]) == 2 else "volume"
     console.print(
-        f"{told['arm']}: 10^{own['configurations']:.1f} configurations, by {own['method']}: {own['why']}.\n"
+        f"{report['arm']}: 10^{own['configurations']:.1f} configurations, by {own['method']}: {own['why']}.\n"
         f"reach: {kind} {own['reach']:.4g}; {own['covered']:.4g} with at least one configuration within {tolerance:g}\n"
         f"redundancy: {power(own['redundancy'])} configurations within {tolerance:g} (median of these),"
         f" {power(own['greatest_redundancy'])} near {shown(own['densest'])}. Obstacles are not considered."
     )
-    if (at := told.get("at")) is not None:
+    if (at := report.get("at")) is not None:
         console.print(
             f"at {shown(at['position'])}, by {at['method']}: {at['why']}.\n"
             f"{at['configurations']:.4g} configurations within {tolerance:g},"
@@ -225,7 +229,7 @@ def show(told: dict[str, Any]) -> None:
         )
         if at["mean"] is not None:
             console.print(f"mean orientation {shown(at['mean'])}, spread {at['spread']:.3f} rad")
-    if (locked := told.get("locked")) is not None:
+    if (locked := report.get("locked")) is not None:
         number = len(locked["choices"])
         every = f"all {number} choices" if locked["every"] else f"{number} random choices"
         console.print(f"{locked['actuators']} locked, {every}, by {locked['method']}: {locked['why']}.")
@@ -236,5 +240,5 @@ def show(told: dict[str, Any]) -> None:
             states = ", ".join(f"{label}={state}" for label, state in worst["locked"].items())
             table.add_row(name, *("none" if value is None else f"{value:.4g}" for value in values), states)
         console.print(table)
-        console.print("redundancy: log10 of configurations within the tolerance, median over what the free arm covers")
-    console.print(f"picture: {told['picture']}")
+        console.print("redundancy: log10 of configurations within the tolerance, median over the free arm's coverage")
+    console.print(f"picture: {report['picture']}")

@@ -103,7 +103,7 @@ def test_nothing_is_done_while_the_executor_runs(board, arm, tmp_path, action, a
 
         threading.Thread(target=serve, daemon=True).start()
         code, _, err = board("can0/5", action, "--yes")
-    assert (code, "the executor of planar16 runs" in err) == (1, True)
+    assert (code, "the executor of planar16 is running" in err) == (1, True)
 
 
 def test_a_socket_that_nobody_serves_does_not_count(board, boards, tmp_path):

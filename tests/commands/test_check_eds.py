@@ -11,7 +11,7 @@ from tests.commands.conftest import ARM
 def test_boards_that_lack_nothing(hyperbit):
     code, out, err = hyperbit("check", str(ARM), "--eds", str(EDS), "--node", "can0/5")
     assert (code, err) == (0, "")
-    assert "\n  can0/5: by board.eds it has all that is needed\n" in out
+    assert "\n  can0/5: has all needed objects, according to board.eds\n" in out
     assert "can0/6" not in out
 
 
@@ -26,7 +26,7 @@ def test_lacks_are_told_for_each_board(hyperbit, tmp_path):
 
 def test_faults_name_what_was_given(hyperbit, tmp_path):
     code, _, err = hyperbit("check", str(ARM), "--node", "can0/5")
-    assert (code, "--node is for --eds" in err) == (2, True)
+    assert (code, "--node needs --eds FILE" in err) == (2, True)
     code, _, err = hyperbit("check", str(ARM), "--eds", str(EDS), "--node", "can7/5")
     assert (code, "can7/5: the arm has no such board, only can0/1, can0/2" in err) == (2, True)
     code, _, err = hyperbit("check", str(ARM), "--eds", str(tmp_path / "none.eds"))

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from controller.commands import exercise
-from controller.commands.exercise import Way, proposal
+from controller.commands.exercise import Travel, proposal
 from tests.commands.conftest import ARM
 
 LABELS = ["1.left", "1.right"]
@@ -143,13 +143,13 @@ def test_an_actuator_that_is_not_there_is_unusable_input(hyperbit, daemon):
 
 
 def test_one_direction_alone_proposes_one_time():
-    assert proposal([Way("a", "extended", 0.08), Way("a", "contracted", None)]) == ["travel_time: 0.1"]
-    assert proposal([Way("a", "extended", None)]) == []
+    assert proposal([Travel("a", "extended", 0.08), Travel("a", "contracted", None)]) == ["travel_time: 0.1"]
+    assert proposal([Travel("a", "extended", None)]) == []
 
 
 def test_much_faster_actuators_get_times_of_their_own():
-    ways = [Way("a", "extended", 0.12), Way("a", "contracted", 0.1), Way("b", "extended", 0.04)]
-    assert proposal([*ways, Way("b", "contracted", 0.04)]) == [
+    travels = [Travel("a", "extended", 0.12), Travel("a", "contracted", 0.1), Travel("b", "extended", 0.04)]
+    assert proposal([*travels, Travel("b", "contracted", 0.04)]) == [
         "travel_time: {extend: 0.15, contract: 0.125}",
         "# actuator b:  travel_time: {extend: 0.05, contract: 0.05}",
     ]

@@ -37,7 +37,7 @@ def test_a_change_that_jog_does_not_know_is_unusable_input(hyperbit, change):
 
 def test_an_actuator_is_jogged_to_one_state(hyperbit):
     code, _, err = hyperbit("jog", "a", "5.left=extended", "5.left=contracted", *NOWHERE)
-    assert (code, "5.left stands twice" in err) == (2, True)
+    assert (code, "5.left is given twice" in err) == (2, True)
 
 
 @pytest.mark.parametrize("command", ["halt", "stop"])

@@ -41,7 +41,7 @@ def test_the_only_board_gets_another_id_and_bit_rate(hyperbit, run):
     code, out, err = hyperbit(*SET, "--new-bitrate", "250000")
     assert (code, err) == (0, "")
     assert out == (
-        "board 0x0:0x191:0x1:0x69: node id 7 (before: 5) and 250000 bit/s are stored\n"
+        "board 0x0:0x191:0x1:0x69: stored node id 7 (before: 5) and 250000 bit/s\n"
         f"switch its supply off and on, then: hyperbit probe {CHANNEL} --bitrate 250000 --interface virtual\n"
     )
     with boards.board("can0/5") as board:
@@ -83,7 +83,7 @@ def test_nothing_is_set_while_a_master_is_on_the_bus(hyperbit, run):
     [
         ((), "give a node id, --new-bitrate or both; or --list alone"),
         (("5", "--list"), "or --list alone"),
-        (("127",), "127 is no node id of a board: 1 to 126 are"),
+        (("127",), "127: a board's node id is 1 to 126"),
         (("5", "--new-bitrate", "33"), "33 is not one of 10000, 20000"),
         (("5", "--board", "1:2:3"), "'1:2:3': four numbers are needed, VENDOR:PRODUCT:REVISION:SERIAL"),
         (("5", "--board", "a:2:3:4"), "four numbers are needed"),

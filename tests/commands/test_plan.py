@@ -49,7 +49,7 @@ def test_plan_leaves_an_actuator_that_is_declared_stuck(hyperbit, tmp_path):
         assert found["position"] == pytest.approx(line["position"])
     code, _, err = hyperbit("plan", str(file), "--goal", "0.55,2.9", "--previous", "0" * 16)
     assert code == 2
-    assert "--previous: 0000000000000000: as actuators are stuck, module 3 has no configuration" in err
+    assert "--previous: 0000000000000000: as actuators are locked, module 3 has no configuration" in err
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(hyperbit, tmp
     code, out, err = hyperbit("plan", ARM, "--goals", str(goals), "--json")
     assert code == 0
     assert [json.loads(text)["within_tolerance"] for text in out.splitlines()] == [False, True]
-    assert "not one trajectory: waypoints[0]" in err
+    assert "no plan of the whole trajectory: waypoints[0]" in err
 
 
 def test_plan_takes_an_angle_and_its_tolerance(hyperbit, tmp_path):

@@ -199,7 +199,7 @@ def test_wear_names_a_ledger_that_it_cannot_read(hyperbit, ledgers, monkeypatch)
     monkeypatch.setattr(Path, "is_file", refused)
     code, _, err = hyperbit("wear", ARM)
     assert code == 1
-    refusal, missing = err.splitlines()
+    refusal, missing, _ = err.splitlines()
     assert refusal == f"{service}: Permission denied; root can read the service's ledger"
     assert missing.startswith(f"{user}: no ledger there")
 
