@@ -1,1 +1,1 @@
-"""The operator's page: a web server that shows arms, and a Zenoh client beside the planner. An extra of the package."""
+"""The operator's web page: a web server and Zenoh client beside the planner. It needs the extra `panel`."""

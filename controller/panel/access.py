@@ -1,4 +1,4 @@
-"""Who may look and who may command: people, their tokens, and the cookies that they get for them."""
+"""Access to the page: people with a role, their tokens, and signed cookies."""
 
 import hashlib
 import hmac
@@ -15,22 +15,25 @@ from controller.strict import InputFaults, check, read_yaml
 
 Role = Literal["viewer", "operator"]
 
-LASTS = 12 * 3600.0  # [s] of a cookie
-MOST_WRONG, WRONG_WITHIN = 10, 60.0  # wrong tokens from anywhere in so many seconds; then none is looked at for a while
+LASTS = 12 * 3600.0  # [s] lifetime of a cookie
+MOST_WRONG, WRONG_WITHIN = 10, 60.0  # after this number of wrong tokens within these seconds, no token is checked
 TOKEN_BYTES = 32
 
 
 class Person(NamedTuple):
-    """Somebody who may open the page."""
+    """A person who may open the page, with a role."""
 
     name: str
     role: Role
 
 
 class Listed(Struct, forbid_unknown_fields=True, frozen=True):
-    """One entry of the file of people; `token` is the SHA-256 of a token, in hexadecimal.
+    """One entry of the file of people.
 
-    Without a token the person shows a client certificate with this name.
+    Attributes:
+        name: of the person; a client certificate with this common name needs no token.
+        role: "viewer" or "operator".
+        token: SHA-256 of the person's token, hexadecimal; None: the person needs a client certificate.
     """
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,32}\Z")]
@@ -45,16 +48,16 @@ class People(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class TooManyWrong(Exception):
-    """Too many wrong tokens came; none is looked at for a while."""
+    """Too many wrong tokens were sent; no token is checked for a while."""
 
 
 class Access:
-    """Checks tokens and cookies. One thread's.
+    """Checks tokens and cookies. Not thread-safe.
 
     Args:
-        people: who may open the page; names differ.
-        key: with which cookies are signed.
-        clock: UNIX time [s].
+        people: people who may open the page, with distinct names.
+        key: key that signs cookies.
+        clock: returns UNIX time [s].
     """
 
     def __init__(self, people: Sequence[Listed], key: bytes, clock: Callable[[], float] = time.time) -> None:
@@ -63,10 +66,10 @@ class Access:
         self._wrong: list[float] = []
 
     def enter(self, token: str) -> str | None:
-        """Returns the cookie for a token; None if it is nobody's.
+        """Returns a new cookie for a token; None if the token is wrong.
 
         Raises:
-            TooManyWrong: too many wrong tokens came.
+            TooManyWrong: too many wrong tokens were sent.
         """
         if (found := self._holder(token)) is None:
             return None
@@ -74,16 +77,16 @@ class Access:
         return f"{content}.{self._signature(content, found)}"
 
     def bearer(self, token: str) -> Person | None:
-        """Returns whose token it is; None if it is nobody's.
+        """Returns the person of a token; None if the token is wrong.
 
         Raises:
-            TooManyWrong: too many wrong tokens came.
+            TooManyWrong: too many wrong tokens were sent.
         """
         found = self._holder(token)
         return None if found is None else Person(found.name, found.role)
 
     def _holder(self, token: str) -> Listed | None:
-        """Returns the entry of a token, and counts wrong ones."""
+        """Returns the entry of a token; counts wrong tokens."""
         now = self._clock()
         self._wrong = [at for at in self._wrong if now - at < WRONG_WITHIN]
         if len(self._wrong) >= MOST_WRONG:
@@ -97,7 +100,7 @@ class Access:
         return found
 
     def person(self, cookie: str | None) -> Person | None:
-        """Returns whose cookie it is; None if it is nobody's, or too old."""
+        """Returns the person of a cookie; None if the cookie is invalid or too old."""
         parts = (cookie or "").split(".")
         if len(parts) != 3 or not parts[1].isascii() or not parts[1].isdecimal() or len(parts[1]) > 12:
             return None
@@ -109,12 +112,12 @@ class Access:
         return Person(entry.name, entry.role)
 
     def certified(self, name: str | None) -> Person | None:
-        """Returns who shows a client certificate with this common name; None if nobody does."""
+        """Returns the person with the common name of a client certificate; None if there is none."""
         entry = self._people.get(name or "")
         return None if entry is None else Person(entry.name, entry.role)
 
     def _signature(self, content: str, entry: Listed) -> str:
-        """Returns the signature of a cookie; a changed token or role makes older cookies worthless."""
+        """Returns the signature of a cookie; a change of token or role invalidates older cookies."""
         words = f"{content}.{entry.role}.{entry.token}".encode()
         return hmac.new(self._key, words, hashlib.sha256).hexdigest()
 
@@ -125,27 +128,27 @@ def digest_of(token: str) -> str:
 
 
 def new_token() -> str:
-    """Returns a token that nobody guesses."""
+    """Returns a random token of 32 bytes, as text."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 def read_people(path: Path) -> list[Listed]:
-    """Returns the people of a file.
+    """Reads the people of a file.
 
     Raises:
-        InputFaults: it is missing or wrong, by field.
+        InputFaults: the file is missing or wrong; each fault names its field.
     """
     faults = list[str]()
     found = check(read_yaml(path), People, faults)
     names = [entry.name for entry in found.people] if found else []
-    faults += [f"people: {name} stands twice" for name in sorted({n for n in names if names.count(n) > 1})]
+    faults += [f"people: {name} is listed twice" for name in sorted({n for n in names if names.count(n) > 1})]
     if faults or found is None:
         raise InputFaults(path, faults)
     return found.people
 
 
 def cookie_key() -> bytes:
-    """Returns the key of cookies: kept in systemd's StateDirectory if there is one, else new at each start."""
+    """Returns the key that signs cookies: from systemd's StateDirectory if there is one, else new at each start."""
     if (folder := os.environ.get("STATE_DIRECTORY")) is None:
         return secrets.token_bytes(32)
     path = Path(folder) / "cookie-key"
@@ -154,7 +157,7 @@ def cookie_key() -> bytes:
     except FileExistsError:
         if len(key := path.read_bytes()) == 32:
             return key
-        path.unlink()  # the computer stopped while it was written
+        path.unlink()  # incomplete: the computer stopped during the write
         return cookie_key()
     with os.fdopen(descriptor, "wb") as file:
         file.write(key := secrets.token_bytes(32))

@@ -30,7 +30,7 @@ from controller.panel.shield import Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
 MOST_PAGES = 100
-NOBODY, TOO_MANY, BAD = 4401, 4429, 4400  # codes with which a WebSocket is closed
+NOBODY, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
 class Panel:
@@ -40,11 +40,11 @@ class Panel:
         app: the ASGI application.
 
     Args:
-        open_session: opens the Zenoh session, when the server starts.
-        access: who may look and command.
-        prefix: of all keys.
-        secure: whether it is served over TLS.
-        local: whether it is served on the loopback interface.
+        open_session: opens the Zenoh session; called when the server starts.
+        access: checks who may view and command.
+        prefix: prefix of all Zenoh keys.
+        secure: whether the page is served over TLS.
+        local: whether the page is served on the loopback interface.
     """
 
     def __init__(
@@ -91,19 +91,19 @@ class Panel:
 
     @property
     def arms(self) -> Arms:
-        """The arms; the server runs."""
+        """The arms. Valid only while the server runs."""
         assert self._arms is not None
         return self._arms
 
     def _person(self, connection: HTTPConnection) -> Person | None:
-        """Returns who is there: by client certificate, or by cookie."""
+        """Returns the person of a connection, by client certificate or by cookie; None if unknown."""
         certified = self._access.certified(connection.scope.get("state", {}).get("certificate"))
         return certified or self._access.person(connection.cookies.get(self._cookie))
 
     # --- requests over HTTP
 
     async def _shell(self, request: Request) -> Response:
-        """Answers the page itself, which has no secrets."""
+        """Answers the page itself. It needs no login, because it contains no data."""
         if not valid(request.path_params.get("name", "a")):
             raise HTTPException(404, "There is no such arm.")
         return FileResponse(STATIC / "index.html")
@@ -119,19 +119,19 @@ class Panel:
         return Response(data, media_type=kind)
 
     async def _metrics(self, request: Request) -> Response:
-        """Answers the figures of all arms in Prometheus' format, to people and to programs that bear a token."""
+        """Answers the metrics of all arms in Prometheus' format, to people and to programs with a bearer token."""
         if self._person(request) is None:
             kind, _, token = request.headers.get("authorization", "").partition(" ")
             try:
                 person = self._access.bearer(token) if kind.lower() == "bearer" else None
             except TooManyWrong:
-                raise HTTPException(429, "Too many wrong tokens came: wait a minute.") from None
+                raise HTTPException(429, "Too many wrong tokens were sent: wait a minute.") from None
             if person is None:
-                raise HTTPException(401, "Log in first, or bear a token.", {"www-authenticate": "Bearer"})
-        return endpoint(self.arms.known, self.arms.tally)(request)
+                raise HTTPException(401, "Log in first, or send a bearer token.", {"www-authenticate": "Bearer"})
+        return endpoint(self.arms.known, self.arms.counters)(request)
 
     async def _stop(self, request: Request) -> Response:
-        """Stops an arm, for pages whose WebSocket is closed at the moment."""
+        """Stops an arm without the WebSocket, which may be closed at the moment."""
         person = self._person(request)
         if person is None or person.role != "operator":
             raise HTTPException(403, "Only operators may stop an arm.")
@@ -145,7 +145,7 @@ class Panel:
             return JSONResponse({"accepted": False, "message": str(error)}, status_code=503)
 
     async def _enter(self, request: Request) -> Response:
-        """Gives a cookie for a token."""
+        """Sets a cookie in exchange for a token."""
         try:
             token = json.loads(await request.body())["token"]
         except (ValueError, KeyError, TypeError, RecursionError):
@@ -153,7 +153,7 @@ class Panel:
         try:
             cookie = self._access.enter(token) if isinstance(token, str) else None
         except TooManyWrong:
-            raise HTTPException(429, "Too many wrong tokens came: wait a minute.") from None
+            raise HTTPException(429, "Too many wrong tokens were sent: wait a minute.") from None
         if cookie is None:
             raise HTTPException(403, "This token is nobody's.")
         person = self._access.person(cookie)
@@ -164,7 +164,7 @@ class Panel:
         return response
 
     async def _leave(self, request: Request) -> Response:
-        """Takes the cookie back."""
+        """Deletes the cookie."""
         response = Response(status_code=204)
         response.delete_cookie(self._cookie, httponly=True, samesite="strict", secure=self._secure)
         return response
@@ -172,7 +172,7 @@ class Panel:
     # --- the WebSocket of a page
 
     async def _live(self, socket: WebSocket) -> None:
-        """Shows an arm, or the list of arms, and takes requests, until the page is closed."""
+        """Sends a page the data of an arm, or the list of arms, and serves its requests until the page is closed."""
         person, name = self._person(socket), socket.path_params.get("name")
         await socket.accept()
         if person is None:
@@ -193,14 +193,14 @@ class Panel:
             self._pages -= 1
             self.arms.shut(page, view)
             for task in (sender, receiver):
-                task.cancel()  # of no effect on one that has ended
+                task.cancel()  # has no effect on a task that has ended
         ended = receiver.done() and not receiver.cancelled() and receiver.exception() is None
         code = receiver.result() if ended else TOO_MANY
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # already closed
             await socket.close(code)
 
     async def _receive(self, socket: WebSocket, view: ArmView | None, page: Page) -> int:
-        """Takes the requests of a page; returns the code to close it with."""
+        """Serves the requests of a page; returns the close code of its WebSocket."""
         desk = None if view is None else Desk(view, page, self._desks)
         while True:
             message = await socket.receive()
@@ -218,7 +218,7 @@ class Panel:
 
 
 def inline_scripts() -> str:
-    """Returns the hashes of the page's inline scripts, of which there is the import map, for the security policy."""
+    """Returns the hashes of the page's inline scripts (the import map) for the content security policy."""
     text = (STATIC / "index.html").read_text(encoding="utf-8")
     parts = re.findall(r"<script type=\"importmap\">(.*?)</script>", text, re.DOTALL)
     return " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(part.encode()).digest()).decode()}'" for part in parts)
@@ -227,7 +227,7 @@ def inline_scripts() -> str:
 async def refuse(request: Request, error: Exception) -> Response:
     """Answers a refusal with a sentence."""
     status = error.status_code if isinstance(error, HTTPException) else 500
-    known = {404: "There is nothing here.", 405: "This is not how this address is used."}
+    known = {404: "There is no such address.", 405: "This address does not support this method."}
     detail = error.detail if isinstance(error, HTTPException) else ""
     sentence = known.get(status, detail) if detail in ("Not Found", "Method Not Allowed") else detail
     headers = error.headers if isinstance(error, HTTPException) else None
@@ -236,4 +236,4 @@ async def refuse(request: Request, error: Exception) -> Response:
 
 async def too_large(request: Request, error: Exception) -> Response:
     """Answers that a body is too large or too slow."""
-    return PlainTextResponse("The body is too large, or comes too slowly.\n", status_code=413)
+    return PlainTextResponse("The body is too large, or arrives too slowly.\n", status_code=413)

@@ -1,4 +1,4 @@
-"""What the panel knows of one arm, and shows on every page of it."""
+"""The panel's data of one arm, which all pages of the arm show."""
 
 import asyncio
 import logging
@@ -26,20 +26,20 @@ SHOWN = (  # of the payload of `arm`
 
 
 class ArmView:
-    """One arm. On the pages' loop.
+    """Data of one arm. Used only on the event loop of the pages.
 
     Attributes:
-        name: of the arm.
-        client: asks its daemon.
-        known: whether anything was heard of it.
-        pages: that are open on it.
-        control: who commands it.
-        record: its past.
-        drawing: its structure; None until the daemon has told it.
-        background: content type and bytes of its density; None likewise.
-        state: the latest payload of `state`; None before the first.
-        diagnostics: of `diagnostics`, likewise.
-        alive: whether the daemon's token is there.
+        name: name of the arm.
+        client: sends requests to the arm's daemon.
+        known: whether a message of the arm has been received.
+        pages: open pages of the arm.
+        control: the page that commands the arm.
+        record: history of the arm.
+        drawing: structure of the arm; None until the daemon has described it.
+        background: content type and bytes of the density; None until the daemon has described it.
+        state: latest payload of `state`; None before the first.
+        diagnostics: latest payload of `diagnostics`; None before the first.
+        alive: whether the daemon's liveliness token exists.
     """
 
     def __init__(self, name: str, client: Client, loop: asyncio.AbstractEventLoop) -> None:
@@ -59,31 +59,31 @@ class ArmView:
 
     @property
     def actuators(self) -> list[str]:
-        """Labels of its actuators; empty until the daemon has told them."""
+        """Labels of the actuators; empty until the daemon has described the arm."""
         return list(self._arm.get("actuators") or ())
 
     def close(self) -> None:
-        """Ends what is asked."""
+        """Cancels the request under way."""
         if self._asking is not None:
             self._asking.cancel()
 
     def open(self, page: Page) -> None:
-        """Shows a page all there is."""
+        """Adds a page and sends it all sections."""
         self.pages.add(page)
         self.publish_record()
         for section, data in self._sections.items():
             page.offer(section, data)
-        self.tell_presence(time.monotonic())
+        self.publish_presence(time.monotonic())
 
     def shut(self, page: Page) -> None:
-        """Forgets a page."""
+        """Removes a page; the page loses control."""
         self.pages.discard(page)
         if self.control.release(page):
-            self.record.say(f"{page.person.name} gave control up")
+            self.record.say(f"{page.person.name} released control")
             self.publish_record()
 
     def publish(self, section: str, content: Message) -> None:
-        """Hands the latest content of a section to all pages."""
+        """Sends a section to all pages, if its content has changed."""
         data = msgspec.json.encode({"section": section, **content}, enc_hook=str)
         if self._sections.get(section) == data:
             return
@@ -92,13 +92,13 @@ class ArmView:
             page.offer(section, data)
 
     def publish_record(self) -> None:
-        """Shows goals, log and curves as they are now."""
+        """Sends the present goals, log and curves to all pages."""
         self.publish("goals", {"goals": list(self.record.goals)})
         self.publish("log", {"lines": list(self.record.lines)})
         self.publish("curves", {"errors": list(self.record.errors), "lateness": list(self.record.lateness)})
 
     def summary(self, now: float) -> Message:
-        """Returns what the list of arms shows."""
+        """Returns the arm's entry in the list of arms."""
         state = self.state or {}
         return {
             "name": self.name,
@@ -108,62 +108,62 @@ class ArmView:
             "reason": state.get("reason"),
         }
 
-    def tell_presence(self, now: float) -> None:
-        """Says how long nothing was heard, and who is in control."""
-        told = {"section": "presence", "alive": self.alive, "age": self._age(now), "pages": len(self.pages)}
+    def publish_presence(self, now: float) -> None:
+        """Sends each page the age of the latest state, and the page that has control."""
+        presence = {"section": "presence", "alive": self.alive, "age": self._age(now), "pages": len(self.pages)}
         for page in self.pages:
-            control = self.control.told(page)
-            page.offer("presence", msgspec.json.encode({**told, "control": control, "you": page.number}))
+            control = self.control.described()
+            page.offer("presence", msgspec.json.encode({**presence, "control": control, "you": page.number}))
 
     def _age(self, now: float) -> float | None:
         return None if self._heard == -math.inf else round(now - self._heard, 2)
 
-    # --- what the daemon tells
+    # --- messages of the daemon
 
     def hear_alive(self, alive: bool) -> None:
-        """Takes the arm's liveliness."""
+        """Accepts a change of the arm's liveliness."""
         if alive != self.alive:
             self.record.say("the daemon is there" if alive else "the daemon is gone", "note" if alive else "fault")
             self.publish_record()
         self.alive, self.known = alive, True
-        if alive:  # maybe another daemon, with another file
+        if alive:  # this may be another daemon, with another arm's file
             self._ask("drawing", "density", "running")
-        self.tell_presence(time.monotonic())
+        self.publish_presence(time.monotonic())
 
     def hear_state(self, data: bytes, at: float) -> None:
-        """Takes a state that came at a time [s]."""
-        told: Message = msgspec.json.decode(data, type=dict[str, Any])
-        before, self.state, self._heard, self.known = self.state, told, at, True
-        if before is None or (told.get("goal"), told.get("obstacles")) != (before.get("goal"), before.get("obstacles")):
+        """Accepts a payload of `state` that arrived at time `at` [s]."""
+        state: Message = msgspec.json.decode(data, type=dict[str, Any])
+        before, self.state, self._heard, self.known = self.state, state, at, True
+        if before is None or any(state.get(name) != before.get(name) for name in ("goal", "obstacles")):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
-        if self.record.state(told):
+        if self.record.state(state):
             self.publish_record()
-        faults = [{**fault, "advice": advice(str(fault.get("code")))} for fault in told.get("faults", ())]
-        shown = {name: value for name, value in told.items() if name != "stamp"}
-        self.publish("state", {**shown, "faults": faults, "error": away(told)})
-        self._draw(told)
+        faults = [{**fault, "advice": advice(str(fault.get("code")))} for fault in state.get("faults", ())]
+        shown = {name: value for name, value in state.items() if name != "stamp"}
+        self.publish("state", {**shown, "faults": faults, "error": target_distance(state)})
+        self._draw(state)
 
-    def hear(self, key: str, told: Message) -> None:
-        """Takes another message."""
+    def hear(self, key: str, payload: Message) -> None:
+        """Accepts a payload of another key."""
         if key == "feedback":
-            self.record.feedback(told)
+            self.record.feedback(payload)
         elif key == "result":
-            self.record.result(told)
+            self.record.result(payload)
         elif key == "request":
-            self.record.request(told)
+            self.record.request(payload)
         elif key == "diagnostics":
-            self.diagnostics = told
-            self.record.diagnostics(told)
-            self.publish("diagnostics", told)
+            self.diagnostics = payload
+            self.record.diagnostics(payload)
+            self.publish("diagnostics", payload)
         elif key == "timeline":
             self._heard = time.monotonic()  # a paused replay publishes no state
-            self.publish("timeline", told)
+            self.publish("timeline", payload)
             return
         self.publish_record()
 
-    def _draw(self, told: Message) -> None:
-        """Draws the arm where it is commanded and measured to be, if that is elsewhere than before."""
-        positions = told.get("commanded"), told.get("measured")
+    def _draw(self, state: Message) -> None:
+        """Publishes the commanded and the measured shape of the arm, if either has changed."""
+        positions = state.get("commanded"), state.get("measured")
         if self.drawing is None or positions == self._positions:
             return
         commanded, measured = positions
@@ -174,17 +174,17 @@ class ArmView:
         self._positions = positions
         self.publish("bodies", {"commanded": drawn[0], "measured": drawn[1]})
 
-    # --- what the panel asks the daemon
+    # --- requests to the daemon
 
     def _ask(self, *wanted: str) -> None:
-        """Asks for the arm's description, with what is wanted besides; one question at a time."""
+        """Requests the arm's description with further parts; one request at a time."""
         self._wanted.update(wanted)
         self._again = True
         if self._asking is None or self._asking.done():
             self._asking = self._loop.create_task(self._answer())
 
     async def _answer(self) -> None:
-        """Asks until there is an answer to all that is wanted, or the daemon is gone."""
+        """Repeats the request until all parts are answered, or the daemon is gone."""
         while self._again:
             self._again, wanted = False, set(self._wanted)
             try:
@@ -194,33 +194,34 @@ class ArmView:
             except Unanswered as error:
                 log.info("arm %s: %s", self.name, error)
             except Exception:
-                log.exception("arm %s: its description is not understood", self.name)
-            self._again = self.alive  # else asked again when it is there
+                log.exception("arm %s: the description cannot be read", self.name)
+            self._again = self.alive  # otherwise the request is repeated when the daemon is back
             await asyncio.sleep(ASK_AGAIN)
 
-    def _describe(self, told: Message) -> None:
-        if "drawing" in told:
-            drawing = Drawing(told)
+    def _describe(self, answer: Message) -> None:
+        """Accepts an answer of the query `arm`."""
+        if "drawing" in answer:
+            drawing = Drawing(answer)
             self.drawing, self._positions = drawing, ()
             self._arm["lines"] = drawing.lines
-        if (density := told.get("density")) is not None:
-            planar = told["dimension"] == 2
+        if (density := answer.get("density")) is not None:
+            planar = answer["dimension"] == 2
             data = picture(density) if planar else msgspec.json.encode(cloud(density))
             self.background = ("image/png" if planar else "application/json"), data
             self._arm["density"] = {name: density[name] for name in ("shape", "first", "pixel")}
-        if "running" in told:
-            self.publish("waypoints", told["running"] or {"goal": None, "waypoints": []})
-        self._arm.update({name: told.get(name) for name in SHOWN})
+        if "running" in answer:
+            self.publish("waypoints", answer["running"] or {"goal": None, "waypoints": []})
+        self._arm.update({name: answer.get(name) for name in SHOWN})
         self.publish("arm", self._arm)
         if self.state is not None:
             self._draw(self.state)
 
 
-def away(state: Message) -> float | None:
-    """Returns how far the tip is from where the goal wants it now; None if either is unknown."""
+def target_distance(state: Message) -> float | None:
+    """Returns the distance of the tip, tip bias included, from the present target; None if either is unknown."""
     tip, target = state.get("tip"), state.get("target")
     if not tip or not target:
         return None
-    shift = state.get("bias") or [0.0] * len(tip["position"])
-    seen = [x + s for x, s in zip(tip["position"], shift, strict=False)]
-    return math.dist(seen, target["position"]) if len(seen) == len(target["position"]) else None
+    bias = state.get("bias") or [0.0] * len(tip["position"])
+    position = [x + shift for x, shift in zip(tip["position"], bias, strict=False)]
+    return math.dist(position, target["position"]) if len(position) == len(target["position"]) else None

@@ -1,4 +1,4 @@
-"""All arms of the network over one Zenoh session: their messages are taken once, and handed to every open page."""
+"""All arms of the network over one Zenoh session, which serves all open pages."""
 
 import asyncio
 import logging
@@ -12,38 +12,38 @@ import zenoh
 
 from controller.gateway.client import Client
 from controller.panel.arm_view import ArmView
-from controller.panel.metrics import Tally
+from controller.panel.metrics import Counters
 from controller.panel.pages import Page
 
 log = logging.getLogger(__name__)
 
-TICK = 0.05  # [s] between two looks for news
-PRESENCE_EVERY, IDLE_EVERY = 0.5, 0.5  # [s]; and between two looks at an arm that no page shows
+TICK = 0.05  # [s] between two updates from the received states
+PRESENCE_EVERY = 0.5  # [s] between two updates of presence, and of arms that no page shows
 MOST_ARMS = 256
-MOST_PENDING = 1000  # messages that wait for the loop; what comes beyond is dropped
+MOST_PENDING = 1000  # messages that wait for the loop; further messages are dropped
 MOST_MESSAGE = 16_000_000  # bytes
 KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
 
 
 class Arms:
-    """The arms below a prefix. On the pages' loop, but for Zenoh's callbacks.
+    """The arms below a prefix. Used on the event loop of the pages, except for Zenoh's callbacks.
 
     Attributes:
-        views: what is known of each arm, by name.
-        tally: counts what passes, for metrics.
+        views: data of each arm, by name.
+        counters: counts results and faults, for metrics.
 
     Args:
         session: open session.
-        prefix: of all keys, "hyperbit", or that of a replay.
+        prefix: prefix of all keys: "hyperbit", or the prefix of a replay.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
         self.views: dict[str, ArmView] = {}
-        self.tally = Tally()
+        self.counters = Counters()
         self._session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()
-        self._latest: dict[str, tuple[bytes, float]] = {}  # states that the loop has not taken, and when they came
+        self._latest: dict[str, tuple[bytes, float]] = {}  # unprocessed states with times of arrival [s]
         self._pending, self._lock = 0, threading.Lock()
         liveliness = session.liveliness()
         self._declared: list[Any] = [
@@ -62,11 +62,11 @@ class Arms:
             view.close()
 
     def known(self) -> list[ArmView]:
-        """Returns the arms that were heard of."""
+        """Returns the arms of which a message was received."""
         return [view for view in self.views.values() if view.known]
 
     def open(self, page: Page, name: str | None) -> ArmView | None:
-        """Adds a page on an arm, or on the list of all arms; returns the arm."""
+        """Adds a page of an arm, or of the list of arms if `name` is None; returns the arm."""
         if name is None:
             self._pages.add(page)
             page.offer("arms", self._list())
@@ -82,9 +82,9 @@ class Arms:
         if view is not None:
             view.shut(page)
             if not view.known and not view.pages:
-                del self.views[view.name]  # a name that somebody made up
+                del self.views[view.name]  # no arm has this name
 
-    # --- from Zenoh's threads
+    # --- called by Zenoh's threads
 
     def _on_state(self, sample: zenoh.Sample) -> None:
         if (name := self._name(sample)) is not None:
@@ -95,20 +95,20 @@ class Arms:
         if name is None or len(sample.payload) > MOST_MESSAGE:
             return
         key, data = str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()
-        self._hand_over(lambda: self._heard(name, key, data))
+        self._schedule(lambda: self._on_payload(name, key, data))
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         if (name := self._name(sample)) is not None:
             alive = sample.kind == zenoh.SampleKind.PUT
-            self._hand_over(lambda: self._told_alive(name, alive))
+            self._schedule(lambda: self._on_liveliness(name, alive))
 
     def _name(self, sample: zenoh.Sample) -> str | None:
-        """Returns the arm that a sample is of; None if its key is not one of an arm."""
+        """Returns the name of a sample's arm; None if the key belongs to no arm."""
         parts = str(sample.key_expr)[len(self._prefix) + 1 :].split("/")
         return parts[0] if len(parts) == 2 and valid(parts[0]) else None
 
-    def _hand_over(self, act: Callable[[], None]) -> None:
-        """Has the loop act, unless too much waits for it already."""
+    def _schedule(self, act: Callable[[], None]) -> None:
+        """Schedules a call on the loop; drops it if too many calls wait."""
         with self._lock:
             if self._pending >= MOST_PENDING:
                 return
@@ -121,17 +121,17 @@ class Arms:
 
         self._loop.call_soon_threadsafe(now)
 
-    # --- on the loop
+    # --- called on the loop
 
     def _view(self, name: str) -> ArmView | None:
-        """Returns what is known of an arm; None if there are too many."""
+        """Returns the data of an arm, created if it is new; None if there are too many arms."""
         if name not in self.views:
             if len(self.views) >= MOST_ARMS or not valid(name):
                 return None
             self.views[name] = ArmView(name, Client(self._session, name, prefix=self._prefix), self._loop)
         return self.views[name]
 
-    def _heard(self, name: str, key: str, data: bytes) -> None:
+    def _on_payload(self, name: str, key: str, data: bytes) -> None:
         if (view := self._view(name)) is None:
             return
         try:
@@ -140,10 +140,10 @@ class Arms:
             log.warning("arm %s: a message on %s is not JSON", name, key)
             return
         if key == "result":
-            self.tally.result(name, message)
+            self.counters.result(name, message)
         view.hear(key, message)
 
-    def _told_alive(self, name: str, alive: bool) -> None:
+    def _on_liveliness(self, name: str, alive: bool) -> None:
         if (view := self._view(name)) is not None:
             view.hear_alive(alive)
 
@@ -151,20 +151,20 @@ class Arms:
         presence = 0.0
         while True:
             now = time.monotonic()
-            told = now - presence >= PRESENCE_EVERY
-            presence = now if told else presence
+            due = now - presence >= PRESENCE_EVERY
+            presence = now if due else presence
             for name in list(self._latest):
                 if (view := self._view(name)) is None:
                     del self._latest[name]
-                elif view.pages or told:
+                elif view.pages or due:
                     try:
                         view.hear_state(*self._latest.pop(name))
-                        self.tally.state(name, view.state or {})
+                        self.counters.state(name, view.state or {})
                     except Exception:
-                        log.exception("arm %s: a state is not understood", name)
-            if told:
+                        log.exception("arm %s: a state cannot be read", name)
+            if due:
                 for view in self.views.values():
-                    view.tell_presence(now)
+                    view.publish_presence(now)
                 if self._pages:
                     listed = self._list()
                     for page in self._pages:
@@ -173,10 +173,10 @@ class Arms:
 
     def _list(self) -> bytes:
         now = time.monotonic()
-        known = sorted((view.summary(now) for view in self.known()), key=lambda told: str(told["name"]))
+        known = sorted((view.summary(now) for view in self.known()), key=lambda entry: str(entry["name"]))
         return msgspec.json.encode({"section": "arms", "arms": known})
 
 
 def valid(name: str) -> bool:
-    """Returns whether a text may be an arm's name."""
+    """Returns whether a text is a valid name of an arm."""
     return 0 < len(name) <= 64 and name.isascii() and name.replace("-", "a").replace("_", "a").isalnum()

@@ -1,4 +1,4 @@
-"""Carries out what pages ask: checks role, control and rate, then asks the daemon in a thread."""
+"""Requests of pages: checks role, control and rate, then sends the request to the daemon from a thread."""
 
 import asyncio
 import logging
@@ -34,16 +34,16 @@ log = logging.getLogger(__name__)
 
 Message = dict[str, Any]
 
-RATE, AT_ONCE = 10.0, 20.0  # requests of one page [1/s]
-STOPS, STOPS_AT_ONCE = 10.0, 10.0  # a stop beyond these follows ten in the same second
-MOST_REFUSED = 200  # requests in a row that are refused as too many; then the page is closed
-MOST_OPEN = 4  # requests of one page that wait for their answers
+RATE, AT_ONCE = 10.0, 20.0  # requests of one page [1/s], and in a burst
+STOPS, STOPS_AT_ONCE = 10.0, 10.0  # the same for stops and cancels
+MOST_REFUSED = 200  # a page is closed after this number of consecutive refusals for rate
+MOST_OPEN = 4  # unanswered requests of one page
 PLAN_WITHIN = 15.0  # [s]
 MOST_YAML = 50_000  # characters
 
 
 class Desks:
-    """The threads that ask daemons. Stops have threads of their own, so that they wait for nobody."""
+    """The threads that send requests to daemons. Stops have their own threads, so that they never wait."""
 
     def __init__(self) -> None:
         self.stops = ThreadPoolExecutor(4, "stop")
@@ -51,22 +51,22 @@ class Desks:
         self.others = ThreadPoolExecutor(8, "ask")
 
     def close(self) -> None:
-        """Ends the threads when they have their answers."""
+        """Ends each thread after its present answer."""
         for pool in (self.stops, self.plans, self.others):
             pool.shutdown(wait=False, cancel_futures=True)
 
 
 class Flood(Exception):
-    """A page asks far too often."""
+    """A page sends far too many requests."""
 
 
 class Desk:
-    """Serves one page of one arm. On the pages' loop.
+    """Serves the requests of one page. Used only on the event loop of the pages.
 
     Args:
-        view: of the arm.
-        page: that asks.
-        desks: shared with all pages.
+        view: data of the page's arm.
+        page: the page.
+        desks: threads that all pages share.
     """
 
     def __init__(self, view: ArmView, page: Page, desks: Desks) -> None:
@@ -75,10 +75,10 @@ class Desk:
         self._open: set[asyncio.Task[None]] = set()
 
     def take(self, request: Request) -> None:
-        """Takes a request; the answer goes to the page.
+        """Accepts a request; its answer is sent to the page.
 
         Raises:
-            Flood: the page is to be closed.
+            Flood: the page sent too many requests and must be closed.
         """
         urgent = isinstance(request, Stop | Cancel)
         allowance = self._stops if urgent else self._allowance
@@ -89,21 +89,21 @@ class Desk:
         elif (refusal := self._refusal(request)) is not None:
             self._refuse(request, refusal)
         elif not urgent and len(self._open) >= MOST_OPEN:
-            self._refuse(request, "requests before this one still wait for their answers")
+            self._refuse(request, "earlier requests are not answered yet: wait")
         else:
             task = asyncio.get_running_loop().create_task(self._serve(request))
             self._open.add(task)
             task.add_done_callback(self._open.discard)
 
     def refuse(self, number: int, message: str) -> None:
-        """Answers that a request is refused."""
+        """Sends the page a refusal of its request number `number`."""
         self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
 
     def _refuse(self, request: Request, message: str) -> None:
         self.refuse(request.n, message)
 
     def _refusal(self, request: Request) -> str | None:
-        """Returns why this page may not ask this; None if it may. The first who commands gets control."""
+        """Returns why the page may not send this request, or None; the first page that commands gets control."""
         if self._page.person.role != "operator":
             return f"{self._page.person.name} may look, not command"
         if isinstance(request, Stop | Cancel | Take | Release | Plan | GoalFile | Seek):
@@ -159,11 +159,11 @@ class Desk:
                 return {"accepted": True, "message": "you have control"}
             case Release():
                 if self._view.control.release(self._page):
-                    self._say("gave control up")
+                    self._say("released control")
                 return {"accepted": True, "message": "nobody has control"}
 
     async def _command(self, key: str, payload: Message, pool: ThreadPoolExecutor | None = None) -> Message:
-        """Asks for what changes something, and notes who asked."""
+        """Sends a request that changes something, and logs the person."""
         answer = await self._ask(key, payload, pool)
         accepted = "" if answer.get("accepted") else ", refused"
         self._say(f"asked for {key}{accepted}: {answer.get('message')}")
@@ -174,7 +174,7 @@ class Desk:
         return await loop.run_in_executor(pool or self._desks.others, client.request, key, payload)
 
     async def _plan(self, goal: Message) -> Message:
-        """Returns what a goal would do, each waypoint with the segments to draw."""
+        """Returns the daemon's plan of a goal, with the line segments of each waypoint."""
         loop, client = asyncio.get_running_loop(), self._view.client
         answer = await loop.run_in_executor(self._desks.plans, client.request, "plan", goal, PLAN_WITHIN)
         drawing = self._view.drawing
@@ -190,17 +190,19 @@ class Desk:
 
 
 def read_goal(text: str) -> Message:
-    """Returns the goal in a file's text, JSON, or YAML if it is short: to read YAML takes a thousand times as long.
+    """Parses the text of a goal's file, JSON or short YAML; YAML takes a thousand times as long to parse.
 
     Raises:
-        InputFaults: it is neither, or no mapping.
+        InputFaults: the text is neither, or holds no mapping.
     """
     path = Path("file")
     try:
         value: Any = msgspec.json.decode(text)
     except (msgspec.MsgspecError, RecursionError, UnicodeError):
         if len(text) > MOST_YAML:
-            raise InputFaults(path, [f"is not JSON, and longer than {MOST_YAML} characters of YAML"]) from None
+            raise InputFaults(
+                path, [f"the text is no JSON, and YAML may have {MOST_YAML} characters at most"]
+            ) from None
         value = parse_yaml(text, path)
     if not isinstance(value, dict):
         raise InputFaults(path, ["no goal: an object with `waypoints` is needed"])

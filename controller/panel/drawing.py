@@ -1,4 +1,4 @@
-"""Line segments of an arm for a page, and its density as a picture: a page only draws."""
+"""Line segments of an arm, and its density as a picture, computed for the page."""
 
 import base64
 import struct
@@ -15,30 +15,30 @@ from controller.manipulator.notation import parse_configuration
 
 Message = dict[str, Any]
 
-DIGITS = 5  # of the arm's length, to which coordinates are rounded
-MOST_POINTS = 4000  # of a spatial density
+DIGITS = 5  # coordinates are rounded to this number of digits of the arm's length
+MOST_POINTS = 4000  # points of a spatial density
 
 
 class Drawing:
-    """The arm's structure, built from what the daemon tells with `arm`.
+    """Structure of an arm, built from the answer to the query `arm`.
 
     Attributes:
-        manipulator: the chain.
-        lines: number of line segments of each module, (B,).
+        manipulator: the chain of modules.
+        lines: number of line segments of each module, shape (B,).
 
     Args:
-        told: payload of `arm`, with its `drawing`.
+        answer: payload of the answer, with its `drawing`.
     """
 
-    def __init__(self, told: Message) -> None:
+    def __init__(self, answer: Message) -> None:
         """Builds the chain.
 
         Raises:
-            KeyError, TypeError, ValueError: it is told otherwise.
+            KeyError, TypeError, ValueError: the answer has another form.
         """
-        kinds, planar = told["drawing"]["kinds"], told["dimension"] == 2
-        names: list[list[str]] = [[] for _ in told["frames"]]
-        for label in told["actuators"]:
+        kinds, planar = answer["drawing"]["kinds"], answer["dimension"] == 2
+        names: list[list[str]] = [[] for _ in answer["frames"]]
+        for label in answer["actuators"]:
             module, _, name = label.partition(".")
             names[int(module) - 1].append(name)
         modules = [
@@ -49,24 +49,28 @@ class Drawing:
                 np.array(kinds[kind]["body"], dtype=float),
                 planar,
             )
-            for frames, kind, own in zip(told["frames"], told["drawing"]["modules"], names, strict=True)
+            for frames, kind, own in zip(answer["frames"], answer["drawing"]["modules"], names, strict=True)
         ]
-        self.manipulator = Manipulator(modules, np.array(told["base"], dtype=float))
+        self.manipulator = Manipulator(modules, np.array(answer["base"], dtype=float))
         self.lines = [module.body.shape[1] for module in modules]
         self._starts = np.cumsum([0, *(len(own) for own in names)])
         self._digits = DIGITS - int(np.floor(np.log10(max(self.manipulator.length, 1e-9))))
 
     def of_actuators(self, states: Sequence[int | None], fallback: Sequence[int | None] = ()) -> list[float] | None:
-        """Returns the coordinates of all segments, one after the other, where actuators are in states (A,).
+        """Returns the coordinates of all line segments for actuator states.
 
-        A module that these states spell no configuration of is drawn as `fallback` (A,) spells it. Returns None if that
-        is none, either.
+        Args:
+            states: of the actuators, shape (A,); None where unknown.
+            fallback: states used for a module whose `states` form no configuration, shape (A,).
+
+        Returns:
+            Coordinates, flat; None if a module has no configuration in either.
         """
         configuration = self._configuration(states, fallback)
         return None if configuration is None else self.of_configuration(configuration)
 
     def of_text(self, text: str) -> list[float] | None:
-        """Returns the coordinates of a configuration as messages write it; None if it is none of the arm's."""
+        """Returns the coordinates of a configuration in the text form of messages; None if the arm has no such one."""
         try:
             return self.of_configuration(parse_configuration(self.manipulator, text))
         except ValueError:
@@ -78,17 +82,17 @@ class Drawing:
         return self.rounded(body)
 
     def rounded(self, coordinates: NDArray[np.float64]) -> list[float]:
-        """Returns coordinates as few digits say them."""
+        """Returns coordinates flat, rounded to DIGITS."""
         return [float(x) for x in np.round(coordinates.ravel(), self._digits)]
 
     def _configuration(self, states: Sequence[int | None], fallback: Sequence[int | None]) -> NDArray[np.int64] | None:
-        """Returns the configuration (B,) that states (A,) spell, module by module; None if a module has none."""
+        """Returns the configuration (B,) of states (A,), or of `fallback` for single modules; None if there is none."""
         result = list[int]()
         for module, first, last in zip(self.manipulator.modules, self._starts, self._starts[1:], strict=False):
-            for spelled in (states[first:last], fallback[first:last]):
+            for own in (states[first:last], fallback[first:last]):
                 found = None
-                if len(spelled) == last - first and None not in spelled:
-                    found = np.flatnonzero((module.bits == np.array(spelled)).all(axis=1))
+                if len(own) == last - first and None not in own:
+                    found = np.flatnonzero((module.bits == np.array(own)).all(axis=1))
                 if found is not None and len(found):
                     result.append(int(found[0]))
                     break
@@ -98,16 +102,18 @@ class Drawing:
 
 
 def shades_of(density: Message) -> NDArray[np.uint8]:
-    """Returns the pixels (z, y, x) of the `density` that `arm` tells: 0 where no configuration ends, else 1 to 255."""
+    """Decodes the `density` of `arm`: pixels (z, y, x), 0 outside the workspace, else 1 to 255."""
     data = zlib.decompress(base64.b64decode(density["values"]))
     return np.frombuffer(data, dtype=np.uint8).reshape(density["shape"])
 
 
 def picture(density: Message) -> bytes:
-    """Returns a planar density as a PNG of gray with opacity; the first row is the greatest y."""
+    """Returns a planar density as a gray PNG with opacity; the first row has the greatest y."""
     shades = shades_of(density)[0][::-1].astype(float)
     most = max(float(density["greatest"]), 1.0)
-    depth = np.clip((shades / 255.0 - 1.0) * most / np.log(1000.0) + 1.0, 0.0, 1.0)  # a factor of 1000 below: lightest
+    depth = np.clip(
+        (shades / 255.0 - 1.0) * most / np.log(1000.0) + 1.0, 0.0, 1.0
+    )  # lightest at 1/1000 of the greatest density
     opacity = np.where(shades > 0, 40 + 120 * depth, 0).astype(np.uint8)
     return png(np.stack([np.full_like(opacity, 128), opacity], axis=-1))
 
@@ -126,7 +132,7 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
 
 
 def cloud(density: Message) -> list[list[float]]:
-    """Returns points (n, 4) of a spatial density: x, y, z in the base's frame, and how dense, 0 to 1."""
+    """Returns points (n, 4) of a spatial density: x, y, z in the base's frame, and density from 0 to 1."""
     shades = shades_of(density)
     z, y, x = np.nonzero(shades)
     if len(x) > MOST_POINTS:

@@ -1,4 +1,4 @@
-"""Figures of all arms in Prometheus' text format, made of what the daemons publish: the arms are asked nothing."""
+"""Metrics of all arms in Prometheus' text format, computed from published messages without requests to daemons."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,20 +13,20 @@ from starlette.responses import Response
 Message = Mapping[str, Any]
 
 MODES = ("starting", "ready", "executing", "fault", "stopped")
-MOST_ACTUATORS = 500  # with a series of their own; Prometheus keeps each series for weeks
-MOST_KINDS = 100  # of codes, statuses: others are counted as "other"
+MOST_ACTUATORS = 500  # larger arms have no series for each actuator: Prometheus keeps each series for weeks
+MOST_KINDS = 100  # codes or statuses of one arm; further ones are counted as "other"
 QUANTILES = (("0.5", "late_p50"), ("0.99", "late_p99"), ("1", "late_worst"))
 
 
 class Seen(Protocol):
-    """What is known of one arm.
+    """Data of one arm.
 
     Attributes:
-        name: of the arm.
-        alive: whether its daemon is there.
-        state: the latest payload of `state`; None before the first.
-        diagnostics: of `diagnostics`, likewise.
-        actuators: labels, in the order of `diagnostics.counts`; empty while they are not known.
+        name: name of the arm.
+        alive: whether its daemon is running.
+        state: latest payload of `state`; None before the first.
+        diagnostics: latest payload of `diagnostics`; None before the first.
+        actuators: labels, in the order of `diagnostics.counts`; empty while they are unknown.
     """
 
     @property
@@ -41,12 +41,12 @@ class Seen(Protocol):
     def actuators(self) -> Iterable[str]: ...  # noqa: D102
 
 
-class Tally:
-    """Counts what passes: goals by their results, and faults that begin. One thread's.
+class Counters:
+    """Counters of results and faults. Not thread-safe.
 
     Attributes:
-        goals: results by arm and status.
-        faults: by arm and code.
+        goals: number of results by arm and status.
+        faults: number of faults that began, by arm and code.
     """
 
     def __init__(self) -> None:
@@ -55,50 +55,50 @@ class Tally:
         self._active: dict[str, set[tuple[str, str]]] = {}
 
     def result(self, arm: str, message: Message) -> None:
-        """Takes a payload of `result`."""
+        """Counts a payload of `result`."""
         count(self.goals, arm, str(message.get("status")))
 
     def state(self, arm: str, message: Message) -> None:
-        """Takes a payload of `state`."""
+        """Counts the new faults in a payload of `state`."""
         now = {(str(fault.get("code")), str(fault.get("source"))) for fault in mappings(message.get("faults"))}
         for code, _ in now - self._active.get(arm, set()):
             count(self.faults, arm, code)
         self._active[arm] = now
 
 
-def endpoint(arms: Callable[[], Iterable[Seen]], tally: Tally) -> Callable[[Request], Response]:
+def endpoint(arms: Callable[[], Iterable[Seen]], counters: Counters) -> Callable[[Request], Response]:
     """Returns the endpoint of GET /metrics.
 
     Args:
-        arms: returns all arms that are known.
-        tally: of what passed.
+        arms: returns all known arms.
+        counters: counts of results and faults.
     """
 
     def metrics(request: Request) -> Response:
-        return Response(exposition(arms(), tally), media_type=CONTENT_TYPE_LATEST)
+        return Response(exposition(arms(), counters), media_type=CONTENT_TYPE_LATEST)
 
     return metrics
 
 
-def exposition(arms: Iterable[Seen], tally: Tally) -> bytes:
-    """Returns all figures as text."""
+def exposition(arms: Iterable[Seen], counters: Counters) -> bytes:
+    """Returns all metrics as text."""
 
     class Collector:
         def collect(self) -> Iterator[Metric]:
-            return iter(figures(arms, tally))
+            return iter(figures(arms, counters))
 
     registry = CollectorRegistry()
     registry.register(Collector())
     return generate_latest(registry)
 
 
-def figures(arms: Iterable[Seen], tally: Tally) -> list[Metric]:
-    """Returns the figures; what an arm has not told is left out."""
+def figures(arms: Iterable[Seen], counters: Counters) -> list[Metric]:
+    """Returns all metrics; values that an arm has not published are left out."""
     info = GaugeMetricFamily("hyperbit_build_info", "Version of hyperbit.", labels=["version"])
     info.add_metric([version("hyperbit")], 1.0)
     goals = CounterMetricFamily("hyperbit_goals", "Results of goals, jogs included.", labels=["arm", "status"])
     faults = CounterMetricFamily("hyperbit_faults", "Faults that began.", labels=["arm", "code"])
-    for family, counts in ((goals, tally.goals), (faults, tally.faults)):
+    for family, counts in ((goals, counters.goals), (faults, counters.faults)):
         for labels, number in counts.items():
             family.add_metric(labels, number)
     seen = list(arms)
@@ -106,7 +106,7 @@ def figures(arms: Iterable[Seen], tally: Tally) -> list[Metric]:
 
 
 def of_states(arms: Iterable[Seen]) -> list[Metric]:
-    """Returns what `state` and liveliness tell."""
+    """Returns the metrics of `state` and liveliness."""
     alive = GaugeMetricFamily("hyperbit_alive", "Whether the arm's daemon is there.", labels=["arm"])
     mode = GaugeMetricFamily("hyperbit_mode", "1 for the mode that the arm is in.", labels=["arm", "mode"])
     active = GaugeMetricFamily("hyperbit_fault_active", "1 for each active fault.", labels=["arm", "code", "source"])
@@ -124,7 +124,7 @@ def of_states(arms: Iterable[Seen]) -> list[Metric]:
 
 
 def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
-    """Returns what `diagnostics` tell."""
+    """Returns the metrics of `diagnostics`."""
     per_actuator = CounterMetricFamily("hyperbit_switches", "Switches of an actuator.", labels=["arm", "actuator"])
     all_switches = CounterMetricFamily("hyperbit_arm_switches", "Switches of all actuators.", labels=["arm"])
     late = GaugeMetricFamily(
@@ -140,63 +140,63 @@ def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:
     setpoints = CounterMetricFamily("hyperbit_setpoints", "Set-points heard.", labels=["arm", "outcome"])
     waits = CounterMetricFamily("hyperbit_clearance_waits", "Cycles that waited for a clearance.", labels=["arm"])
     for arm in arms:
-        if (told := arm.diagnostics) is None:
+        if (latest := arm.diagnostics) is None:
             continue
-        counts, labels = sequence(told.get("counts")), list(arm.actuators)
+        counts, labels = sequence(latest.get("counts")), list(arm.actuators)
         all_switches.add_metric([arm.name], number(sum(map(number, counts))))
         if len(counts) == len(labels) <= MOST_ACTUATORS:
             for label, switches in zip(labels, counts, strict=True):
                 per_actuator.add_metric([arm.name, label], number(switches))
-        loop = mapping(told.get("loop"))
+        loop = mapping(latest.get("loop"))
         for quantile, field in QUANTILES:
             put(late, [arm.name, quantile], loop.get(field))
         put(overruns, [arm.name], loop.get("overruns"))
-        for bus in mappings(told.get("buses")):
+        for bus in mappings(latest.get("buses")):
             name = str(bus.get("name"))
             put(load, [arm.name, name], bus.get("load"))
             for direction in ("tx", "rx"):
                 put(frames, [arm.name, name, direction], bus.get(f"{direction}_frames"))
                 put(errors, [arm.name, name, direction], bus.get(f"{direction}_errors"))
-        for board in mappings(told.get("boards")):
+        for board in mappings(latest.get("boards")):
             name = f"{board.get('bus')}/{board.get('node')}"
             put(age, [arm.name, name], board.get("heartbeat_age"))
             up.add_metric([arm.name, name], float(board.get("state") == "operational"))
-        for name, length in mapping(told.get("queues")).items():
+        for name, length in mapping(latest.get("queues")).items():
             put(queue, [arm.name, str(name)], length)
         for outcome in ("received", "refused"):
-            put(setpoints, [arm.name, outcome], mapping(told.get("setpoint")).get(outcome))
-        put(waits, [arm.name], told.get("waits"))
+            put(setpoints, [arm.name, outcome], mapping(latest.get("setpoint")).get(outcome))
+        put(waits, [arm.name], latest.get("waits"))
     families = (per_actuator, all_switches, late, overruns, load, frames, errors, age, up, queue, setpoints, waits)
     return list(families)
 
 
 def count(counts: Counter[tuple[str, str]], arm: str, kind: str) -> None:
-    """Counts one of a kind; kinds beyond MOST_KINDS an arm are one."""
+    """Increments the counter of a kind; beyond MOST_KINDS kinds of an arm, the counter "other"."""
     known = (arm, kind) in counts or sum(name == arm for name, _ in counts) < MOST_KINDS
     counts[arm, kind if known else "other"] += 1
 
 
 def put(family: GaugeMetricFamily | CounterMetricFamily, labels: list[str], value: object) -> None:
-    """Adds a figure if it is a number."""
+    """Adds a value to a metric if it is a number."""
     if isinstance(value, int | float):
         family.add_metric(labels, float(value))
 
 
 def number(value: object) -> float:
-    """Returns a number, or 0 in place of anything else."""
+    """Returns a number as float; 0 for any other value."""
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 def sequence(value: object) -> list[Any]:
-    """Returns a list, or an empty one in place of anything else."""
+    """Returns a list; an empty one for any other value."""
     return value if isinstance(value, list) else []
 
 
 def mapping(value: object) -> Message:
-    """Returns a mapping, or an empty one in place of anything else."""
+    """Returns a mapping; an empty one for any other value."""
     return value if isinstance(value, dict) else {}
 
 
 def mappings(value: object) -> list[Message]:
-    """Returns the mappings in a list."""
+    """Returns the mappings of a list; an empty list for any other value."""
     return [it for it in sequence(value) if isinstance(it, dict)]

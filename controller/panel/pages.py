@@ -1,4 +1,4 @@
-"""Open pages: each gets the latest of every section, at most 20 times a second, and misses what it is too slow for."""
+"""Open pages. A page gets the latest content of each section at most 20 times a second; a slow page skips some."""
 
 import asyncio
 import itertools
@@ -8,17 +8,17 @@ from collections.abc import Awaitable, Callable
 from controller.panel.access import Person
 
 LEAST_GAP = 0.05  # [s] between two updates of one page
-MOST_REPLIES = 64  # that wait for a page
+MOST_REPLIES = 64  # unsent answers of a page
 
 _numbers = itertools.count(1)
 
 
 class Page:
-    """One open page. On the pages' loop.
+    """One open page. Used only on the event loop of the pages.
 
     Attributes:
-        person: who opened it.
-        number: tells pages of one person apart.
+        person: the person who opened it.
+        number: unique number of the page.
     """
 
     def __init__(self, person: Person) -> None:
@@ -29,18 +29,18 @@ class Page:
         self._closing = False
 
     def offer(self, section: str, data: bytes) -> None:
-        """Takes the latest of a section, encoded; what was not sent yet of the same section is dropped."""
+        """Queues the content of a section, encoded; it replaces unsent content of the same section."""
         self._latest[section] = data
         self._news.set()
 
     def reply(self, data: bytes) -> None:
-        """Takes an answer to a request of this page; a page that reads none of many is closed."""
+        """Queues an answer to a request of this page; the page is closed if it reads too few answers."""
         self._replies.append(data)
         self._closing |= len(self._replies) > MOST_REPLIES
         self._news.set()
 
     async def send(self, send: Callable[[bytes], Awaitable[None]]) -> None:
-        """Sends what there is until the page is gone: a JSON array of sections and answers each time."""
+        """Sends queued sections and answers as JSON arrays until the page is closed."""
         while not self._closing:
             await self._news.wait()
             self._news.clear()
@@ -52,18 +52,18 @@ class Page:
 
 
 class Control:
-    """Who commands an arm: one page at a time, so that two operators do not work against each other.
+    """Control of an arm: one page at a time, so that two operators do not work against each other.
 
-    Whoever commands first has it, and passes it on between own pages. Another operator may take it, and a page that is
-    closed gives it up. A stop and a cancel need no control.
+    The first page that commands gets control. Pages of the same person pass it on. Another operator may take it. A page
+    that is closed releases it. Stop and cancel need no control.
     """
 
     def __init__(self) -> None:
         self._holder: Page | None = None
         self._since = 0.0
 
-    def told(self, page: Page | None) -> dict[str, object]:
-        """Returns who has control, as a page shows it."""
+    def described(self) -> dict[str, object]:
+        """Returns the person and the page that have control, for JSON."""
         holder = self._holder
         return {
             "name": None if holder is None else holder.person.name,
@@ -72,10 +72,10 @@ class Control:
         }
 
     def refusal(self, page: Page) -> str | None:
-        """Returns why a page may not command, or None; it then has control."""
+        """Returns why a page may not command; None: the page has control now."""
         if self._holder is not None and self._holder.person.name != page.person.name:
             return f"{self._holder.person.name} has control: take it first"
-        if self._holder is not page:  # of the same person, maybe a page that is just being closed
+        if self._holder is not page:  # nobody had control, or another page of the same person
             self.take(page)
         return None
 
@@ -84,7 +84,7 @@ class Control:
         self._holder, self._since = page, time.time()
 
     def release(self, page: Page) -> bool:
-        """Takes control from a page; returns whether the page had it."""
+        """Releases the control of a page; returns whether the page had control."""
         had = self._holder is page
         if had:
             self._holder = None
@@ -92,25 +92,28 @@ class Control:
 
 
 class Allowance:
-    """How often something may be done: so many a second, and a few more at once.
+    """A rate limit (token bucket).
+
+    Attributes:
+        refused: consecutive refusals.
 
     Args:
-        rate: [1/s].
-        most: at once.
-        clock: [s].
+        rate: actions per second [1/s].
+        most: most actions in a burst.
+        clock: returns the time [s].
     """
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate, self._most, self._clock = rate, most, clock
-        self._left, self._at = most, clock()
+        self._tokens, self._at = most, clock()
         self.refused = 0
 
     def take(self) -> bool:
-        """Returns whether it may be done now."""
+        """Returns whether an action is allowed now, and counts it."""
         now = self._clock()
-        self._left, self._at = min(self._left + (now - self._at) * self._rate, self._most), now
-        if self._left < 1.0:
+        self._tokens, self._at = min(self._tokens + (now - self._at) * self._rate, self._most), now
+        if self._tokens < 1.0:
             self.refused += 1
             return False
-        self._left, self.refused = self._left - 1.0, 0
+        self._tokens, self.refused = self._tokens - 1.0, 0
         return True

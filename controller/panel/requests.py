@@ -1,11 +1,11 @@
-"""What a page may ask: strict decoding. A message is a JSON object with `do`, and `n`, which its answer has, too."""
+"""Requests of a page, strictly decoded: JSON objects with `do` and a number `n`, which the answer repeats."""
 
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-MOST_BYTES = 1_100_000  # a goal's file of a million bytes, and what is around it
+MOST_BYTES = 1_100_000  # a goal's file of a million bytes, and the message around it
 
 Number = Annotated[int, Meta(ge=0, le=2**53)]
 Label = Annotated[str, Meta(min_length=1, max_length=100)]
@@ -18,7 +18,7 @@ class Asked(Struct, forbid_unknown_fields=True, tag_field="do", kw_only=True):
 
 
 class Stop(Asked, tag="stop"):
-    """Hold, and take nothing until a reset."""
+    """Stop the arm until a reset."""
 
 
 class Cancel(Asked, tag="cancel"):
@@ -34,7 +34,7 @@ class Take(Asked, tag="take"):
 
 
 class Release(Asked, tag="release"):
-    """Give control up."""
+    """Release control of the arm."""
 
 
 class Jog(Asked, tag="jog"):
@@ -52,13 +52,13 @@ class Lock(Asked, tag="lock"):
 
 
 class Obstacles(Asked, tag="obstacles"):
-    """Keep out of these regions, in place of those sent before."""
+    """Replace the obstacles sent before."""
 
     regions: Annotated[list[Any], Meta(max_length=1000)]
 
 
 class Plan(Asked, tag="plan"):
-    """What would a goal do."""
+    """Plan a goal without running it."""
 
     goal: dict[str, Any]
 
@@ -76,7 +76,7 @@ class GoalFile(Asked, tag="file"):
 
 
 class Seek(Asked, tag="seek"):
-    """Move a replay to a time, set its speed, pause it or let it go on."""
+    """Move a replay to a time, set its speed, pause or continue it."""
 
     at: float | None = None
     speed: Annotated[float, Meta(ge=0.01, le=1000)] | None = None
@@ -89,17 +89,17 @@ _decoder = msgspec.json.Decoder(Request)
 
 
 class BadRequest(ValueError):
-    """A message that is none of a page; the text says what is wrong."""
+    """A message is no valid request of a page; the text says why."""
 
 
 def decode(data: str) -> Request:
-    """Returns the request in a message.
+    """Decodes a request.
 
     Raises:
-        BadRequest: it is malformed.
+        BadRequest: the message is malformed.
     """
     if len(data) > MOST_BYTES:
-        raise BadRequest(f"at most {MOST_BYTES} characters are taken")
+        raise BadRequest(f"at most {MOST_BYTES} characters are accepted")
     try:
         request: Request = _decoder.decode(data)
     except (msgspec.MsgspecError, RecursionError, UnicodeError) as error:

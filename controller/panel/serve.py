@@ -1,4 +1,4 @@
-"""The page's server put together: addresses, TLS, people, and uvicorn."""
+"""The page's web server: address, TLS, people, and uvicorn."""
 
 import asyncio
 import ipaddress
@@ -30,14 +30,14 @@ WATCHDOG_EVERY = 2.0  # [s]
 
 
 class Address(NamedTuple):
-    """Where the page is served."""
+    """Address of the page: host and port."""
 
     host: str
     port: int
 
     @property
     def local(self) -> bool:
-        """Whether it is reached from this computer only."""
+        """Whether only this computer can reach the address."""
         if self.host == "localhost":
             return True
         try:
@@ -46,13 +46,13 @@ class Address(NamedTuple):
             return False
 
     def written(self, port: int, *, secure: bool) -> str:
-        """Returns the address for a browser."""
+        """Returns the URL of the page."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'https' if secure else 'http'}://{host}:{port}/"
 
 
 class Tls(NamedTuple):
-    """Files of a certificate, its key, and the authority of client certificates, if there are any."""
+    """Files for TLS: certificate, private key, and optionally the authority of client certificates."""
 
     certificate: Path
     key: Path
@@ -60,21 +60,21 @@ class Tls(NamedTuple):
 
 
 def parse_address(text: str) -> Address:
-    """Returns the address that HOST:PORT writes.
+    """Parses HOST:PORT.
 
     Raises:
-        InputFaults: it is none.
+        InputFaults: the text has another form.
     """
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
-        raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, as in 127.0.0.1:7480"])
+        raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, such as 127.0.0.1:7480"])
     return Address(host.strip("[]"), int(port))
 
 
 def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
-    """Returns a configuration that connects to daemons, whether they are there already or not.
+    """Returns a Zenoh configuration that connects to daemons as soon as they are there.
 
-    A client would connect to one only, and not before it is there; so the panel is a peer that nobody connects to.
+    A Zenoh client connects to one endpoint only, which must be there. So the panel is a peer that does not listen.
 
     Raises:
         ValueError: the file is no Zenoh configuration.
@@ -88,7 +88,7 @@ def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Co
 
 
 def read_or_make_people(path: Path | None) -> tuple[list[Listed], dict[str, str]]:
-    """Returns the people of a file, or an operator and a viewer with new tokens, and these tokens by name."""
+    """Returns the people of a file, or an operator and a viewer with new tokens; and the new tokens by name."""
     if path is not None:
         return read_people(path), {}
     tokens = {"operator": new_token(), "viewer": new_token()}
@@ -99,14 +99,14 @@ def read_or_make_people(path: Path | None) -> tuple[list[Listed], dict[str, str]
 
 
 def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.Config, prefix: str) -> None:
-    """Serves the page until SIGTERM or SIGINT; prints its address when it is there.
+    """Serves the page until SIGTERM or SIGINT; prints its address once it is served.
 
     Raises:
-        InputFaults: the file of people is wrong, or TLS is missing where the address is not this computer's own.
-        OSError: the address cannot be listened at, or a certificate cannot be read.
+        InputFaults: the file of people is wrong, or other computers could connect without TLS.
+        OSError: the address is in use, or a certificate cannot be read.
     """
     if not address.local and tls is None:
-        needed = "TLS is needed where other computers can connect: give --certificate and --key"
+        needed = "other computers can connect, so TLS is needed: give --certificate and --key"
         raise InputFaults(Path("--listen"), [f"{address.host}: {needed}"])
     listed, tokens = read_or_make_people(people)
     access = Access(listed, cookie_key())
@@ -142,14 +142,14 @@ async def _serve(panel: Panel, address: Address, tls: Tls | None, tokens: dict[s
         )
     )
     announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
-    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises again what has ended it
+    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises the signal again after its end
         signal.signal(number, lambda *_: None)
     await server.serve()
     announced.cancel()
 
 
 async def _announce(server: uvicorn.Server, address: Address, secure: bool, tokens: dict[str, str]) -> None:
-    """Prints the address once it is listened at, with the tokens of this start, if any; then feeds the watchdog."""
+    """Waits until the page is served, prints its address with the new tokens, then feeds systemd's watchdog."""
     notifier = Notifier()
     while not server.started:
         await asyncio.sleep(0.02)
@@ -167,7 +167,7 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
 
 
 def common_name(transport: Any) -> str | None:
-    """Returns the common name of the client certificate of a connection; None if there is none."""
+    """Returns the common name of a connection's client certificate; None if there is none."""
     connection = transport.get_extra_info("ssl_object")
     certificate = (connection.getpeercert() if connection is not None else None) or {}
     names = [value for part in certificate.get("subject", ()) for key, value in part if key == "commonName"]
@@ -175,18 +175,18 @@ def common_name(transport: Any) -> str | None:
 
 
 class CertifiedHttp(H11Protocol):
-    """HTTP that tells the application who shows a client certificate."""
+    """HTTP whose connections carry the common name of the client certificate."""
 
     def connection_made(self, transport: Any) -> None:
-        """Notes the certificate."""
+        """Stores the certificate's common name."""
         super().connection_made(transport)
         self.app_state = {**self.app_state, "certificate": common_name(transport)}
 
 
 class CertifiedWebSocket(WebSocketsSansIOProtocol):
-    """A WebSocket that tells the application who shows a client certificate."""
+    """A WebSocket whose connections carry the common name of the client certificate."""
 
     def connection_made(self, transport: Any) -> None:
-        """Notes the certificate."""
+        """Stores the certificate's common name."""
         super().connection_made(transport)
         self.app_state = {**self.app_state, "certificate": common_name(transport)}

@@ -1,4 +1,4 @@
-"""Refuses foreign hosts and origins and large bodies before the page's own code sees them, and sets headers."""
+"""Refuses foreign hosts, foreign origins and large bodies, and sets security headers."""
 
 import asyncio
 
@@ -8,7 +8,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST_BODY = 4096  # bytes
 MOST_PATH = 512
-BODY_WITHIN = 10.0  # [s] for the body of a request to arrive
+BODY_WITHIN = 10.0  # [s] for the body of a request
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -24,11 +24,11 @@ class Shield:
     """Checks each request and sets the headers of each answer.
 
     Args:
-        app: that answers.
-        csp: the content security policy.
+        app: the application behind the shield.
+        csp: content security policy.
         secure: whether the page is served over TLS.
-        local: whether it is served on the loopback interface: then only its names are taken for the host, so that no
-            foreign name that is resolved to this computer is.
+        local: whether the page is served on the loopback interface. Then only loopback names are accepted as host,
+            which prevents DNS rebinding.
     """
 
     def __init__(self, app: ASGIApp, csp: str, *, secure: bool, local: bool) -> None:
@@ -47,7 +47,7 @@ class Shield:
             self._headers["strict-transport-security"] = "max-age=31536000"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers a request."""
+        """Serves a request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -68,11 +68,11 @@ class Shield:
         await self._app(scope, receive, answer)
 
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Returns status and sentence of a refusal; None if the request is let in."""
+        """Returns status and message of a refusal; None if the request is accepted."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1 or (self._local and hosts[0].rpartition(":")[0] not in LOCAL and hosts[0] not in LOCAL):
-            return 400, "This page is served by other names of this computer: use 127.0.0.1 or localhost."
+            return 400, "This page has another address: use 127.0.0.1 or localhost."
         if len(scope["path"]) > MOST_PATH:
             return 414, "The path is too long."
         changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
@@ -80,19 +80,19 @@ class Shield:
             return 403, "This request does not come from this page."
         size = headers.get("content-length", "0")
         if not (size.isascii() and size.isdecimal() and len(size) < 10 and int(size) <= MOST_BODY):
-            return 413, f"At most {MOST_BODY} bytes are taken."
+            return 413, f"At most {MOST_BODY} bytes are accepted."
         return None
 
 
 class TooLarge(Exception):
-    """A body is larger, or comes slower, than any that this page sends."""
+    """A body is too large, or arrives too slowly."""
 
 
 def limited(receive: Receive) -> Receive:
     """Returns a function that receives a body of bounded size in bounded time.
 
     Raises:
-        TooLarge: there is more of it, or it does not come.
+        TooLarge: the body is too large or too slow.
     """
     size = 0
 

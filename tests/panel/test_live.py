@@ -133,7 +133,7 @@ def test_one_page_has_control_and_anybody_may_stop(site: Site) -> None:
     assert second.ask("go", goal=GOAL)["accepted"]
     assert not first.ask("jog", actuator="1.left", state="extended")["accepted"]
     second.socket.close()
-    eventually(lambda: site.panel.arms.views[ARM].control.told(None)["name"] is None)
+    eventually(lambda: site.panel.arms.views[ARM].control.described()["name"] is None)
     assert first.ask("jog", actuator="1.left", state="extended")["accepted"]
     assert site.daemon.commands() == ["reset", "stop", "goal", "jog"]
     assert site.daemon.asked[-1][1] == {"actuators": {"1.left": "extended"}}
@@ -145,7 +145,7 @@ def test_pages_of_one_person_share_control(site: Site) -> None:
     assert second.ask("reset")["accepted"]
     first.socket.close()
     eventually(lambda: len(site.panel.arms.views[ARM].pages) == 1)
-    assert site.panel.arms.views[ARM].control.told(None)["name"] == "anna", "the page that was closed had none"
+    assert site.panel.arms.views[ARM].control.described()["name"] == "anna", "the page that was closed had none"
 
 
 def test_a_stop_waits_for_no_plan(site: Site) -> None:

@@ -9,7 +9,7 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from controller.panel.metrics import MOST_ACTUATORS, MOST_KINDS, Tally, endpoint, exposition
+from controller.panel.metrics import MOST_ACTUATORS, MOST_KINDS, Counters, endpoint, exposition
 
 FAULT = {"code": "board-lost", "source": "can0/3", "message": 'board "can0/3"\nis lost'}
 STATE = {"mode": "fault", "faults": [FAULT, FAULT], "degraded": [{"actuator": "5.left", "state": 0}]}
@@ -36,20 +36,20 @@ class Arm:
     actuators: list[str] = field(default_factory=list)
 
 
-def read(*arms: Arm, tally: Tally | None = None) -> dict[tuple[str, ...], float]:
+def read(*arms: Arm, counters: Counters | None = None) -> dict[tuple[str, ...], float]:
     """The figures by their name and the values of their labels, which come in the order of their names."""
-    text = exposition(arms, tally or Tally()).decode()
+    text = exposition(arms, counters or Counters()).decode()
     samples = [sample for family in text_string_to_metric_families(text) for sample in family.samples]
     return {(sample.name, *sample.labels.values()): sample.value for sample in samples}
 
 
 def test_figures_are_what_arms_tell() -> None:
-    tally = Tally()
+    counters = Counters()
     for status in ("succeeded", "succeeded", "aborted"):
-        tally.result("a", {"status": status})
+        counters.result("a", {"status": status})
     for state in (STATE, STATE, {"faults": []}, STATE):
-        tally.state("a", state)
-    found = read(Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"]), Arm("b", False), tally=tally)
+        counters.state("a", state)
+    found = read(Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"]), Arm("b", False), counters=counters)
     expected = {
         ("hyperbit_goals_total", "a", "succeeded"): 2,
         ("hyperbit_goals_total", "a", "aborted"): 1,
@@ -84,17 +84,17 @@ def test_figures_are_what_arms_tell() -> None:
 @pytest.mark.parametrize("value", [None, 3, "x", [], [1], {"a": 1}, [{}], {"loop": []}])
 def test_messages_of_another_version_leave_figures_out(value: Any) -> None:
     fields = dict.fromkeys([*STATE, *DIAGNOSTICS], value)
-    tally = Tally()
-    tally.state("a", fields)
-    tally.result("a", fields)
-    read(Arm("a", True, fields, fields, ["1.left"]), tally=tally)
+    counters = Counters()
+    counters.state("a", fields)
+    counters.result("a", fields)
+    read(Arm("a", True, fields, fields, ["1.left"]), counters=counters)
 
 
 def test_few_series() -> None:
-    tally, many = Tally(), MOST_ACTUATORS + 1
+    counters, many = Counters(), MOST_ACTUATORS + 1
     for k in range(3 * MOST_KINDS):
-        tally.result("a", {"status": f"status {k}"})
-    found = read(Arm("a", True, STATE, {"counts": [1] * many}, [str(k) for k in range(many)]), tally=tally)
+        counters.result("a", {"status": f"status {k}"})
+    found = read(Arm("a", True, STATE, {"counts": [1] * many}, [str(k) for k in range(many)]), counters=counters)
     assert sum(key[0] == "hyperbit_goals_total" for key in found) == MOST_KINDS + 1
     assert sum(key[0] == "hyperbit_switches_total" for key in found) == 0
     assert found["hyperbit_arm_switches_total", "a"] == many
@@ -102,7 +102,7 @@ def test_few_series() -> None:
 
 def test_the_route_answers_in_prometheus_format() -> None:
     arms = [Arm("a", True, STATE, DIAGNOSTICS, ["1.left", "1.right"])]
-    app = Starlette(routes=[Route("/metrics", endpoint(lambda: arms, Tally()))])
+    app = Starlette(routes=[Route("/metrics", endpoint(lambda: arms, Counters()))])
     answer = TestClient(app).get("/metrics")
     assert answer.status_code == 200
     assert answer.headers["content-type"].startswith("text/plain; version=")

@@ -70,7 +70,7 @@ def test_the_file_of_people_is_read_strictly(tmp_path: Path) -> None:
         ("people: [{name: anna, role: king}]", "people[0].role"),
         ("people: [{name: 'a.b', role: viewer}]", "people[0].name"),
         ("people: [{name: a, role: viewer, token: secret}]", "people[0].token"),
-        ("people: [{name: a, role: viewer}, {name: a, role: operator}]", "a stands twice"),
+        ("people: [{name: a, role: viewer}, {name: a, role: operator}]", "a is listed twice"),
     ):
         path.write_text(text)
         with pytest.raises(InputFaults, match=re.escape(fault)):
