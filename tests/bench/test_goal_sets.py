@@ -48,8 +48,8 @@ def test_the_best_configurations_serve(name):
 
 @pytest.mark.parametrize("name", SETS)
 def test_a_sample_is_proven_again(name):
-    cheap = [task for task in read(name) if task.switches <= 7]
-    for task in spread(cheap, 8):
+    cheap = [task for task in read(name) if task.switches <= 6]
+    for task in spread(cheap, 4):
         again(task, 60.0)
 
 

@@ -1,4 +1,4 @@
-"""Searches among regions, held to brute force on arms whose every configuration can be tried."""
+"""Searches among obstacles, held to brute force on arms whose every configuration can be tried."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from controller.manipulator.frames import angle_between, turned
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import NONE
+from controller.obstacles.obstacles import NONE
 from controller.search.method import METHODS
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
-from tests.obstacles.dense import Box, Disc, HalfPlane, Region, nearest, regions
+from tests.obstacles.dense import Box, Disc, HalfPlane, Shape, nearest, obstacles_of
 
-SURE = 1e-7  # what is nearer to a tolerance or a region than this may count as within or not
+SURE = 1e-7  # what is nearer to a tolerance or an obstacle than this may count as within or not
 bases = planar_frames | st.just(np.eye(4))
 
 
@@ -25,18 +25,18 @@ def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: Cl
     return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance)
 
 
-def scene(arm: Manipulator, rng: np.random.Generator) -> list[Region]:
-    """One region or more among what the arm reaches, that leave some of its configurations clear, if that succeeds."""
+def scene(arm: Manipulator, rng: np.random.Generator) -> list[Shape]:
+    """Obstacles among what the arm reaches; if possible they leave some of its configurations clear."""
     some = rng.integers(0, arm.states, (100, len(arm.states)))
     for _ in range(20):
         parts = any_scene(arm, rng)
-        if 0.2 < Clearance(arm, regions(parts)).blocked(some).mean() < 0.8:
+        if 0.2 < Clearance(arm, obstacles_of(parts)).blocked(some).mean() < 0.8:
             break
     return parts
 
 
-def any_scene(arm: Manipulator, rng: np.random.Generator) -> list[Region]:
-    size, found = arm.dimension, list[Region]()
+def any_scene(arm: Manipulator, rng: np.random.Generator) -> list[Shape]:
+    size, found = arm.dimension, list[Shape]()
     for _ in range(rng.integers(1, 4)):
         tip = arm.tip(rng.integers(0, arm.states))[:3, 3]
         centre = arm.base[:3, 3] + (tip - arm.base[:3, 3]) * rng.uniform(0.2, 1.2) + rng.normal(0, 0.1, 3)
@@ -53,12 +53,12 @@ def any_scene(arm: Manipulator, rng: np.random.Generator) -> list[Region]:
     return found
 
 
-def clearances(arm: Manipulator, parts: list[Region], radius: float, touch: bool) -> list[Clearance]:
+def clearances(arm: Manipulator, parts: list[Shape], radius: float, touch: bool) -> list[Clearance]:
     """As it is asked for, narrower and wider."""
-    return [Clearance(arm, regions(parts), max(radius + s, 0), self_collision=touch) for s in (0.0, -SURE, SURE)]
+    return [Clearance(arm, obstacles_of(parts), max(radius + s, 0), self_collision=touch) for s in (0.0, -SURE, SURE)]
 
 
-def check_clear(arm: Manipulator, configuration: np.ndarray, parts: list[Region], radius: float) -> None:
+def check_clear(arm: Manipulator, configuration: np.ndarray, parts: list[Shape], radius: float) -> None:
     assert nearest(arm.body(configuration), parts) > radius - 1e-9
 
 
@@ -90,7 +90,7 @@ def test_fewest_switches_are_those_of_brute_force(arm, seed, tolerance, turn, to
     goal = arm.tip(rng.integers(0, arm.states))
     goal[:3, 3] += rng.normal(0, tolerance / 2, 3) * (1, 1, not arm.planar)
     asked = goal if turn < np.inf else goal[: arm.dimension, 3]
-    found = solver_of(arm, weights, exact).solve(asked, previous, tolerance, deadline=10.0, turn=turn)
+    found = solver_of(arm, weights, exact).solve(asked, previous, tolerance, deadline=10.0, angle_tolerance=turn)
     every = every_configuration(arm)
     own = arm.actuator_states(previous)
     costs = np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every])
@@ -106,7 +106,7 @@ def test_fewest_switches_are_those_of_brute_force(arm, seed, tolerance, turn, to
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("arm", [paper_arm(5), paper_arm(6), spatial_arm(5)], ids=["15", "18", "spatial"])
+@pytest.mark.parametrize("arm", [paper_arm(5), spatial_arm(5)], ids=["planar", "spatial"])
 def test_every_method_reaches_what_can_be_reached(arm, method):
     every, tolerance = every_configuration(arm), 0.01
     tips, rng = arm.tips(every)[:, :3, 3], np.random.default_rng(len(arm.modules))
@@ -121,7 +121,7 @@ def test_every_method_reaches_what_can_be_reached(arm, method):
             near = near[[turn == np.inf or angle_between(tip, goal) <= turn - SURE for tip in arm.tips(near)]]
             there = near[~strict.blocked(near)]
             asked = goal if turn < np.inf else goal[: arm.dimension, 3]
-            solution = solver.solve(asked, previous, tolerance, method, deadline=1.0, turn=turn)
+            solution = solver.solve(asked, previous, tolerance, method, deadline=1.0, angle_tolerance=turn)
             solvable += len(there) > 0
             found += solution.within_tolerance and len(there) > 0
             if solution.optimal and len(there):
@@ -140,7 +140,7 @@ def test_candidates_are_the_cheapest_that_are_clear(arm):
     for _ in range(10):
         exact, _, strict = clearances(arm, parts := scene(arm, rng), 0.01, touch=True)
         previous, goal = rng.integers(0, arm.states), arm.tip(rng.integers(0, arm.states))
-        configurations, costs = plain.avoiding(exact).candidates(goal, previous, tolerance, 8, turn=0.5)
+        configurations, costs = plain.avoiding(exact).candidates(goal, previous, tolerance, 8, angle_tolerance=0.5)
         for configuration, cost in zip(configurations, costs, strict=True):
             check_clear(arm, configuration, parts, 0.01)
             assert cost == arm.switches(configuration, previous)
@@ -155,18 +155,18 @@ def test_candidates_are_the_cheapest_that_are_clear(arm):
 
 
 def test_what_was_noted_of_other_regions_is_forgotten():
-    """The same solver's memory, the same configuration before: only the regions change, and come back."""
+    """The same solver's memory, the same configuration before: only the obstacles change, and come back."""
     arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
     plain, goal = solver_of(arm), arm.tip([0, 3, 0, 5, 0, 0])[:2, 3]
     there = plain.solve(goal, previous, 0.01)
     middle = arm.body(there.configuration)[:, :, :2].reshape(-1, 2)[12]
-    among = plain.avoiding(Clearance(arm, regions([Disc(tuple(middle), 0.02)])))
+    among = plain.avoiding(Clearance(arm, obstacles_of([Disc(tuple(middle), 0.02)])))
     around = among.solve(goal, previous, 0.01)
     assert around.optimal
     assert around.switches > there.switches
     assert np.array_equal(plain.solve(goal, previous, 0.01).configuration, there.configuration)
     assert np.array_equal(among.solve(goal, previous, 0.01).configuration, around.configuration)
-    elsewhere = plain.avoiding(Clearance(arm, regions([Disc((2.0, 0.0), 0.02)])))
+    elsewhere = plain.avoiding(Clearance(arm, obstacles_of([Disc((2.0, 0.0), 0.02)])))
     assert np.array_equal(elsewhere.solve(goal, previous, 0.01).configuration, there.configuration)
 
 
@@ -174,8 +174,8 @@ def test_what_was_noted_of_other_regions_is_forgotten():
 def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_through_it(method):
     arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
     tip = arm.tip(previous)[:2, 3]
-    parts: list[Region] = [Disc(tuple(tip), 0.1)]  # around where the arm stands
-    solver = solver_of(arm, None, Clearance(arm, regions(parts), 0.01))
+    parts: list[Shape] = [Disc(tuple(tip), 0.1)]  # around where the arm stands
+    solver = solver_of(arm, None, Clearance(arm, obstacles_of(parts), 0.01))
     found = solver.solve(tip, previous, 0.01, method)
     assert not found.within_tolerance
     assert not found.optimal
