@@ -54,7 +54,7 @@ def record(
     from controller.journal import start_logging
     from controller.notify import Notifier
     from controller.recorder.folder import CAN_LOG, Folder, FolderInUse
-    from controller.recorder.heard import Ear
+    from controller.recorder.listener import Listener
     from controller.recorder.recorder import Limits, Recorder
 
     start_logging({"HYPERBIT_ARM": name})
@@ -83,8 +83,8 @@ def record(
             return
         recorder = Recorder(name, where, Limits(most, minutes * 60.0), fsync=fsync, began=began)
         stack.callback(recorder.close)
-        ear = Ear(session, name)
-        stack.callback(ear.close)
+        listener = Listener(session, name)
+        stack.callback(listener.close)
         flushed = time.monotonic()
 
         def beat() -> None:
@@ -94,7 +94,7 @@ def record(
                 flushed = time.monotonic()
                 frames.flush()
 
-        recorder.run(ear, ending.is_set, beat)
+        recorder.run(listener, ending.is_set, beat)
         notifier.send("STOPPING=1")
 
 

@@ -16,7 +16,7 @@ from controller.commands.record import require
 from controller.strict import InputFaults
 
 if TYPE_CHECKING:
-    from controller.recorder.past import Past
+    from controller.recorder.reader import RecordingReader
 
 LISTEN = "tcp/127.0.0.1:7457"
 
@@ -45,8 +45,8 @@ def replay(
     """Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare."""
     require("mcap")
 
-    from controller.recorder.past import BadRecording, Past
     from controller.recorder.player import FASTEST
+    from controller.recorder.reader import BadRecording, RecordingReader
 
     if not 0.0 < speed <= FASTEST:
         raise InputFaults(Path("--speed"), [f"a number above 0 and up to {FASTEST:g} is needed, got {speed:g}"])
@@ -59,7 +59,7 @@ def replay(
         words = f"{prefix!r}: letters, digits, - and _ are needed, and not hyperbit, the prefix of running daemons"
         raise InputFaults(Path("--prefix"), [words])
     try:
-        past = Past(file)
+        past = RecordingReader(file)
     except BadRecording as error:
         raise InputFaults(file, [str(error).removeprefix(f"{file}: ")]) from None
     with contextlib.closing(past):
@@ -74,7 +74,9 @@ def replay(
             raise Failed(str(error)) from None
 
 
-def play(past: Past, speed: float, begin: float, listen: str, connect: str | None, prefix: str, *, stay: bool) -> None:
+def play(
+    past: RecordingReader, speed: float, begin: float, listen: str, connect: str | None, prefix: str, *, stay: bool
+) -> None:
     """Publishes a recording again, until its end or SIGTERM.
 
     Args:
@@ -115,7 +117,7 @@ def play(past: Past, speed: float, begin: float, listen: str, connect: str | Non
         player.play(ending.is_set, stay=stay)
 
 
-def compare_goals(past: Past, file: Path | None, as_json: bool) -> None:
+def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> None:
     """Sends the recorded goals to a simulated arm and prints how their configurations compare.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Frames of the arm's buses as candump writes them, beside a recording: for can-utils and for decoders."""
+"""Logs of the frames of the arm's buses, beside a recording, in candump's format for can-utils and decoders."""
 
 import logging
 import threading
@@ -13,17 +13,17 @@ from controller.settings import BusSettings
 
 log = logging.getLogger(__name__)
 
-POLL = 0.2  # [s] that a thread waits for a frame, before it looks whether it is to end
+POLL = 0.2  # [s] a thread waits for a frame, then checks whether it must end
 REOPEN = 1.0  # [s] between attempts to open a bus
 MOST_WAITING = 200_000  # frames between two flushes
-ERROR = 1 << 29  # flag of error frames in what candump writes
+ERROR = 1 << 29  # flag of error frames in candump's format
 
 
 class CanLog:
-    """Reads all buses of an arm, each in a thread; sends nothing.
+    """Reads all buses of an arm, each in its own thread. It sends nothing.
 
     Args:
-        buses: of the arm.
+        buses: buses of the arm.
     """
 
     def __init__(self, buses: Sequence[BusSettings]) -> None:
@@ -38,7 +38,7 @@ class CanLog:
             thread.start()
 
     def begin(self, path: Path) -> None:
-        """Goes on in another file."""
+        """Continues in a new file."""
         self.flush()
         if self._file is not None:
             self._file.close()
@@ -49,7 +49,7 @@ class CanLog:
             log.error("%s: frames are not written: %s", path, error.strerror)
 
     def flush(self) -> None:
-        """Writes what was read since the last call, in the order of time."""
+        """Writes the frames read since the last call, ordered by time."""
         with self._lock:
             lines, self._waiting = self._waiting, []
             dropped, self._dropped = self._dropped, 0
@@ -64,7 +64,7 @@ class CanLog:
             log.error("frames are not written: %s", error.strerror)
 
     def close(self) -> None:
-        """Ends the threads, and the file."""
+        """Ends the threads and closes the file."""
         self._ending.set()
         for thread in self._threads:
             thread.join()
@@ -74,7 +74,7 @@ class CanLog:
                 self._file.close()
 
     def _read(self, settings: BusSettings) -> None:
-        told = ""
+        logged = ""
         while not self._ending.is_set():
             try:
                 with can.Bus(
@@ -83,14 +83,14 @@ class CanLog:
                     bitrate=settings.bitrate,
                     ignore_config=True,
                 ) as bus:
-                    told = ""
+                    logged = ""
                     while not self._ending.is_set():
                         if (message := bus.recv(POLL)) is not None:
                             self._put(message.timestamp, candump(message, settings.channel))
-            except Exception as error:  # python-can passes on whatever the interface raises
-                if str(error) != told:
-                    told = str(error)
-                    log.warning("%s is not read: %s; trying again every %g s", settings.name, error, REOPEN)
+            except Exception as error:  # interfaces of python-can raise errors of any type
+                if str(error) != logged:
+                    logged = str(error)
+                    log.warning("%s cannot be read: %s; next attempts every %g s", settings.name, error, REOPEN)
                 self._ending.wait(REOPEN)
 
     def _put(self, stamp: float, line: str) -> None:
@@ -102,7 +102,7 @@ class CanLog:
 
 
 def candump(message: can.Message, channel: str) -> str:
-    """Returns a frame as candump writes it into a log."""
+    """Returns a frame as a line of candump's log format."""
     number = message.arbitration_id | (ERROR if message.is_error_frame else 0)
     name = f"{number:08X}" if message.is_extended_id or message.is_error_frame else f"{number:03X}"
     data = "R" if message.is_remote_frame else bytes(message.data or b"").hex().upper()

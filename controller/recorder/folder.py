@@ -1,4 +1,4 @@
-"""The folder of an arm's recordings: names, one recorder at a time, repair at the start, deletion of the oldest."""
+"""The folder of an arm's recordings: names, lock against a second recorder, repair, deletion of the oldest."""
 
 import fcntl
 import logging
@@ -19,15 +19,15 @@ class FolderInUse(Exception):
 
 
 class Folder:
-    """Where the recordings of one arm are. They are complete but for those written since.
+    """The folder of one arm's recordings. Recordings that are incomplete at the start are repaired.
 
     Args:
-        path: of the folder; made if it is missing.
+        path: path of the folder; created if it is missing.
         arm: name of the arm.
-        keep: most bytes of all recordings, beyond which the oldest are deleted; None: no bound.
+        keep: most bytes of all recordings; the oldest are deleted beyond it. None: no limit.
 
     Raises:
-        FolderInUse: see there.
+        FolderInUse: another recorder writes this arm's recordings into the folder.
         OSError: the folder cannot be written.
     """
 
@@ -43,11 +43,11 @@ class Folder:
         self._repair()
 
     def close(self) -> None:
-        """Lets another recorder in."""
+        """Releases the lock."""
         os.close(self._lock)
 
     def new(self, now: float) -> Path:
-        """Returns the path of a recording that begins at a UNIX time [s]; makes room before."""
+        """Returns the path of a recording that begins at a UNIX time [s]; deletes old recordings first."""
         self.make_room()
         stem = f"{self._arm}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}"
         for k in range(1, 10_000):
@@ -57,7 +57,7 @@ class Folder:
         raise FileExistsError(f"{self._path}: too many recordings begin at {stem}")
 
     def make_room(self, current: Path | None = None) -> None:
-        """Deletes the oldest recordings beyond `keep`, with their frames, but not the current one."""
+        """Deletes the oldest recordings and their frames beyond `keep` bytes, except the current recording."""
         if self._keep is None:
             return
         recordings = sorted(self._recordings(), key=lambda path: path.stat().st_mtime_ns)
@@ -70,25 +70,25 @@ class Folder:
                 total -= sizes[path]
                 for part in parts(path):
                     part.unlink()
-                log.info("%s deleted: recordings are more than %d bytes", path, self._keep)
+                log.info("%s deleted: the recordings exceed %d bytes", path, self._keep)
 
     def _repair(self) -> None:
         for path in sorted(self._recordings()):
             try:
                 if unfinished(path):
                     done = repair(path)
-                    what = "deleted, it held nothing" if done.messages is None else f"has {done.messages} messages"
-                    log.warning("%s was not completed: repaired, %s", path, what)
+                    what = "deleted, it had no message" if done.messages is None else f"has {done.messages} messages"
+                    log.warning("%s was incomplete: repaired, %s", path, what)
             except OSError as error:
-                log.error("%s was not completed, and cannot be repaired: %s", path, error.strerror)
+                log.error("%s is incomplete and cannot be repaired: %s", path, error.strerror)
 
     def _recordings(self) -> Iterator[Path]:
-        """Yields the arm's recordings; those of an arm whose name only begins like this one's are none."""
+        """Yields the arm's recordings, without those of arms whose longer name begins with this arm's name."""
         for path in self._path.glob(f"{self._arm}-*.mcap"):
             if path.stem[len(self._arm) + 1 :][:8].isdecimal():
                 yield path
 
 
 def parts(path: Path) -> list[Path]:
-    """Returns the files of a recording that are there: itself, and the frames beside it."""
+    """Returns the existing files of a recording: the recording itself and its frames."""
     return [part for part in (path, path.with_suffix(CAN_LOG)) if part.exists()]

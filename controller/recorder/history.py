@@ -1,4 +1,4 @@
-"""What a recording tells of requests: goals with the configurations that they led to, and changes between them."""
+"""The requests of a recording: goals with the reached configurations, and changes between the goals."""
 
 import bisect
 from collections import defaultdict, deque
@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from controller.recorder.past import Past
+from controller.recorder.reader import RecordingReader
 
 Message = Mapping[str, Any]
 
-CHANGES = ("degrade", "obstacles")  # requests that goals are planned by
+CHANGES = ("degrade", "obstacles")  # requests that affect the plans of later goals
 OUT_OF_REACH = -5
 
 
@@ -19,14 +19,14 @@ class Goal(NamedTuple):
     """A recorded goal.
 
     Attributes:
-        id: as answered.
-        stamp: when it was received, UNIX time [s].
-        payload: as it came.
-        accepted: whether it was.
-        start: configuration before it, as text; None if it is not known.
-        moving: whether the arm moved then.
-        configurations: measured at each waypoint, by its number.
-        result: its payload; None if there was none.
+        id: id in the daemon's answer.
+        stamp: time of receipt, UNIX time [s].
+        payload: payload as received.
+        accepted: whether the daemon accepted it.
+        start: configuration before the goal, as text; None if unknown.
+        moving: whether the arm was moving when the goal was received.
+        configurations: measured configuration at each waypoint, by its number.
+        result: payload of the result; None if there was none.
     """
 
     id: str
@@ -39,32 +39,32 @@ class Goal(NamedTuple):
     result: Message | None
 
     @property
-    def obstacle(self) -> str | None:
-        """Why it cannot be compared; None if it can."""
+    def incomparable(self) -> str | None:
+        """Why the goal cannot be compared with a simulation; None if it can."""
         if not self.accepted:
             return None
         if self.start is None:
-            return "the arm was in no known configuration"
+            return "the configuration before it is unknown"
         if self.moving:
             return "it began while the arm moved"
         if self.result is None:
-            return "the recording ends before it"
+            return "the recording ends before its result"
         if self.result.get("status") != "succeeded":
             return f"it ended as {self.result.get('status')}"
         if any(self.result.get("bias") or ()):
-            return "it was corrected by the tracker"
+            return "measured tips corrected it"
         return None
 
 
 class Change(NamedTuple):
-    """A recorded request that goals are planned by: its key and payload."""
+    """A recorded request that affects the plans of later goals: its key and payload."""
 
     key: str
     payload: dict[str, Any]
 
 
-def history(past: Past) -> list[Goal | Change]:
-    """Returns the goals of a recording, and the changes between them, in the order of time.
+def history(past: RecordingReader) -> list[Goal | Change]:
+    """Returns the goals of a recording and the changes between them, ordered by time.
 
     Raises:
         BadRecording: the file is damaged.
@@ -73,12 +73,12 @@ def history(past: Past) -> list[Goal | Change]:
     states: list[tuple[float, Message]] = []
     feedback: dict[str, deque[dict[int, str | None]]] = defaultdict(lambda: deque([{}]))
     results: dict[str, deque[Message]] = defaultdict(deque)
-    for told in past.messages():
-        if told.key not in ("request", "state", "feedback", "result"):
+    for entry in past.messages():
+        if entry.key not in ("request", "state", "feedback", "result"):
             continue
-        message = msgspec.json.decode(told.data)
+        message = msgspec.json.decode(entry.data)
         name = str(message.get("id"))
-        match told.key:
+        match entry.key:
             case "request":
                 notes.append(message)
             case "state" if brief(message) != (brief(states[-1][1]) if states else None):
@@ -87,8 +87,8 @@ def history(past: Past) -> list[Goal | Change]:
                 feedback[name][-1][message.get("waypoint", -1)] = message.get("configuration")
             case "result":
                 results[name].append(message)
-                feedback[name].append({})  # an id may come again
-    steps: list[Goal | Change] = list(standing(past, states[0][1] if states else {}))
+                feedback[name].append({})  # an id may be used again
+    steps: list[Goal | Change] = list(initial_changes(past, states[0][1] if states else {}))
     stamps = [stamp for stamp, _ in states]
     for note in sorted(notes, key=lambda note: note.get("stamp", 0.0)):
         payload, answer = note.get("payload"), note.get("answer") or {}
@@ -107,13 +107,13 @@ def history(past: Past) -> list[Goal | Change]:
     return steps
 
 
-def standing(past: Past, state: Message) -> list[Change]:
-    """Returns the changes that make an arm as it was when the recording began: locked actuators, sent obstacles."""
+def initial_changes(past: RecordingReader, state: Message) -> list[Change]:
+    """Returns the changes that restore the arm at the begin of the recording: locked actuators, sent obstacles."""
     locked = [Change("degrade", dict(entry)) for entry in state.get("degraded") or ()]
     regions = (past.description or {}).get("sent_obstacles")
     return [*locked, Change("obstacles", {"regions": regions})] if regions else locked
 
 
 def brief(state: Message) -> tuple[Any, ...]:
-    """Returns what goals are compared by."""
+    """Returns the fields of a state that goals depend on."""
     return state.get("mode"), state.get("configuration"), state.get("goal")

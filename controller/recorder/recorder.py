@@ -1,4 +1,4 @@
-"""The recorder's one thread: takes what is heard of an arm, and writes it into one recording after the other."""
+"""The recorder's thread: writes the received messages of an arm into one recording after the other."""
 
 import contextlib
 import logging
@@ -11,38 +11,38 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from controller.recorder.event_log import EventLog, Line
 from controller.recorder.folder import Folder
-from controller.recorder.heard import Ear, Heard, LogClock
+from controller.recorder.listener import Listener, LogClock, Received
 from controller.recorder.recording import Recording
 from controller.recorder.scene import Scene
 from controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
-from controller.recorder.story import Line, Story
 
 log = logging.getLogger(__name__)
 
-TURN = 0.2  # [s] between two looks at the clock
-ASK_EVERY = 5.0  # [s] between two questions for the arm's description, while there is no answer
-RETRY = 10.0  # [s] after the disk failed
-MOST_TOPICS = 100  # of keys that the interface does not have; others are recorded as "other"
-OTHERWISE = (LookupError, TypeError, ValueError, AttributeError)  # of messages that are written otherwise than ours
-HELD = 0.001  # [s] before a change, at which the frames are still as before
+POLL = 0.2  # [s] between two checks of the clock
+ASK_EVERY = 5.0  # [s] between two requests for the arm's description, while there is no answer
+RETRY = 10.0  # [s] after a failure of the disk
+MOST_TOPICS = 100  # topics of unknown keys; further ones are recorded as "other"
+UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
+STEP_BEFORE = 0.001  # [s] before a change, at which the old frames are repeated
 SCENE_FIELDS = ("commanded", "measured", "target")
 
 
 class Limits(NamedTuple):
-    """When a recording ends and the next begins: after so many bytes, or so many seconds."""
+    """Limits of one recording, after which the next begins: size in bytes, and duration [s]."""
 
     size: int
     seconds: float
 
 
 class Recorder:
-    """Writes all that is heard of one arm. A new recording begins with what is needed to understand it alone.
+    """Writes all messages of one arm. Each recording begins with the arm's description and state.
 
     Args:
         arm: name of the arm.
-        folder: of its recordings.
-        limits: of one recording.
+        folder: folder of the recordings.
+        limits: limits of one recording.
         fsync: whether each flush waits for the disk.
         began: called with the path of each new recording.
     """
@@ -57,80 +57,80 @@ class Recorder:
         began: Callable[[Path], None] = lambda path: None,
     ) -> None:
         self._arm, self._folder, self._limits, self._fsync, self._began = arm, folder, limits, fsync, began
-        self._clock, self._story = LogClock(), Story()
+        self._clock, self._events = LogClock(), EventLog()
         self._recording: Recording | None = None
         self._retry_at = 0.0
-        self._arm_told: bytes | None = None
+        self._description: bytes | None = None
         self._scene: Scene | None = None
         self._drawn: tuple[Any, ...] | None = None
-        self._state: tuple[int, Mapping[str, Any], bytes] | None = None  # the latest: log time, decoded, as it came
+        self._state: tuple[int, Mapping[str, Any], bytes] | None = None  # the latest: log time, decoded, encoded
         self._topics: set[str] = set()
         self._obstacles: Any = None
         self._asked_at = -ASK_EVERY
-        self._wanting = False  # the daemon is there, and its description is not known
+        self._needs_description = False  # the daemon is there, but has not described the arm
 
-    def run(self, ear: Ear, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
-        """Records until `ending`; calls `beat` several times a second."""
+    def run(self, listener: Listener, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
+        """Records until `ending` returns True; calls `beat` several times a second."""
         while not ending():
-            for item in ear.take(TURN):
+            for item in listener.take(POLL):
                 self.take(item)
-            if dropped := ear.dropped():
+            if dropped := listener.dropped():
                 self._say(Line(4, f"{dropped} messages were dropped: the disk is too slow"))
-            if self._wanting and time.monotonic() >= self._asked_at + ASK_EVERY:
+            if self._needs_description and time.monotonic() >= self._asked_at + ASK_EVERY:
                 self._asked_at = time.monotonic()
-                ear.ask()
+                listener.ask()
             self._turn()
             beat()
 
     def close(self) -> None:
         """Completes the recording."""
         if self._recording is not None:
-            self._guarded(self._recording.close)
+            self._attempt(self._recording.close)
             self._recording = None
 
-    def take(self, item: Heard) -> None:
-        """Writes a message, and what it means for the drawing and the log."""
+    def take(self, item: Received) -> None:
+        """Writes a message, and the drawing and log lines that follow from it."""
         at = self._clock.at(item.at)
         if item.key == "arm":
-            self._take_arm(item.data, at)
+            self._accept_description(item.data, at)
             return
         if item.key in ("alive", "gone"):
-            self._wanting = item.key == "alive"
+            self._needs_description = item.key == "alive"
             key, data = "alive", msgspec.json.encode({"alive": item.key == "alive"})
         else:
             key, data = self._plain(item.key, item.data)
         message = msgspec.json.decode(data)
         self._write(key, key, data, at, published(message, at))
-        with contextlib.suppress(*OTHERWISE):
-            for line in self._story.lines(key, message):
+        with contextlib.suppress(*UNEXPECTED):
+            for line in self._events.lines(key, message):
                 self._say(line, at)
         if key == "state":
             self._state = at, message, data
-            if message.get("obstacles") != self._obstacles:  # the regions sent are others: `arm` has them
-                self._obstacles, self._wanting = message.get("obstacles"), True
+            if message.get("obstacles") != self._obstacles:  # other obstacles were sent: the description has them
+                self._obstacles, self._needs_description = message.get("obstacles"), True
             self._draw()
 
-    def _take_arm(self, data: bytes, at: int) -> None:
+    def _accept_description(self, data: bytes, at: int) -> None:
         """Writes the arm's description if it is new."""
-        self._wanting = False
-        if data == self._arm_told:
+        self._needs_description = False
+        if data == self._description:
             return
         try:
             arm = msgspec.json.decode(data)
             self._scene = Scene(arm)
-        except (msgspec.MsgspecError, RecursionError, *OTHERWISE) as error:
+        except (msgspec.MsgspecError, RecursionError, *UNEXPECTED) as error:
             self._say(Line(3, f"the daemon's description of the arm cannot be drawn: {error}"), at)
             self._scene = None
         else:
-            self._arm_told, self._drawn = data, None
-            self._tell_arm(at)
+            self._description, self._drawn = data, None
+            self._write_description(at)
             self._draw()
 
-    def _tell_arm(self, at: int) -> None:
+    def _write_description(self, at: int) -> None:
         """Writes the arm's description: a message, the versions as metadata, and the arm's file."""
-        if self._arm_told is None:
+        if self._description is None:
             return
-        arm = msgspec.json.decode(self._arm_told)
+        arm = msgspec.json.decode(self._description)
         file = arm.get("file") or {}
         values = {
             "arm": self._arm,
@@ -153,11 +153,11 @@ class Recorder:
             self._open(at)  # a recording begins with the description
             return
         recording = self._recording
-        self._guarded(lambda: tell(recording))
-        self._write("arm", "arm", self._arm_told, at, at)
+        self._attempt(lambda: tell(recording))
+        self._write("arm", "arm", self._description, at, at)
 
     def _draw(self) -> None:
-        """Writes scene and frames if the arm looks otherwise than at the last state."""
+        """Writes scene and frames if the arm's shape, target or obstacles have changed."""
         if self._scene is None or self._state is None:
             return
         at, state, _ = self._state
@@ -168,17 +168,19 @@ class Recorder:
         try:
             scene = msgspec.json.encode(self._scene.update(state, stamp / 1e9))
             frames = self._scene.transforms(state, stamp / 1e9)
-            if before is not None:  # else a viewer would move the frames evenly since the last change
-                held = self._scene.transforms(dict(zip(SCENE_FIELDS, before[1:], strict=True)), stamp / 1e9 - HELD)
+            if before is not None:  # otherwise a viewer would interpolate the frames since the last change
+                held = self._scene.transforms(
+                    dict(zip(SCENE_FIELDS, before[1:], strict=True)), stamp / 1e9 - STEP_BEFORE
+                )
                 frames["transforms"][:0] = held["transforms"]
-        except OTHERWISE as error:  # a state of another arm or version
+        except UNEXPECTED as error:  # a state of another arm or version
             self._say(Line(3, f"a state cannot be drawn: {error}"), at)
             return
         self._write("scene", SCENE, scene, at, stamp)
         self._write("frames", TRANSFORMS, msgspec.json.encode(frames), at, stamp)
 
     def _plain(self, key: str, data: bytes) -> tuple[str, bytes]:
-        """Returns topic and JSON object of a message, whatever it is."""
+        """Returns topic and JSON object of a message of any form."""
         known = key in TOPICS or key in self._topics or len(self._topics) < MOST_TOPICS
         try:
             value = msgspec.json.decode(data)
@@ -194,16 +196,16 @@ class Recorder:
         """Writes a line of the log."""
         at = self._clock.now() if at is None else at
         seconds, nanoseconds = divmod(at, 1_000_000_000)
-        told = {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "level": line.level, "message": line.text}
-        told |= {"name": self._arm, "file": "", "line": 0}
-        self._write("log", LOG, msgspec.json.encode(told), at, at)
+        entry = {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "level": line.level, "message": line.text}
+        entry |= {"name": self._arm, "file": "", "line": 0}
+        self._write("log", LOG, msgspec.json.encode(entry), at, at)
 
     def _write(self, key: str, kind: str, data: bytes, at: int, sent: int) -> None:
         if (recording := self._open(at)) is not None:
-            self._guarded(lambda: recording.write(f"hyperbit/{self._arm}/{key}", kind, data, at, sent))
+            self._attempt(lambda: recording.write(f"hyperbit/{self._arm}/{key}", kind, data, at, sent))
 
     def _turn(self) -> None:
-        """Flushes what is due, and ends a recording that is full."""
+        """Flushes data that is due, and ends a recording that has reached its limits."""
         recording, now = self._recording, self._clock.now()
         if recording is None or recording.begun is None:
             return
@@ -211,11 +213,11 @@ class Recorder:
             self.close()
             self._open(now)
         elif recording.due(now):
-            self._guarded(recording.flush)
-            self._guarded(lambda: self._folder.make_room(recording.path))
+            self._attempt(recording.flush)
+            self._attempt(lambda: self._folder.make_room(recording.path))
 
     def _open(self, at: int) -> Recording | None:
-        """Returns the recording; begins a new one if there is none, and the disk did not fail a moment ago."""
+        """Returns the recording; begins one if there is none, except within RETRY of a disk failure."""
         if self._recording is not None or time.monotonic() < self._retry_at:
             return self._recording
         try:
@@ -226,15 +228,15 @@ class Recorder:
         log.info("recording to %s", self._recording.path)
         self._began(self._recording.path)
         self._drawn = None
-        self._tell_arm(at)
-        if self._state is not None and self._arm_told is not None:
+        self._write_description(at)
+        if self._state is not None and self._description is not None:
             heard_at, state, data = self._state
             self._write("state", "state", data, max(at, heard_at), published(state, at))
             self._draw()
         return self._recording
 
-    def _guarded(self, act: Callable[[], None]) -> None:
-        """Does something with the recording; gives the recording up if the disk fails."""
+    def _attempt(self, act: Callable[[], None]) -> None:
+        """Calls a function that writes; abandons the recording if the disk fails."""
         try:
             act()
         except OSError as error:
@@ -243,14 +245,14 @@ class Recorder:
     def _failed(self, error: OSError) -> None:
         recording, self._recording = self._recording, None
         where = "" if recording is None else f"{recording.path}: "
-        log.error("%snot written: %s. The next attempt is in %g s", where, error.strerror or error, RETRY)
+        log.error("%scannot be written: %s; next attempt in %g s", where, error.strerror or error, RETRY)
         self._retry_at = time.monotonic() + RETRY
         if recording is not None:
             recording.abandon()
 
 
 def published(message: Any, at: int) -> int:
-    """Returns the time that a message says it is of [ns], or else when it was heard."""
+    """Returns the stamp of a message [ns], or its time of arrival if it has no plausible stamp."""
     stamp = message.get("stamp") if isinstance(message, dict) else None
     plausible = isinstance(stamp, int | float) and 0 < stamp < 2**63 / 1e9
     return int(stamp * 1e9) if plausible and stamp is not None else at

@@ -1,4 +1,4 @@
-"""One recording: an MCAP file of JSON messages, flushed so that a kill loses a second at most."""
+"""One recording: an MCAP file of JSON messages, flushed each second, so that a kill loses at most one second."""
 
 import contextlib
 import os
@@ -13,18 +13,18 @@ LIBRARY = "hyperbit"
 
 
 class Recording:
-    """An open file.
+    """A recording that is being written. All methods raise OSError if the file cannot be written.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         begun: log time of the first message [ns]; None before it.
 
     Args:
-        path: of the file, which must not exist.
-        fsync: whether each flush waits until the disk has the data.
+        path: path of the file, which must not exist.
+        fsync: whether each flush waits until the data is on the disk.
 
     Raises:
-        OSError: the file cannot be written; so do all methods.
+        OSError: the file cannot be created.
     """
 
     def __init__(self, path: Path, *, fsync: bool = False) -> None:
@@ -41,18 +41,18 @@ class Recording:
 
     @property
     def size(self) -> int:
-        """Bytes written so far, without what waits to be flushed."""
+        """Bytes written so far, without unflushed data."""
         return self._file.tell()
 
     def write(self, topic: str, kind: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """Writes a message; flushes if the first one not flushed is a second older.
+        """Writes a message; first flushes data that is older than a second.
 
         Args:
-            topic: of the channel.
-            kind: of the schema, see `schema_of`.
+            topic: topic of the channel.
+            kind: name of the schema, see `schema_of`.
             data: JSON.
-            log_time: when it was heard, on the recorder's clock [ns].
-            publish_time: when it was sent, on the sender's clock [ns].
+            log_time: time of arrival on the recorder's clock [ns].
+            publish_time: time of publication on the sender's clock [ns].
         """
         if self._unflushed is not None and log_time - self._unflushed >= FLUSH_EVERY:
             self.flush()
@@ -63,19 +63,19 @@ class Recording:
         self._unflushed = log_time if self._unflushed is None else self._unflushed
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Writes named texts."""
+        """Writes a metadata record of named texts."""
         self._writer.add_metadata(name, values)
 
     def attach(self, name: str, kind: str, data: bytes, log_time: int) -> None:
-        """Writes a file into this one; `kind` is its media type."""
+        """Writes a file as an attachment; `kind` is its media type."""
         self._writer.add_attachment(log_time, log_time, name, kind, data)
 
     def due(self, log_time: int) -> bool:
-        """Returns whether what was written is to be flushed at a log time [ns]."""
+        """Returns whether data is due to be flushed at a log time [ns]."""
         return self._unflushed is not None and log_time - self._unflushed >= FLUSH_EVERY
 
     def flush(self) -> None:
-        """Has the kernel take all that was written, and with `fsync` the disk."""
+        """Passes all data to the kernel, and with `fsync` to the disk."""
         self._unflushed = None
         self._writer.flush()  # type: ignore[no-untyped-call]
         if self._fsync:
@@ -89,7 +89,7 @@ class Recording:
         self._file.close()
 
     def abandon(self) -> None:
-        """Closes a file that cannot be written any more, as it is; repair completes it later."""
+        """Closes a file that can no longer be written; a later repair completes it."""
         with contextlib.suppress(OSError, ValueError):
             self._file.raw.close()
         with contextlib.suppress(OSError, ValueError):

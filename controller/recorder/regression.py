@@ -1,4 +1,4 @@
-"""Recorded goals sent to a simulated arm: does it come to the same configurations?"""
+"""Regression check: sends recorded goals to a simulated arm and compares the configurations."""
 
 import contextlib
 import hashlib
@@ -19,27 +19,27 @@ from controller.gateway import session
 from controller.gateway.client import Client, Unanswered
 from controller.planning.ledger import Ledger
 from controller.recorder.history import Change, Goal, history
-from controller.recorder.past import Past
+from controller.recorder.reader import RecordingReader
 
 Message = Mapping[str, Any]
 
-STARTING = 900.0  # [s] for the simulated arm to be ready: it may have to compile kernels and map the workspace
+STARTING = 900.0  # [s] until the simulated arm is ready: it may compile kernels and map the workspace
 ANSWER, SETTLING, POLL = 20.0, 20.0, 0.02  # [s]
-LAST_LINES = 5  # of what a daemon that does not start says
+LAST_LINES = 5  # of the log of a daemon that does not start
 
 
 class ArmFailed(Exception):
-    """The simulated arm does not start, or is gone; in a sentence."""
+    """The simulated arm does not start or does not answer; the text says why."""
 
 
 class Compared(NamedTuple):
-    """What became of a recorded goal.
+    """Comparison of a recorded goal.
 
     Attributes:
-        id: of the goal.
-        outcome: "equal"; "differs"; "unproven" if it differs, and the fewest switches were not proven, so that the
-            computer's speed decides; "skipped" if it cannot be compared.
-        reason: a sentence on a difference, or why it was skipped.
+        id: id of the goal.
+        outcome: "equal"; "differs"; "unproven" if it differs without a proof of fewest switches, so that the speed of
+            the computer decides; "skipped" if it cannot be compared.
+        reason: the difference, or why the goal was skipped.
     """
 
     id: str
@@ -48,11 +48,11 @@ class Compared(NamedTuple):
 
 
 class SimulatedArm:
-    """A daemon with simulated boards, that nobody else can reach.
+    """A daemon with simulated boards at a private endpoint.
 
     Args:
-        client: talks to it.
-        ended: returns the exit code of its process; None while it runs.
+        client: client of the daemon.
+        ended: returns the exit code of the daemon; None while it runs.
     """
 
     def __init__(self, client: Client, ended: Callable[[], int | None]) -> None:
@@ -65,10 +65,10 @@ class SimulatedArm:
         self._state = message
 
     def wait_ready(self, patience: float = SETTLING) -> Message:
-        """Returns the state of the arm as soon as it holds and takes goals.
+        """Waits until the arm is in mode ready; returns its state.
 
         Raises:
-            ArmFailed: that does not come.
+            ArmFailed: the arm is not ready in time.
         """
         until = time.monotonic() + patience
         while time.monotonic() < until:
@@ -80,10 +80,10 @@ class SimulatedArm:
         raise ArmFailed(f"the simulated arm is not ready: {self._state.get('reason', 'it does not answer')}")
 
     def ask(self, key: str, payload: Mapping[str, Any]) -> Message:
-        """Returns the answer to a request.
+        """Sends a request and returns the answer.
 
         Raises:
-            ArmFailed: there is none.
+            ArmFailed: the arm does not answer.
         """
         try:
             return self._client.request(key, payload, ANSWER)
@@ -93,44 +93,44 @@ class SimulatedArm:
             self._since = time.time()
 
     def bring(self, configuration: str) -> bool:
-        """Brings the arm to a configuration; returns whether it is there."""
+        """Moves the arm to a configuration; returns whether it arrived."""
         if self.wait_ready().get("configuration") == configuration:
             return True
         self.run({"waypoints": [{"configuration": configuration}]})
         return self.wait_ready().get("configuration") == configuration
 
     def run(self, goal: Mapping[str, Any]) -> tuple[Message, dict[int, str | None]]:
-        """Returns the result of a goal, and the configuration at each of its waypoints.
+        """Runs a goal; returns its result, and the configuration at each waypoint by its number.
 
         Raises:
-            ArmFailed: there is none.
+            ArmFailed: there is no result.
         """
         reached: dict[int, str | None] = {}
 
-        def tell(message: Message) -> None:
+        def follow(message: Message) -> None:
             if "waypoint" in message:
                 reached[message["waypoint"]] = message.get("configuration")
 
         self.wait_ready()
         try:
-            return self._client.run(goal, tell, silence=SETTLING), reached
+            return self._client.run(goal, follow, silence=SETTLING), reached
         except Unanswered as error:
             raise ArmFailed(str(error)) from None
         finally:
             self._since = time.time()
 
 
-def compare(past: Past, file: Path | None, tell: Callable[[Compared], None]) -> None:
-    """Sends the goals of a recording to a simulated arm, one after the other, and tells what became of each.
+def compare(past: RecordingReader, file: Path | None, report: Callable[[Compared], None]) -> None:
+    """Sends the goals of a recording to a simulated arm, one after the other, and compares the configurations.
 
     Args:
         past: the recording.
-        file: of the arm, in place of the recorded one.
-        tell: takes one entry for each recorded goal.
+        file: the arm's file, instead of the recorded one.
+        report: called with the comparison of each recorded goal.
 
     Raises:
-        ArmFailed: the arm does not start, or is gone.
-        BadRecording: the file is damaged.
+        ArmFailed: the arm does not start, or does not answer.
+        BadRecording: the recording is damaged.
     """
     steps, anytime = history(past), (past.description or {}).get("method") == "minimum-switch"
     with simulated(past, file) as arm:
@@ -138,32 +138,32 @@ def compare(past: Past, file: Path | None, tell: Callable[[Compared], None]) -> 
             if isinstance(step, Change):
                 if not (answer := arm.ask(step.key, step.payload)).get("accepted"):
                     raise ArmFailed(f"the simulated arm refuses a recorded {step.key}: {answer.get('message')}")
-                arm.wait_ready(STARTING)  # planning is made ready for other locked actuators
+                arm.wait_ready(STARTING)  # the planner rebuilds its tables for locked actuators
             else:
-                tell(compared(arm, step, anytime=anytime))
+                report(compared(arm, step, anytime=anytime))
 
 
 def compared(arm: SimulatedArm, goal: Goal, *, anytime: bool) -> Compared:
-    """Sends one goal from where the arm was, and returns whether it led to the same.
+    """Sends one goal from its recorded start, and returns the comparison.
 
     Args:
-        arm: to send it to.
-        goal: that was recorded.
-        anytime: whether the search goes on as long as there is time, so that only proven plans come again for certain.
+        arm: the simulated arm.
+        goal: the recorded goal.
+        anytime: whether the search uses all its time, so that only proven plans are reproducible.
     """
-    if goal.obstacle is not None:
-        return Compared(goal.id, "skipped", goal.obstacle)
+    if goal.incomparable is not None:
+        return Compared(goal.id, "skipped", goal.incomparable)
     if goal.start is not None and not arm.bring(goal.start):
-        return Compared(goal.id, "skipped", f"the simulated arm does not come to {goal.start}, where it began")
+        return Compared(goal.id, "skipped", f"the simulated arm does not reach its start {goal.start}")
     stamp = goal.payload.get("stamp") or 0.0
     later = {"stamp": time.time() + stamp - goal.stamp} if stamp else {}
     result, reached = arm.run({**goal.payload, "id": goal.id, **later})
     if not goal.accepted:
         if result.get("accepted") is False:
             return Compared(goal.id, "equal")
-        return Compared(goal.id, "differs", "it was refused, and is accepted now")
+        return Compared(goal.id, "differs", "it was refused then, and is accepted now")
     if result.get("status") != "succeeded":
-        return Compared(goal.id, "differs", f"it succeeded, and now: {result.get('message')}")
+        return Compared(goal.id, "differs", f"it succeeded then, now: {result.get('message')}")
     then = goal.result or {}
     if (difference := differs(goal, then, result, reached)) is None:
         return Compared(goal.id, "equal")
@@ -172,7 +172,7 @@ def compared(arm: SimulatedArm, goal: Goal, *, anytime: bool) -> Compared:
 
 
 def differs(goal: Goal, then: Message, now: Message, reached: Mapping[int, str | None]) -> str | None:
-    """Returns where configurations differ, in words; None if nowhere."""
+    """Returns the first difference of configurations in words; None if there is none."""
     for waypoint, configuration in sorted(goal.configurations.items()):
         if reached.get(waypoint) != configuration:
             return f"waypoint {waypoint + 1}: {configuration} then, {reached.get(waypoint)} now"
@@ -182,16 +182,16 @@ def differs(goal: Goal, then: Message, now: Message, reached: Mapping[int, str |
 
 
 @contextlib.contextmanager
-def simulated(past: Past, file: Path | None) -> Iterator[SimulatedArm]:
-    """Runs a daemon with simulated boards for a recording, in a folder and on sockets of its own.
+def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm]:
+    """Runs a daemon with simulated boards for a recording, with its own folder and sockets.
 
     Raises:
-        ArmFailed: it does not start.
+        ArmFailed: the daemon does not start.
     """
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyperbit-")))
         path = arm_file(past, folder) if file is None else file
-        endpoint, said = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
+        endpoint, log = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
         ledger = folder / "ledger.db"
         counted(past, ledger)
         command = [sys.executable, "-m", "controller.cli", "run", str(path), "--simulate", "--listen", endpoint]
@@ -199,9 +199,9 @@ def simulated(past: Past, file: Path | None) -> Iterator[SimulatedArm]:
             [*command, "--ledger", str(ledger)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            stderr=stack.enter_context(said.open("wb")),
+            stderr=stack.enter_context(log.open("wb")),
             env={**os.environ, "RUNTIME_DIRECTORY": str(folder)},
-            start_new_session=True,  # Ctrl-C ends this process first, which then ends that one
+            start_new_session=True,  # Ctrl-C ends this process, which then ends the daemon
         )
         stack.callback(process.wait)
         stack.callback(process.send_signal, signal.SIGTERM)
@@ -209,7 +209,7 @@ def simulated(past: Past, file: Path | None) -> Iterator[SimulatedArm]:
         live, until = None, time.monotonic() + STARTING
         while live is None:
             if process.poll() is not None or time.monotonic() > until:
-                words = said.read_text(errors="replace").strip().splitlines()[-LAST_LINES:]
+                words = log.read_text(errors="replace").strip().splitlines()[-LAST_LINES:]
                 raise ArmFailed("the simulated arm does not start: " + "\n".join(words))
             with contextlib.suppress(zenoh.ZError):
                 live = stack.enter_context(zenoh.open(config))
@@ -220,17 +220,17 @@ def simulated(past: Past, file: Path | None) -> Iterator[SimulatedArm]:
         yield arm
 
 
-def arm_file(past: Past, folder: Path) -> Path:
+def arm_file(past: RecordingReader, folder: Path) -> Path:
     """Writes the recorded arm's file and its tables into a folder; returns the file's path.
 
     Raises:
-        ArmFailed: the recording has none.
+        ArmFailed: the recording has no valid arm's file.
     """
     file = (past.description or {}).get("file")
     if not isinstance(file, dict) or not isinstance(file.get("text"), str):
-        raise ArmFailed(f"{past.path} does not have the arm's file: give it with --arm")
+        raise ArmFailed(f"{past.path} does not contain the arm's file: name it by --arm")
     if hashlib.sha256(file["text"].encode()).hexdigest() != file.get("sha256"):
-        raise ArmFailed(f"{past.path}: the arm's file in it was changed: give it with --arm")
+        raise ArmFailed(f"{past.path}: the arm's file in it was changed: name the file by --arm")
     for name, text in (file.get("tables") or {}).items():
         if PurePath(name).is_absolute() or ".." in PurePath(name).parts:
             raise ArmFailed(f"{past.path}: a table of the arm's file would be written to {name}")
@@ -241,8 +241,8 @@ def arm_file(past: Past, folder: Path) -> Path:
     return path
 
 
-def counted(past: Past, path: Path) -> None:
-    """Writes a ledger with the switches of each actuator when the recording began: weights may go by them."""
+def counted(past: RecordingReader, path: Path) -> None:
+    """Writes a ledger with each actuator's switches at the begin of the recording, on which weights may depend."""
     labels = (past.description or {}).get("actuators") or ()
     counts = next((it for it in first_counts(past) if len(it) == len(labels)), None)
     if counts is not None:
@@ -251,8 +251,8 @@ def counted(past: Past, path: Path) -> None:
         ledger.close()
 
 
-def first_counts(past: Past) -> Iterator[list[int]]:
-    """Yields the counts of the recording's diagnostics."""
-    for told in past.messages():
-        if told.key == "diagnostics" and (counts := msgspec.json.decode(told.data).get("counts")):
+def first_counts(past: RecordingReader) -> Iterator[list[int]]:
+    """Yields the switch counts, length A, of the recording's diagnostics."""
+    for message in past.messages():
+        if message.key == "diagnostics" and (counts := msgspec.json.decode(message.data).get("counts")):
             yield counts

@@ -1,4 +1,4 @@
-"""Recordings that were not completed, as after a kill or a power cut: what was flushed is kept, the rest cut off."""
+"""Repairs recordings that are incomplete after a kill or a power failure: flushed data is kept, the rest cut off."""
 
 import os
 import struct
@@ -15,9 +15,9 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from controller.recorder.recording import LIBRARY
 
-MOST = 1 << 30  # bytes of one record; a damaged length must not be tried
+MOST = 1 << 30  # bytes of one record; a greater length is damage
 HEAD = len(MCAP0_MAGIC)
-# What mcap and the libraries below it raise on damaged data.
+# Exceptions of mcap and its libraries on damaged data.
 DAMAGE = (
     McapError,
     CRCValidationError,
@@ -33,11 +33,11 @@ DAMAGE = (
 
 
 class Repaired(NamedTuple):
-    """What became of an unfinished file.
+    """Outcome of a repair.
 
     Attributes:
-        path: of the file.
-        messages: that it holds now; None if it held nothing, and was deleted.
+        path: path of the file.
+        messages: number of messages in the repaired file; None if it had none and was deleted.
     """
 
     path: Path
@@ -45,7 +45,7 @@ class Repaired(NamedTuple):
 
 
 def unfinished(path: Path) -> bool:
-    """Returns whether a file is a recording without an end; what does not begin as one is none."""
+    """Returns whether a file begins as an MCAP file, but has no end."""
     with path.open("rb") as file:
         if not MCAP0_MAGIC.startswith(file.read(HEAD)):
             return False
@@ -56,12 +56,12 @@ def unfinished(path: Path) -> bool:
 
 
 def repair(path: Path) -> Repaired:
-    """Completes an unfinished file with all whole records that it has; deletes one that has none.
+    """Completes an incomplete file from its whole records; deletes a file without records.
 
-    The completed file takes the place of the other at once: a kill meanwhile leaves the unfinished one.
+    The completed file replaces the incomplete one atomically: a kill meanwhile leaves the incomplete file.
 
     Raises:
-        OSError: it cannot be read or written.
+        OSError: the file cannot be read or written.
     """
     temporary = path.with_suffix(".repairing")
     try:
@@ -79,7 +79,7 @@ def repair(path: Path) -> Repaired:
 
 
 def rewrite(damaged: IO[bytes], completed: IO[Any]) -> tuple[int, int]:
-    """Writes all whole records of a stream as a complete file; returns how many messages and records there are."""
+    """Writes all whole records of a stream as a complete file; returns the numbers of messages and records."""
     writer = Writer(completed, compression=CompressionType.ZSTD)
     writer.start(profile="", library=LIBRARY)
     schemas: dict[int, int] = {0: 0}
@@ -113,7 +113,7 @@ def rewrite(damaged: IO[bytes], completed: IO[Any]) -> tuple[int, int]:
 
 
 def whole_records(stream: IO[bytes]) -> Iterator[McapRecord]:
-    """Yields the records of a stream up to the first that is cut off or damaged."""
+    """Yields the records of a stream before the first incomplete or damaged one."""
     reader = StreamReader(stream, validate_crcs=True, record_size_limit=MOST)
     try:
         yield from reader.records

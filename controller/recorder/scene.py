@@ -1,7 +1,7 @@
-"""The arm as Foxglove draws it: frames of all modules, and entities of modules, goal and obstacles.
+"""The arm's drawing for Foxglove: frames of all modules, and entities of modules, goal and obstacles.
 
-Each module has a frame, child of the one before. Modules are drawn in the frame before them, as measured, so that the
-drawing of a module changes only with its own actuators.
+The frame of each module is a child of the frame before it. A module is drawn in the frame before it, in its measured
+state, so that its entity changes only with its own actuators.
 """
 
 import itertools
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Message = Mapping[str, Any]
 Colour = tuple[float, float, float, float]
 
-# Okabe and Ito's colours, which colour-blind readers tell apart.
+# Colours of Okabe and Ito, which colour-blind readers can distinguish.
 MEASURED: Colour = (0.0, 0.45, 0.7, 1.0)
 TRAVELLING: Colour = (0.84, 0.37, 0.0, 1.0)
 UNKNOWN: Colour = (0.5, 0.5, 0.5, 1.0)
@@ -22,19 +22,19 @@ GOAL: Colour = (0.0, 0.62, 0.45, 1.0)
 OBSTACLE: Colour = (0.8, 0.47, 0.65, 0.4)
 THICKNESS = 3.0  # [pixels]
 GOAL_SIZE = 0.015  # of the arm's length
-THIN = 0.002  # of the arm's length: height of what is plane
+THIN = 0.002  # of the arm's length: height of planar obstacles
 FAR = 4.0  # of the arm's length: sides of a half-plane or half-space
 PARTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
 
 class Scene:
-    """What `arm` told, ready to be drawn in any state.
+    """Draws an arm in any state.
 
     Args:
         arm: payload of `arm`, with `drawing`.
 
     Raises:
-        LookupError, TypeError, ValueError: it is of another version.
+        LookupError, TypeError, ValueError: the payload has another form, as of another version.
     """
 
     def __init__(self, arm: Message) -> None:
@@ -68,12 +68,12 @@ class Scene:
         }
 
     def update(self, state: Message, stamp: float) -> dict[str, Any]:
-        """Returns the SceneUpdate of a `state` at a UNIX time [s]: all entities, in place of those before."""
+        """Returns the SceneUpdate of a `state` at a UNIX time [s]; its entities replace all earlier ones."""
         entities = []
         for m, (k, colour) in enumerate(self._configuration(state)):
             segments = self._bodies[self._kinds[m]][k]
             lines = {
-                "type": 2,  # each two points a line
+                "type": 2,  # a line for each two points
                 "pose": pose(),
                 "thickness": THICKNESS,
                 "scale_invariant": True,
@@ -91,20 +91,20 @@ class Scene:
         return {"deletions": [], "entities": entities}
 
     def _configuration(self, state: Message) -> list[tuple[int, Colour]]:
-        """Returns state and colour of each module: as measured, else as commanded, else the first state."""
+        """Returns state and colour of each module: the measured state, else the commanded, else the first state."""
         measured = state.get("measured") or [None] * self._ends[-1]
         commanded = state.get("commanded") or [None] * self._ends[-1]
         result = []
         for kind, begin, end in zip(self._kinds, [0, *self._ends], self._ends, strict=False):
-            seen, told = measured[begin:end], commanded[begin:end]
-            state_of, colour = row(self._bits[kind], seen), MEASURED if seen == told else TRAVELLING
+            own, wanted = measured[begin:end], commanded[begin:end]
+            state_of, colour = row(self._bits[kind], own), MEASURED if own == wanted else TRAVELLING
             if state_of is None:
-                state_of, colour = row(self._bits[kind], told) or 0, UNKNOWN
+                state_of, colour = row(self._bits[kind], wanted) or 0, UNKNOWN
             result.append((state_of, colour))
         return result
 
     def _regions(self) -> dict[str, list[dict[str, Any]]]:
-        """Returns the primitives of all obstacles that this knows."""
+        """Returns the primitives of all obstacles of known kinds."""
         parts: dict[str, list[dict[str, Any]]] = {"cubes": [], "spheres": [], "cylinders": []}
         thin, far = THIN * self._length, FAR * self._length
         for region in self._obstacles:
@@ -131,7 +131,7 @@ class Scene:
 
 
 def row(codes: NDArray[np.int64], states: Sequence[int | None]) -> int | None:
-    """Returns the first of the codes (K, A) that is `states` (A,); None if there is none."""
+    """Returns the index of the first row of codes (K, A) that equals states (A,); None if there is none."""
     if None in states:
         return None
     found = np.flatnonzero((codes == np.array(states)).all(axis=1))
@@ -139,39 +139,39 @@ def row(codes: NDArray[np.int64], states: Sequence[int | None]) -> int | None:
 
 
 def entity(name: str, frame: str, stamp: float, **primitives: list[Any]) -> dict[str, Any]:
-    """Returns a SceneEntity that stays until it is replaced."""
+    """Returns a SceneEntity without expiry."""
     head = {"timestamp": time_of(stamp), "frame_id": frame, "id": name, "lifetime": {"sec": 0, "nsec": 0}}
     return {**head, "frame_locked": True, "metadata": [], **{part: [] for part in PARTS}, **primitives}
 
 
 def solid(centre: Sequence[float], size: Sequence[float], turned: Sequence[float] = (0, 0, 0, 1)) -> dict[str, Any]:
-    """Returns pose and size of a primitive; its centre has two or three coordinates."""
+    """Returns pose and size of a primitive, whose centre has two or three coordinates."""
     return {"pose": pose([*centre, 0.0][:3], turned), "size": vector(size)}
 
 
 def pose(position: Sequence[float] = (0, 0, 0), turned: Sequence[float] = (0, 0, 0, 1)) -> dict[str, Any]:
-    """Returns a pose."""
+    """Returns a pose from position (3,) and quaternion x, y, z, w."""
     return {"position": vector(position), "orientation": dict(zip("xyzw", map(float, turned), strict=True))}
 
 
 def vector(values: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
-    """Returns three numbers by name."""
+    """Returns a vector as fields x, y and z."""
     return dict(zip("xyz", (round(float(v), 9) for v in values), strict=True))
 
 
 def rgba(colour: Colour) -> dict[str, float]:
-    """Returns a colour by the names of its parts."""
+    """Returns a colour as fields r, g, b and a."""
     return dict(zip("rgba", colour, strict=True))
 
 
 def time_of(stamp: float) -> dict[str, int]:
-    """Returns a UNIX time [s] in seconds and nanoseconds."""
+    """Returns a UNIX time [s] as fields sec and nsec."""
     seconds = int(stamp)
     return {"sec": seconds, "nsec": int((stamp - seconds) * 1e9)}
 
 
 def quaternion(rotation: NDArray[np.float64]) -> dict[str, float]:
-    """Returns the unit quaternion of a rotation (3, 3): the eigenvector of Bar-Itzhack's symmetric matrix."""
+    """Returns the unit quaternion of a rotation matrix (3, 3) by Bar-Itzhack's method."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
     symmetric = np.array(
         [
@@ -187,7 +187,7 @@ def quaternion(rotation: NDArray[np.float64]) -> dict[str, float]:
 
 
 def turn_to(normal: NDArray[np.float64]) -> list[float]:
-    """Returns the quaternion that turns the x axis to a unit vector."""
+    """Returns the quaternion that rotates the x axis onto a unit vector (3,)."""
     if normal[0] < -1.0 + 1e-12:
         return [0.0, 0.0, 1.0, 0.0]
     half = np.array([0.0, -normal[2], normal[1], 1.0 + normal[0]])

@@ -1,6 +1,7 @@
-"""JSON schemas of what is recorded: the arm's topics, and the three types of Foxglove that draw it.
+"""JSON schemas of recorded messages: the arm's keys, and three message types of Foxglove.
 
-Foxglove and Lichtblick know a message by the name of its schema. Here a schema states only what this package writes.
+Foxglove and Lichtblick identify a message type by the name of its schema. The schemas contain only the fields that this
+package writes.
 """
 
 from functools import cache
@@ -28,7 +29,7 @@ def optional(schema: Schema) -> Schema:
 
 
 def fields(**properties: Schema) -> Schema:
-    """Returns the schema of an object with these fields; others may be there, too."""
+    """Returns the schema of an object with these fields; further fields are allowed."""
     return {"type": "object", "properties": properties}
 
 

@@ -47,7 +47,7 @@ def test_bad_input_is_told_in_a_sentence(tmp_path: Path) -> None:
 
 def test_recording_needs_neither_kernels_nor_pictures() -> None:
     script = (
-        "import sys, controller.commands.record, controller.recorder.recorder, controller.recorder.heard\n"
+        "import sys, controller.commands.record, controller.recorder.recorder, controller.recorder.listener\n"
         "print([name for name in ('numba', 'scipy', 'matplotlib', 'canopen', 'can') if name in sys.modules])"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

@@ -40,7 +40,7 @@ def test_bad_files_are_told_in_a_sentence(recording: Path, tmp_path: Path) -> No
 
 
 def test_a_recording_without_the_arms_file_needs_one(recording: Path) -> None:
-    assert "give it with --arm" in hyperbit("replay", str(recording), "--goals", code=1)
+    assert "name it by --arm" in hyperbit("replay", str(recording), "--goals", code=1)
 
 
 def test_a_wrong_arm_is_told(recording: Path, tmp_path: Path) -> None:

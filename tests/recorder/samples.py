@@ -11,7 +11,7 @@ from mcap.stream_reader import StreamReader
 
 from controller.config import Arm, load
 from controller.planning.description import description, drawing, file
-from controller.recorder.heard import Heard
+from controller.recorder.listener import Received
 from tests.keys import DEPLOY
 
 SECOND = 1_000_000_000  # [ns]
@@ -89,7 +89,7 @@ def state(arm: Arm, configuration: list[int], stamp: float, **changes: Any) -> d
     return {**common, "commanded": states, "measured": states, "configuration": "", "tip": None, **changes}
 
 
-def heard(at: float, key: str, message: Any) -> Heard:
+def heard(at: float, key: str, message: Any) -> Received:
     """A message that came at a monotonic time [s]."""
     data = message if isinstance(message, bytes) else json.dumps(message).encode()
-    return Heard(round(at * SECOND), key, data)
+    return Received(round(at * SECOND), key, data)

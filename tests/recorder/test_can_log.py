@@ -69,6 +69,6 @@ def test_a_bus_that_cannot_be_opened_is_told_once(
 ) -> None:
     monkeypatch.setattr(can_log, "REOPEN", 0.01)
     log = CanLog([BusSettings("can9", "no-such-interface9")])
-    eventually(lambda: "can9 is not read" in caplog.text)
+    eventually(lambda: "can9 cannot be read" in caplog.text)
     log.close()
-    assert caplog.text.count("can9 is not read") == 1
+    assert caplog.text.count("can9 cannot be read") == 1

@@ -15,8 +15,8 @@ from controller.config import Arm
 from controller.gateway import session
 from controller.gateway.client import Client
 from controller.recorder.folder import Folder
-from controller.recorder.past import Past
 from controller.recorder.player import Player, Timeline
+from controller.recorder.reader import RecordingReader
 from controller.recorder.recorder import Limits, Recorder
 from tests.recorder.samples import heard, planar, state, told
 from tests.waiting import PATIENCE, eventually
@@ -28,7 +28,7 @@ def arm() -> Arm:
 
 
 @pytest.fixture
-def past(tmp_path: Path, arm: Arm) -> Iterator[Past]:
+def past(tmp_path: Path, arm: Arm) -> Iterator[RecordingReader]:
     """Ten seconds of an arm, a state every half second and a result every two."""
     began: list[Path] = []
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(10**9, 10**9), began=began.append)
@@ -38,7 +38,7 @@ def past(tmp_path: Path, arm: Arm) -> Iterator[Past]:
         if k % 4 == 0:
             recorder.take(heard(0.5 * k + 0.1, "result", {"id": f"g{k}", "status": "succeeded", "code": 0}))
     recorder.close()
-    past = Past(began[0])
+    past = RecordingReader(began[0])
     yield past
     past.close()
 
@@ -76,14 +76,16 @@ class Sessions:
         return look
 
 
-def played(past: Past, speed: float, step: float = 0.05, begin: float = 0.0) -> list[tuple[float, str, dict[str, Any]]]:
+def played(
+    past: RecordingReader, speed: float, step: float = 0.05, begin: float = 0.0
+) -> list[tuple[float, str, dict[str, Any]]]:
     sessions, timeline = Sessions(), Timeline(past.begin / 1e9, past.end / 1e9, speed)
     timeline.change({"at": timeline.begin + begin})
     Player(past, sessions, "replay", timeline).play(lambda: False, stay=False, clock=sessions.clock(step))  # type: ignore[arg-type]
     return sessions.put_at
 
 
-def test_all_comes_again_in_order_and_time(past: Past) -> None:
+def test_all_comes_again_in_order_and_time(past: RecordingReader) -> None:
     for speed in (1.0, 4.0):
         put = played(past, speed, step=0.01)
         states = [(at, message["stamp"]) for at, key, message in put if key == "replay/planar16/state"]
@@ -97,14 +99,14 @@ def test_all_comes_again_in_order_and_time(past: Past) -> None:
         assert {key.rpartition("/")[2] for _, key, _ in put} == {"state", "result", "timeline"}
 
 
-def test_a_fast_replay_leaves_out_states_but_no_result(past: Past) -> None:
+def test_a_fast_replay_leaves_out_states_but_no_result(past: RecordingReader) -> None:
     put = played(past, 1000.0, step=0.01)
     assert sum(key.endswith("/state") for _, key, _ in put) < 21
     assert [message["stamp"] for _, key, message in put if key.endswith("/state")][-1] == 110.0
     assert sum(key.endswith("/result") for _, key, _ in put) == 6
 
 
-def test_a_replay_that_begins_later_tells_how_things_stood(past: Past) -> None:
+def test_a_replay_that_begins_later_tells_how_things_stood(past: RecordingReader) -> None:
     put = played(past, 1.0, begin=5.2)
     assert [message["stamp"] for _, key, message in put if key.endswith("/state")] == [
         105.0,
@@ -133,10 +135,10 @@ def test_wishes_for_the_time_line() -> None:
 def test_other_wishes_are_refused_and_change_nothing(wish: Any) -> None:
     line = Timeline(100.0, 110.0)
     assert line.change(wish)
-    assert line.told() == {"begin": 100.0, "end": 110.0, "at": 100.0, "speed": 1.0, "paused": False}
+    assert line.payload() == {"begin": 100.0, "end": 110.0, "at": 100.0, "speed": 1.0, "paused": False}
 
 
-def test_a_page_sees_the_past_and_moves_the_time_line(past: Past, arm: Arm, tmp_path: Path) -> None:
+def test_a_page_sees_the_past_and_moves_the_time_line(past: RecordingReader, arm: Arm, tmp_path: Path) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/z.sock"
     with ExitStack() as stack:
         served = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))

@@ -11,9 +11,9 @@ import yaml
 
 from controller.config import load
 from controller.recorder.folder import Folder
-from controller.recorder.heard import Ear
 from controller.recorder.history import Change, Goal, history
-from controller.recorder.past import Past
+from controller.recorder.listener import Listener
+from controller.recorder.reader import RecordingReader
 from controller.recorder.recorder import Limits, Recorder
 from controller.recorder.regression import ArmFailed, Compared, arm_file, compare, compared, simulated
 from tests.keys import DEPLOY
@@ -36,7 +36,7 @@ def recorded(folder: Path, fill: Callable[[Recorder], None], arm: dict[str, Any]
 
 
 def outcomes(path: Path) -> list[Compared]:
-    past, found = Past(path), list[Compared]()
+    past, found = RecordingReader(path), list[Compared]()
     compare(past, None, found.append)
     past.close()
     return found
@@ -47,17 +47,17 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
     document = yaml.safe_load((DEPLOY / "planar16.yaml").read_text())
     file = tmp_path / "planar16.yaml"
     file.write_text(yaml.safe_dump({**document, "method": "ipop-previous"}))  # no search that time ends
-    empty = Past(recorded(tmp_path / "empty", lambda recorder: None, told(load(file))))
+    empty = RecordingReader(recorded(tmp_path / "empty", lambda recorder: None, told(load(file))))
     place, began = Folder(tmp_path / "lived", "planar16"), list[Path]()
     recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
     ending = threading.Event()
     with simulated(empty, None) as arm:
-        ear = Ear(arm._client._session, "planar16")
-        thread = threading.Thread(target=recorder.run, args=(ear, ending.is_set, lambda: None))
+        listener = Listener(arm._client._session, "planar16")
+        thread = threading.Thread(target=recorder.run, args=(listener, ending.is_set, lambda: None))
         thread.start()
         try:
             arm.wait_ready()
-            eventually(lambda: recorder._arm_told)
+            eventually(lambda: recorder._description)
             waypoints = [{"t": 0.5 * k, "position": [0.5 + 0.1 * k, 2.8]} for k in range(3)]
             ids = ["one", "far", "many", "locked", "around"]
             assert arm.run({"id": "one", **GOAL})[0]["status"] == "succeeded"
@@ -75,7 +75,7 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
             path = began[0]
 
             def noted() -> bool:
-                recorder_has = Past(path)
+                recorder_has = RecordingReader(path)
                 names = {goal.id for goal in history(recorder_has) if isinstance(goal, Goal) and goal.result}
                 return names >= set(ids) - {"far"}
 
@@ -83,7 +83,7 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
         finally:
             ending.set()
             thread.join()
-            ear.close()
+            listener.close()
             recorder.close()
     assert {it.outcome for it in outcomes(path)} == {"equal"}
     assert len(outcomes(path)) == 7
@@ -116,14 +116,14 @@ ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
         ({}, Played({**DONE, "certificate": "bound"}, {0: "12"}), "unproven", "waypoint 1: 11 then, 12 now"),
         ({"result": {**DONE, "certificate": "bound"}}, Played(DONE, {0: "12"}), "unproven", "waypoint 1"),
         ({}, Played({**DONE, "configuration": "12"}, {0: "11"}), "differs", "at the end: 11 then, 12 now"),
-        ({}, Played({"status": "aborted", "message": "stuck"}, {}), "differs", "it succeeded, and now: stuck"),
+        ({}, Played({"status": "aborted", "message": "stuck"}, {}), "differs", "it succeeded then, now: stuck"),
         ({}, Played({"accepted": False, "message": "out of reach"}, {}), "differs", "and now: out of reach"),
-        ({}, Played(DONE, {}, there=False), "skipped", "does not come to 00"),
+        ({}, Played(DONE, {}, there=False), "skipped", "does not reach its start 00"),
         ({"accepted": False, "result": None}, Played({"accepted": False}, {}), "equal", ""),
-        ({"accepted": False, "result": None}, Played(DONE, {}), "differs", "it was refused, and is accepted now"),
+        ({"accepted": False, "result": None}, Played(DONE, {}), "differs", "it was refused then, and is accepted now"),
         ({"result": {**DONE, "status": "canceled"}}, Played(DONE, {}), "skipped", "it ended as canceled"),
-        ({"result": None}, Played(DONE, {}), "skipped", "the recording ends before it"),
-        ({"start": None}, Played(DONE, {}), "skipped", "no known configuration"),
+        ({"result": None}, Played(DONE, {}), "skipped", "the recording ends before its result"),
+        ({"start": None}, Played(DONE, {}), "skipped", "the configuration before it is unknown"),
         ({"moving": True}, Played(DONE, {}), "skipped", "while the arm moved"),
         ({"result": {**DONE, "bias": [0.0, 0.01]}}, Played(DONE, {}), "skipped", "by the tracker"),
     ],
@@ -160,25 +160,25 @@ def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
         recorder.take(heard(3.2, "request", {"stamp": 3.1, "key": "goal", "payload": GOAL, "answer": refused}))
         recorder.take(heard(3.3, "request", {"stamp": 3.2, "key": "goal", "payload": None, "answer": refused}))
 
-    lock, first, second, change, far = history(Past(recorded(tmp_path, fill)))
+    lock, first, second, change, far = history(RecordingReader(recorded(tmp_path, fill)))
     assert lock == Change("degrade", {"actuator": "1.left", "state": 1})
     assert isinstance(first, Goal)
     assert isinstance(second, Goal)
     assert isinstance(far, Goal)
-    assert (first.start, first.moving, first.obstacle) == ("A", False, None)
-    assert second.obstacle == "it began while the arm moved"
+    assert (first.start, first.moving, first.incomparable) == ("A", False, None)
+    assert second.incomparable == "it began while the arm moved"
     assert change == Change("degrade", {"a": 1})
-    assert (far.accepted, far.obstacle) == (False, None)
+    assert (far.accepted, far.incomparable) == (False, None)
 
 
 def test_a_recorded_file_cannot_be_written_elsewhere(tmp_path: Path) -> None:
     arm = told(planar())
     arm["file"]["tables"] = {"../evil.csv": "x"}
     with pytest.raises(ArmFailed, match=r"evil\.csv"):
-        arm_file(Past(recorded(tmp_path / "a", lambda _: None, arm)), tmp_path)
+        arm_file(RecordingReader(recorded(tmp_path / "a", lambda _: None, arm)), tmp_path)
     arm["file"]["tables"], arm["file"]["text"] = {}, "name: changed"
     with pytest.raises(ArmFailed, match="was changed"):
-        arm_file(Past(recorded(tmp_path / "b", lambda _: None, arm)), tmp_path)
+        arm_file(RecordingReader(recorded(tmp_path / "b", lambda _: None, arm)), tmp_path)
     arm["file"] = None
     with pytest.raises(ArmFailed, match="--arm"):
-        arm_file(Past(recorded(tmp_path / "c", lambda _: None, arm)), tmp_path)
+        arm_file(RecordingReader(recorded(tmp_path / "c", lambda _: None, arm)), tmp_path)

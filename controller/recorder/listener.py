@@ -1,4 +1,4 @@
-"""What is heard of an arm over Zenoh, on its way to the recorder's thread."""
+"""Zenoh subscriptions to all keys of an arm, queued for the recorder's thread."""
 
 import threading
 import time
@@ -9,15 +9,15 @@ import zenoh
 
 MOST_WAITING = 64 << 20  # bytes of payloads that wait to be written
 ARM_TIMEOUT = 10.0  # [s] for the daemon to describe the arm
-BESIDES = b'{"with": ["drawing", "file"]}'
+PARTS = b'{"with": ["drawing", "file"]}'
 
 
-class Heard(NamedTuple):
-    """A message.
+class Received(NamedTuple):
+    """A received message.
 
     Attributes:
-        at: when it was heard, CLOCK_MONOTONIC [ns].
-        key: after "hyperbit/<arm>/"; "alive" and "gone" for the liveliness token, "arm" for the daemon's answer.
+        at: time of arrival, CLOCK_MONOTONIC [ns].
+        key: part after "hyperbit/<arm>/"; "alive" and "gone" for the liveliness token, "arm" for the daemon's answer.
         data: payload.
     """
 
@@ -26,8 +26,8 @@ class Heard(NamedTuple):
     data: bytes
 
 
-class Ear:
-    """Subscribes to all keys of one arm. Callbacks only store: nothing waits for who writes.
+class Listener:
+    """Subscribes to all keys of one arm. Callbacks only queue messages, so that Zenoh never waits for the disk.
 
     Args:
         session: open session.
@@ -36,7 +36,7 @@ class Ear:
 
     def __init__(self, session: zenoh.Session, arm: str) -> None:
         self._session, self._prefix = session, f"hyperbit/{arm}"
-        self._waiting, self._bytes, self._news = deque[Heard](), 0, threading.Condition()
+        self._waiting, self._bytes, self._news = deque[Received](), 0, threading.Condition()
         self._dropped = 0
         self._declared = [
             session.declare_subscriber(f"{self._prefix}/**", self._on_sample),
@@ -45,16 +45,16 @@ class Ear:
         ]
 
     def close(self) -> None:
-        """Hears no more."""
+        """Ends the subscriptions."""
         while self._declared:
             self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
 
     def ask(self) -> None:
-        """Asks the daemon for the arm's description; the answer comes as "arm"."""
-        self._session.get(f"{self._prefix}/arm", self._on_reply, payload=BESIDES, timeout=ARM_TIMEOUT)
+        """Requests the arm's description from the daemon; the answer is queued with the key "arm"."""
+        self._session.get(f"{self._prefix}/arm", self._on_reply, payload=PARTS, timeout=ARM_TIMEOUT)
 
-    def take(self, timeout: float) -> list[Heard]:
-        """Returns what was heard, the oldest first; waits for something at most `timeout` [s]."""
+    def take(self, timeout: float) -> list[Received]:
+        """Returns the queued messages, oldest first; waits at most `timeout` [s] for the first."""
         with self._news:
             if not self._waiting:
                 self._news.wait(timeout)
@@ -63,7 +63,7 @@ class Ear:
             return taken
 
     def dropped(self) -> int:
-        """Returns how many messages were dropped since the last call, because too many waited."""
+        """Returns the number of messages dropped since the last call because the queue was full."""
         with self._news:
             dropped, self._dropped = self._dropped, 0
             return dropped
@@ -81,7 +81,7 @@ class Ear:
             self._put("arm", reply.ok.payload.to_bytes())
 
     def _put(self, key: str, data: bytes) -> None:
-        item = Heard(time.monotonic_ns(), key, data)
+        item = Received(time.monotonic_ns(), key, data)
         with self._news:
             if self._bytes + len(data) > MOST_WAITING:
                 self._dropped += 1
@@ -92,7 +92,7 @@ class Ear:
 
 
 class LogClock:
-    """Log times: UNIX time at the start, then as CLOCK_MONOTONIC goes, so that no step of the clock reorders a file."""
+    """Clock of log times: UNIX time at the start, advanced by CLOCK_MONOTONIC, so that log times never step back."""
 
     def __init__(self) -> None:
         self._offset = time.time_ns() - time.monotonic_ns()
@@ -102,5 +102,5 @@ class LogClock:
         return monotonic + self._offset
 
     def now(self) -> int:
-        """Returns the log time now [ns]."""
+        """Returns the present log time [ns]."""
         return self.at(time.monotonic_ns())

@@ -1,4 +1,4 @@
-"""What recorded messages say in sentences: Foxglove's log of modes, faults, goals and results."""
+"""Log lines for Foxglove about modes, faults, requests and results."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -15,15 +15,15 @@ class Line(NamedTuple):
     text: str
 
 
-class Story:
-    """Tells what changed since the last message of a kind."""
+class EventLog:
+    """Makes log lines from changes between messages."""
 
     def __init__(self) -> None:
         self._mode: tuple[str, str] | None = None
         self._faults: set[tuple[str, str]] = set()
 
     def lines(self, key: str, message: Message) -> Iterator[Line]:
-        """Yields what a message on a key of the arm says anew."""
+        """Yields the log lines of a message."""
         match key:
             case "state":
                 yield from self._state(message)
@@ -31,8 +31,8 @@ class Story:
                 answer = message.get("answer") or {}
                 level = INFO if answer.get("accepted") else WARNING
                 named = f" {answer['id']}" if answer.get("id") else ""
-                verdict = "accepted" if answer.get("accepted") else "refused"
-                yield Line(level, f"{message.get('key')}{named} {verdict}: {answer.get('message')}")
+                outcome = "accepted" if answer.get("accepted") else "refused"
+                yield Line(level, f"{message.get('key')}{named} {outcome}: {answer.get('message')}")
             case "result":
                 level = INFO if message.get("code") == 0 else WARNING
                 yield Line(level, f"goal {message.get('id')} {message.get('status')}: {message.get('message')}")
@@ -49,5 +49,5 @@ class Story:
         for key in faults.keys() - self._faults:
             yield Line(ERROR, f"{key[0]} at {key[1]}: {faults[key].get('message')}")
         for code, source in sorted(self._faults - faults.keys()):
-            yield Line(INFO, f"{code} at {source} is over")
+            yield Line(INFO, f"{code} at {source} is gone")
         self._faults = set(faults)

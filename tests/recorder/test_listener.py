@@ -11,7 +11,7 @@ import zenoh
 
 from controller.gateway import session
 from controller.recorder import heard
-from controller.recorder.heard import Ear, Heard, LogClock
+from controller.recorder.listener import Listener, LogClock, Received
 from tests.waiting import eventually
 
 ARM = json.dumps({"name": "a"}).encode()
@@ -26,11 +26,11 @@ def ends(tmp_path: Path) -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
         yield daemon, stack.enter_context(zenoh.open(session.configuration("client", connect=endpoint)))
 
 
-def until(ear: Ear, key: str, before: list[Heard]) -> Heard:
+def until(listener: Listener, key: str, before: list[Received]) -> Received:
     """The next message on a key; those before it are put to `before`."""
 
-    def found() -> Heard | None:
-        before.extend(ear.take(0.1))
+    def found() -> Received | None:
+        before.extend(listener.take(0.1))
         return next((it for it in before if it.key == key), None)
 
     item = eventually(found)
@@ -40,7 +40,7 @@ def until(ear: Ear, key: str, before: list[Heard]) -> Heard:
 
 def test_all_that_concerns_the_arm_is_heard(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
     daemon, own = ends
-    ear, items = Ear(own, "a"), list[Heard]()
+    listener, items = Listener(own, "a"), list[Received]()
     publisher = daemon.declare_publisher("hyperbit/a/@request")
     eventually(lambda: publisher.matching_status.matching)
     daemon.put("hyperbit/a/state", b"1")
@@ -49,11 +49,11 @@ def test_all_that_concerns_the_arm_is_heard(ends: tuple[zenoh.Session, zenoh.Ses
     daemon.put("hyperbit/a/arm", b"forged")
     daemon.put("hyperbit/a/gone", b"forged")
     publisher.put(b"3")
-    assert until(ear, "request", items).data == b"3"
-    assert until(ear, "state", items).data == b"1"
-    assert until(ear, "some/key", items).data == b"2"
+    assert until(listener, "request", items).data == b"3"
+    assert until(listener, "state", items).data == b"1"
+    assert until(listener, "some/key", items).data == b"2"
     assert items == []
-    ear.close()
+    listener.close()
 
 
 def test_the_daemon_is_heard_to_come_and_go_and_describes_the_arm(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
@@ -67,21 +67,21 @@ def test_the_daemon_is_heard_to_come_and_go_and_describes_the_arm(ends: tuple[ze
 
     queryable = daemon.declare_queryable("hyperbit/a/arm", answer)
     token = daemon.liveliness().declare_token("hyperbit/a/alive")
-    ear, items = Ear(own, "a"), list[Heard]()
-    until(ear, "alive", items)
+    listener, items = Listener(own, "a"), list[Received]()
+    until(listener, "alive", items)
 
     def described() -> bool:
-        ear.ask()  # a get may come before the routes are known
-        items.extend(ear.take(0.2))
-        return any(it == Heard(it.at, "arm", ARM) for it in items)
+        listener.ask()  # a get may come before the routes are known
+        items.extend(listener.take(0.2))
+        return any(it == Received(it.at, "arm", ARM) for it in items)
 
     eventually(described)
     assert json.loads(asked[0]) == {"with": ["drawing", "file"]}
     token.undeclare()
-    until(ear, "gone", items)
+    until(listener, "gone", items)
     token = daemon.liveliness().declare_token("hyperbit/a/alive")
-    until(ear, "alive", items)
-    ear.close()
+    until(listener, "alive", items)
+    listener.close()
     token.undeclare()
     queryable.undeclare()
 
@@ -90,13 +90,13 @@ def test_what_nobody_writes_does_not_fill_the_memory(
     ends: tuple[zenoh.Session, zenoh.Session], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(heard, "MOST_WAITING", 100)
-    ear = Ear(ends[1], "a")
+    listener = Listener(ends[1], "a")
     for _ in range(30):
-        ear._put("state", bytes(10))
-    assert (len(ear.take(0.0)), ear.dropped(), ear.dropped()) == (10, 20, 0)
-    ear._put("state", bytes(10))
-    assert len(ear.take(0.0)) == 1
-    ear.close()
+        listener._put("state", bytes(10))
+    assert (len(listener.take(0.0)), listener.dropped(), listener.dropped()) == (10, 20, 0)
+    listener._put("state", bytes(10))
+    assert len(listener.take(0.0)) == 1
+    listener.close()
 
 
 def test_log_times_are_unix_times_that_no_step_of_the_clock_reorders(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""A recording as it is read: whole or cut off, of one arm."""
+"""Reads a recording of one arm, complete or incomplete."""
 
 import tempfile
 from collections.abc import Iterator
@@ -10,15 +10,15 @@ from mcap.reader import SeekingReader
 
 from controller.recorder.repair import DAMAGE, rewrite, unfinished
 
-KEPT = ("state", "diagnostics")  # keys whose latest message tells how things stand
-DRAWN = ("arm", "alive", "log", "scene", "frames", "other")  # written by the recorder, or told in another way
+SNAPSHOTS = ("state", "diagnostics")  # keys whose latest message replaces all earlier ones
+SKIPPED = ("arm", "alive", "log", "scene", "frames", "other")  # written by the recorder, or served in another way
 
 
 class BadRecording(Exception):
-    """A file that is no recording of an arm, in a sentence."""
+    """A file is no recording of an arm; the text says why."""
 
 
-class Told(NamedTuple):
+class RecordedMessage(NamedTuple):
     """A recorded message: its log time [ns], its key after "hyperbit/<arm>/", and its payload."""
 
     at: int
@@ -26,22 +26,22 @@ class Told(NamedTuple):
     data: bytes
 
 
-class Past:
-    """One recording.
+class RecordingReader:
+    """An open recording.
 
     Attributes:
-        path: of the file.
-        arm: its name.
-        description: payload of `arm`; None if the daemon was never asked.
+        path: path of the file.
+        arm: name of the arm.
+        description: payload of `arm`; None if the recording has none.
         begin: log time of the first message [ns].
-        end: of the last [ns].
-        whole: whether the file is complete; else what it has was read.
+        end: log time of the last message [ns].
+        whole: whether the file is complete; otherwise only its readable part is used.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Raises:
-        BadRecording: it is none.
+        BadRecording: the file is no recording of one arm.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,14 +59,14 @@ class Past:
         arms = {parts[1] for topic in topics if len(parts := topic.split("/", 2)) == 3 and parts[0] == "hyperbit"}
         if len(arms) != 1 or statistics is None or not statistics.message_count:
             what = "of no arm" if not arms else f"of {len(arms)} arms"
-            raise BadRecording(f"{path}: a recording {what}, as `hyperbit record` writes none")
+            raise BadRecording(f"{path}: a recording {what}; one of `hyperbit record` is needed")
         (self.arm,) = arms
         self.begin, self.end = statistics.message_start_time, statistics.message_end_time
-        self._topics = [topic for topic in topics if topic.split("/", 2)[2] not in DRAWN]
-        told = self._last("arm", self.end)
+        self._topics = [topic for topic in topics if topic.split("/", 2)[2] not in SKIPPED]
+        latest = self._last("arm", self.end)
         try:
             self.description: dict[str, Any] | None = (
-                None if told is None else msgspec.json.decode(told.data, type=dict)
+                None if latest is None else msgspec.json.decode(latest.data, type=dict)
             )
         except msgspec.MsgspecError:
             self.description = None
@@ -75,31 +75,33 @@ class Past:
         """Closes the file."""
         self._file.close()
 
-    def messages(self, begin: int | None = None) -> Iterator[Told]:
-        """Yields the arm's messages from a log time on [ns], in its order.
+    def messages(self, begin: int | None = None) -> Iterator[RecordedMessage]:
+        """Yields the arm's messages from a log time [ns] on, ordered by log time.
 
         Raises:
-            BadRecording: the file is damaged there.
+            BadRecording: the file is damaged.
         """
         yield from self._read(begin, None, self._topics)
 
-    def standing(self, at: int) -> list[Told]:
-        """Returns the latest message of each key of KEPT before a log time [ns], or else the first after it."""
-        found = [self._last(key, at - 1) or self._first(key, at) for key in KEPT]
-        return [told for told in found if told is not None and told.at != at]
+    def latest_before(self, at: int) -> list[RecordedMessage]:
+        """Returns the latest message of each key of SNAPSHOTS before a log time [ns], or else the first after it."""
+        found = [self._last(key, at - 1) or self._first(key, at) for key in SNAPSHOTS]
+        return [message for message in found if message is not None and message.at != at]
 
-    def _last(self, key: str, at: int) -> Told | None:
+    def _last(self, key: str, at: int) -> RecordedMessage | None:
         topic = [f"hyperbit/{self.arm}/{key}"]
         return next(iter(self._read(None, at + 1, topic, reverse=True)), None)
 
-    def _first(self, key: str, at: int) -> Told | None:
+    def _first(self, key: str, at: int) -> RecordedMessage | None:
         return next(iter(self._read(at, None, [f"hyperbit/{self.arm}/{key}"])), None)
 
-    def _read(self, begin: int | None, end: int | None, topics: list[str], reverse: bool = False) -> Iterator[Told]:
+    def _read(
+        self, begin: int | None, end: int | None, topics: list[str], reverse: bool = False
+    ) -> Iterator[RecordedMessage]:
         try:
             found = self._reader.iter_messages(topics, starting_at=begin, ending_before=end, reverse=reverse)
             for _, channel, message in found:
-                yield Told(message.log_time, channel.topic.split("/", 2)[2], message.data)
+                yield RecordedMessage(message.log_time, channel.topic.split("/", 2)[2], message.data)
         except OSError as error:
             raise BadRecording(f"{self.path}: cannot be read: {error.strerror or error}") from None
         except DAMAGE as error:
@@ -107,14 +109,14 @@ class Past:
 
 
 def opened(path: Path) -> tuple[IO[bytes], bool]:
-    """Returns a file, and whether it is complete; what an unfinished one has is read from a copy.
+    """Opens a file; of an incomplete file, opens a repaired copy. Returns the file and whether it is complete.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     if not unfinished(path):
         return path.open("rb"), True
-    copy = tempfile.TemporaryFile()  # noqa: SIM115  # it is returned open
+    copy = tempfile.TemporaryFile()  # noqa: SIM115  # returned open
     with path.open("rb") as cut:
         rewrite(cut, copy)
     copy.seek(0)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from controller.recorder.past import BadRecording, Past
+from controller.recorder.reader import BadRecording, RecordingReader
 from controller.recorder.recording import Recording
 from tests.recorder.samples import SECOND
 from tests.recorder.test_recording import written
@@ -13,22 +13,22 @@ from tests.recorder.test_recording import written
 
 def refusal(path: Path) -> str:
     with pytest.raises(BadRecording) as caught:
-        Past(path)
+        RecordingReader(path)
     return str(caught.value)
 
 
 def test_a_recording_is_read_from_any_time_on(tmp_path: Path) -> None:
     recording = written(tmp_path / "a.mcap")
     recording.close()
-    past = Past(recording.path)
+    past = RecordingReader(recording.path)
     assert (past.arm, past.begin, past.end, past.whole) == ("a", 1000 * SECOND, round(1004.95 * SECOND), True)
     assert [told.at for told in past.messages()] == [round((1000 + 0.05 * k) * SECOND) for k in range(100)]
     assert next(told.at for told in past.messages(1004 * SECOND)) == 1004 * SECOND
-    (told,) = past.standing(1002 * SECOND)
+    (told,) = past.latest_before(1002 * SECOND)
     assert (told.key, told.at) == ("state", round(1001.95 * SECOND))
-    (told,) = past.standing(999 * SECOND)
+    (told,) = past.latest_before(999 * SECOND)
     assert (told.key, told.at) == ("state", 1000 * SECOND), "before the first state the arm is shown as it begins"
-    assert past.standing(1000 * SECOND) == [], "what is of this time is due anyway"
+    assert past.latest_before(1000 * SECOND) == [], "what is of this time is due anyway"
     past.close()
 
 
@@ -37,7 +37,7 @@ def test_what_a_cut_recording_has_is_read(tmp_path: Path) -> None:
     recording.close()
     recording.path.write_bytes(recording.path.read_bytes()[:-20])
     before = recording.path.read_bytes()
-    past = Past(recording.path)
+    past = RecordingReader(recording.path)
     assert not past.whole
     assert len(list(past.messages())) == 200
     assert recording.path.read_bytes() == before, "the file itself stays as it is"
@@ -77,4 +77,4 @@ def test_damage_within_is_told_where_it_is_read(tmp_path: Path) -> None:
     data[middle : middle + 20] = bytes(20)
     recording.path.write_bytes(data)
     with pytest.raises(BadRecording, match="damaged"):
-        list(Past(recording.path).messages())
+        list(RecordingReader(recording.path).messages())
