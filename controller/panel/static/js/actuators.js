@@ -1,4 +1,4 @@
-// All actuators, module by module: commanded and measured, locked, switched so often; jog by press and hold.
+// The actuators of each module: commanded and measured state, lock, number of switches; press and hold to jog.
 
 import { el, fill } from "./dom.js";
 import { onHold } from "./hold.js";
@@ -10,7 +10,7 @@ export function showActuators(connection, notify) {
   const grid = el("div", { class: "grid", role: "listbox", "aria-label": "Actuators", tabIndex: 0 });
   const detail = el("div", { class: "detail" });
   card.append(
-    el("p", { class: "hint" }, "■ extended, □ contracted, ≠ measured otherwise, ? unknown, L locked"),
+    el("p", { class: "hint" }, "■ extended, □ contracted, ≠ measured differs, ? unknown, L locked"),
     grid,
     detail,
   );

@@ -40,7 +40,7 @@ export function showArm(name, onLogin) {
   showPicture(connection, editor, append);
 }
 
-// The picture: in the plane or in space, as the arm is.
+// The drawing: 2-D for planar arms, 3-D for spatial arms.
 function showPicture(connection, editor, append) {
   const stage = document.querySelector(".stage");
   let view = null;
@@ -49,7 +49,7 @@ function showPicture(connection, editor, append) {
     Object.assign(view, values);
     view.draw();
   };
-  let pictured = null; // what the view was made for
+  let pictured = null; // description that the view was created for
   connection.on("arm", async (arm) => {
     if (!("lines" in arm)) return;
     const wanted = JSON.stringify([arm.dimension, arm.length, arm.base, arm.density]);
@@ -58,8 +58,8 @@ function showPicture(connection, editor, append) {
       const made = arm.dimension === 2 ? new PlaneView(stage, arm, editor) : await inSpace(stage, arm, editor);
       if (wanted !== pictured) return;
       view = made;
-      view.onSketch = sketcher(view, append); // in the plane
-      view.onRegion = append; // in space
+      view.onSketch = sketcher(view, append); // planar view
+      view.onRegion = append; // spatial view
       showTools(view, editor);
     }
     if (view === null) return;
@@ -79,7 +79,7 @@ async function inSpace(stage, arm, editor) {
     const { SpaceView } = await import("./space.js");
     return new SpaceView(stage, arm, editor);
   } catch (error) {
-    fill(stage, el("p", { class: "hint" }, `This browser does not draw in space: ${error.message}`));
+    fill(stage, el("p", { class: "hint" }, `This browser cannot draw in 3-D: ${error.message}`));
     throw error;
   }
 }
@@ -112,7 +112,7 @@ function showTools(view, editor) {
   );
 }
 
-// Says for a while what became of a request.
+// Shows the answer to a request for some seconds.
 function notifier() {
   const box = el("div", { class: "notice", role: "status", hidden: true });
   document.body.append(box);

@@ -1,4 +1,4 @@
-// Curves over time, and switches of each actuator: uPlot, a script of its own that the page loads before this.
+// Curves over time, and switches of each actuator. uPlot is a separate script that the page loads first.
 
 import { el } from "./dom.js";
 
@@ -9,7 +9,7 @@ function colours() {
   return (name) => style.getPropertyValue(`--${name}`).trim();
 }
 
-// A chart that fits its card and is drawn anew when light turns to dark.
+// A chart that fits its card, redrawn when the colour scheme changes.
 function chart(card, title, options, empty) {
   const box = el("div", { class: "chart", role: "img", "aria-label": title });
   card.append(box);
@@ -50,10 +50,10 @@ export function showCurves(connection) {
       scales: { y: { range: (_, least, most) => [0, most > 0 ? most * 1.1 : 1] } },
     }), "nothing yet");
   const errors = curve("error of settled points", "measured", 4, true);
-  const lateness = curve("loop late at worst [ms]", "commanded", 1, false);
-  connection.on("curves", (told) => {
-    errors([told.errors.map(([t]) => t), told.errors.map(([, value]) => value)]);
-    lateness([told.lateness.map(([t]) => t), told.lateness.map(([, value]) => value * 1000)]);
+  const lateness = curve("worst lateness of the loop [ms]", "commanded", 1, false);
+  connection.on("curves", (curves) => {
+    errors([curves.errors.map(([t]) => t), curves.errors.map(([, value]) => value)]);
+    lateness([curves.lateness.map(([t]) => t), curves.lateness.map(([, value]) => value * 1000)]);
   });
 }
 

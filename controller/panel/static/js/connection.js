@@ -1,6 +1,6 @@
-// The WebSocket of a page: sections come in, requests go out. It connects again by itself.
+// The WebSocket of a page: receives sections, sends requests, and reconnects automatically.
 
-const SILENT_AFTER = 1.5; // [s] without a state after which values count as old
+const SILENT_AFTER = 1.5; // [s] without a state until values count as old
 const NOBODY = 4401; // the server's code: log in first
 
 export class Connection {
@@ -9,9 +9,9 @@ export class Connection {
     this.onLogin = onLogin;
     this.latest = {}; // the latest message of each section
     this.listeners = new Map();
-    this.waiting = new Map(); // what to do with the answer of each request
+    this.waiting = new Map(); // callback for the answer to each request
     this.number = 0;
-    this.heardAt = -Infinity; // of the arm [ms]
+    this.heardAt = -Infinity; // latest state of the arm [ms]
     this.serverAt = performance.now();
     this.pause = 250;
     this.connect();
@@ -41,7 +41,7 @@ export class Connection {
     }
     if (message.section === "state" || message.section === "timeline") this.heardAt = performance.now();
     if (message.section === "presence" && message.age !== null) {
-      this.heardAt = performance.now() - message.age * 1000; // a state that is as before is not sent again
+      this.heardAt = performance.now() - message.age * 1000; // an unchanged state is not sent again
     }
     this.latest[message.section] = message;
     for (const listener of this.listeners.get(message.section) ?? []) listener(message);
@@ -57,7 +57,7 @@ export class Connection {
     return this.socket.readyState === WebSocket.OPEN;
   }
 
-  // Asks the server; the promise always gets an answer, with `accepted` and `message`.
+  // Sends a request; the promise always resolves to an answer with `accepted` and `message`.
   ask(request) {
     if (!this.open) return Promise.resolve({ accepted: false, message: "there is no connection to the server" });
     const n = ++this.number;
@@ -67,7 +67,7 @@ export class Connection {
     });
   }
 
-  // How long nothing was heard of the arm [s], and why its values are old; null while they are not.
+  // Age of the arm's values [s], and which part is silent; null while the values are fresh.
   silence() {
     const now = performance.now();
     const seconds = (now - Math.max(this.heardAt, -1e9)) / 1000;
@@ -79,7 +79,7 @@ export class Connection {
   }
 }
 
-// Asks for a stop over HTTP, where the WebSocket is closed at the moment.
+// Requests a stop over HTTP, while the WebSocket is closed.
 export async function stopOverHttp(arm) {
   try {
     const response = await fetch(`/arms/${arm}/stop`, { method: "POST" });

@@ -1,4 +1,4 @@
-// Who commands the arm, and who looks on.
+// Control of the arm, and the person of this page.
 
 import { clock, el, fill } from "./dom.js";
 import { leave } from "./login.js";
@@ -8,7 +8,7 @@ export function showControl(connection, notify) {
   const who = el("p", { class: "who" });
   const holder = el("p", { class: "holder", "aria-live": "polite" });
   const take = el("button", { type: "button", id: "take" }, "Take control");
-  const release = el("button", { type: "button" }, "Give up control");
+  const release = el("button", { type: "button" }, "Release control");
   const out = el("button", { type: "button", onclick: leave }, "Log out");
   card.append(holder, who, el("div", { class: "buttons" }, take, release, out));
   take.addEventListener("click", async () => notify(await connection.ask({ do: "take" }), "Control"));

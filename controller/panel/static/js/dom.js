@@ -1,4 +1,4 @@
-// Builds elements. Text is always set as text: nothing that an arm tells is ever read as HTML.
+// Builds elements. Texts are never parsed as HTML, whatever an arm sends.
 
 export function el(tag, properties = {}, ...children) {
   const element = document.createElement(tag);
@@ -13,7 +13,7 @@ export function el(tag, properties = {}, ...children) {
   return element;
 }
 
-// Replaces what an element holds.
+// Replaces the children of an element.
 export function fill(element, ...children) {
   element.replaceChildren(...children.filter((child) => child !== null && child !== undefined));
 }
@@ -25,7 +25,7 @@ export function show(template) {
   );
 }
 
-// Numbers as people read them: so many digits after the point, and no more than are known.
+// A number as text with a fixed number of decimals; a dash if it is unknown.
 export function number(value, digits = 4) {
   return typeof value === "number" && Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
@@ -34,7 +34,7 @@ export function clock(seconds) {
   return new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
 }
 
-// A field for a number; `change` gets the number, or null where the field is empty.
+// An input field for a number; `change` gets the number, or null if the field is empty.
 export function numberField(label, value, change, properties = {}) {
   const input = el("input", { type: "number", step: "any", inputMode: "decimal", ...properties });
   input.value = value ?? "";

@@ -1,20 +1,20 @@
-// What the operator is about to send: a goal, a pose or a curve, and what the daemon plans for it.
+// The goal that the operator edits: a position, a pose or a curve, and the daemon's plan of it.
 
-const PLAN_GAP = 200; // [ms] between two questions while a goal is dragged
+const PLAN_GAP = 200; // [ms] between two plan requests while a goal is dragged
 
 export class Editor {
   constructor(connection) {
     this.connection = connection;
-    this.mode = "goal"; // what a click does: "goal", "curve", "obstacle" or "look"
+    this.mode = "goal"; // action of a click: "goal", "turn", "curve", "obstacle" or "look"
     this.points = []; // position, and orientation or null
-    this.file = null; // a goal that was uploaded, in place of the points
+    this.file = null; // uploaded goal, used instead of the points
     this.tolerance = null;
     this.pathTolerance = null;
     this.step = 0.5; // [s] between waypoints
     this.plan = null; // the latest answer
     this.planning = false;
     this.dirty = false;
-    this.plannedFrom = null; // configuration of the arm when the plan was asked for
+    this.plannedFrom = null; // configuration of the arm when the plan was requested
     this.listeners = [];
   }
 
@@ -82,7 +82,7 @@ export class Editor {
     };
   }
 
-  // Asks for a plan of the goal as it is; while one is on its way, the next is asked when it is here.
+  // Requests a plan of the present goal. During a request, the next one waits for the answer.
   async ask() {
     if (this.goal === null) {
       this.plan = null;

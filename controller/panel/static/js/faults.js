@@ -1,4 +1,4 @@
-// Faults in words, each with what to do.
+// Faults, each with advice.
 
 import { el, fill } from "./dom.js";
 

@@ -1,11 +1,11 @@
-// The card of the goal: numbers for keys, the plan in words, Go and Cancel.
+// The card of the goal: number fields, the plan in words, Go and Hold now.
 
 import { el, fill, number, numberField } from "./dom.js";
 
 const CERTIFICATES = {
-  optimal: "proven: no clear configuration costs less",
-  unreachable: "proven: out of reach",
-  unknown: "nothing is proven about fewer switches",
+  optimal: "proven optimal: no collision-free configuration costs less",
+  unreachable: "proven unreachable",
+  unknown: "unknown: fewer switches may suffice",
 };
 
 export function showGoal(connection, editor, notify) {
@@ -30,9 +30,9 @@ export function showGoal(connection, editor, notify) {
     message.textContent = text;
     message.classList.toggle("bad", !fine);
   };
-  connection.on("arm", (told) => {
-    arm = told;
-    editor.step = Math.max(0.3, Number((1.5 * told.travel_time + (told.rest_time ?? 0)).toFixed(3)));
+  connection.on("arm", (description) => {
+    arm = description;
+    editor.step = Math.max(0.3, Number((1.5 * description.travel_time + (description.rest_time ?? 0)).toFixed(3)));
     describe();
   });
   go.addEventListener("click", async () => {
@@ -52,7 +52,7 @@ export function showGoal(connection, editor, notify) {
   });
   connection.on("state", (state) => {
     const moved = editor.plan !== null && state.configuration !== editor.plannedFrom;
-    if (state.mode === "ready" && moved && editor.file === null) editor.ask(); // the plan was made for another start
+    if (state.mode === "ready" && moved && editor.file === null) editor.ask(); // the plan began at another configuration
   });
   cancel.addEventListener("click", async () => notify(await connection.ask({ do: "cancel" }), "Hold now"));
   clear.addEventListener("click", () => {
@@ -74,7 +74,7 @@ export function showGoal(connection, editor, notify) {
   describe();
 }
 
-// Fields of the last point, so that a goal needs no mouse.
+// Number fields of the last point, for input without a mouse.
 function inputs(editor, arm) {
   const last = editor.points.length - 1;
   const point = editor.points[last] ?? { position: arm.dimension === 2 ? ["", ""] : ["", "", ""], orientation: null };
@@ -92,7 +92,7 @@ function inputs(editor, arm) {
   if (arm.dimension === 2 && last >= 0) {
     const angle = point.orientation === null ? "" : Number(((point.orientation * 180) / Math.PI).toFixed(2));
     const turn = (degrees) => editor.change(last, { orientation: degrees === null ? null : (degrees * Math.PI) / 180 });
-    result.push(numberField("turned [°]", angle, turn, { placeholder: "any" }));
+    result.push(numberField("orientation [°]", angle, turn, { placeholder: "any" }));
   }
   if (arm.dimension === 3 && last >= 0 && point.orientation !== null) {
     const free = () => editor.change(last, { orientation: null });
@@ -102,10 +102,10 @@ function inputs(editor, arm) {
   result.push(numberField("tolerance", editor.tolerance, (value) => editor.set({ tolerance: value }), known));
   if (editor.mode === "curve" || last > 0) {
     const seconds = (value) => editor.set({ step: value > 0 ? value : editor.step });
-    const lines = { placeholder: "any way", min: 0 };
+    const lines = { placeholder: "off", min: 0 };
     result.push(
       numberField("step [s]", editor.step, seconds, { min: 0 }),
-      numberField("lines within", editor.pathTolerance, (value) => editor.set({ pathTolerance: value }), lines),
+      numberField("line tolerance", editor.pathTolerance, (value) => editor.set({ pathTolerance: value }), lines),
       el("button", { type: "button", onclick: () => editor.removeLast() }, `Remove point ${last + 1}`),
     );
   }
@@ -125,7 +125,7 @@ function planInWords(editor) {
   return [
     el("dl", {}, ...pair("switches", String(plan.switches)), ...pair("certificate", proof ?? plan.certificate),
       ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
-      ...pair("strays", `${number(excursion)} on the way`)),
+      ...pair("deviation", `${number(excursion)} on the way`)),
     el("details", {}, el("summary", {}, `${stages.length} ${stages.length === 1 ? "stage" : "stages"}, configuration ${last.configuration}`),
       el("ol", { class: "stages" }, ...stages.slice(0, 100).map(({ k, stage }) =>
         el("li", {}, waypoints.length > 1 ? `point ${k + 1}: ` : "", stage.join(", "))))),

@@ -1,4 +1,4 @@
-// What is always in sight: name, mode and reason, silence, Stop and Reset.
+// The header, always visible: name, mode and reason, silence, Stop and Reset.
 
 import { stopOverHttp } from "./connection.js";
 import { el } from "./dom.js";
@@ -28,7 +28,7 @@ export function showHeader(name, connection, notify) {
   pressToStop(part("stop"), name, connection, notify);
   onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
   const watch = setInterval(() => {
-    if (!part("silence")) return clearInterval(watch); // the page asks for a token now
+    if (!part("silence")) return clearInterval(watch); // the login form is shown
     const silent = connection.silence();
     part("silence").hidden = silent === null;
     if (silent !== null) {
@@ -39,7 +39,7 @@ export function showHeader(name, connection, notify) {
   }, 200);
 }
 
-// Stops as soon as the button is pressed, without a question.
+// Stops when the button is pressed, without confirmation.
 function pressToStop(button, name, connection, notify) {
   const stop = async () => {
     button.classList.add("pressed");
@@ -51,6 +51,6 @@ function pressToStop(button, name, connection, notify) {
     if (event.button === 0) stop();
   });
   button.addEventListener("click", (event) => {
-    if (event.detail === 0) stop(); // by key
+    if (event.detail === 0) stop(); // by keyboard
   });
 }

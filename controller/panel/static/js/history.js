@@ -18,7 +18,7 @@ export function showGoals(connection) {
           typeof goal.switches === "number" ? `${goal.switches} switches` : null,
           goal.status === "succeeded" ? null : goal.message,
         ].filter(Boolean).join(", ")))),
-      goals.length ? null : el("li", { class: "faint" }, "No goal came since the panel began.")));
+      goals.length ? null : el("li", { class: "faint" }, "No goal since the panel started.")));
 }
 
 export function showLog(connection) {

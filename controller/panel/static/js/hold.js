@@ -1,4 +1,4 @@
-// A button that acts only after it was held for a while: by mouse, finger or key.
+// A button that acts only after a long press: by mouse, finger or key.
 
 export const HOLD = 700; // [ms]
 

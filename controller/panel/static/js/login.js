@@ -1,8 +1,8 @@
-// Logging in: a token for a cookie that scripts cannot read.
+// Login: exchanges a token for a cookie that scripts cannot read.
 
 import { show } from "./dom.js";
 
-// Takes a token out of the address, where it would be seen and kept.
+// Logs in with the token in the address, and removes it from the address bar and the history.
 export async function enterByAddress() {
   const token = location.hash.slice(1);
   if (!token) return;

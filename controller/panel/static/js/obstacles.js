@@ -1,4 +1,4 @@
-// Obstacles: those of the arm's file, and those that were sent, which can be drawn and taken away.
+// Obstacles of the arm's file, and sent obstacles, which can be drawn and removed.
 
 import { el, fill, numberField } from "./dom.js";
 import { inWords } from "./shapes.js";
@@ -37,7 +37,7 @@ export function showObstacles(connection, notify) {
   return append;
 }
 
-// Draws a box by a drag in the plane; returns what a view calls with the corner where the drag begins.
+// Draws a box by dragging; returns the function that a view calls with the first corner.
 export function sketcher(view, append) {
   return (corner) => {
     const draw = (at) => {

@@ -1,8 +1,8 @@
-// Mouse, finger and keys on the planar picture: what they do depends on the editor's mode.
+// Mouse, touch and keyboard input of the planar drawing, by the editor's mode.
 
 import { handle } from "./plane-marks.js";
 
-const NEAR = 24; // [pixels] within which a finger takes hold of a point or a handle
+const NEAR = 24; // [pixels] within which a point or a handle is grabbed
 
 export function listenToPointers(view) {
   const { canvas, editor } = view;
@@ -17,7 +17,7 @@ export function listenToPointers(view) {
     canvas.setPointerCapture(event.pointerId);
     if (pointers.size === 2) {
       drag = null;
-      pinch = spread();
+      pinch = pinchShape();
     } else if (pointers.size === 1) {
       drag = event.button === 1 ? pan(at(event)) : begin(at(event));
     }
@@ -26,7 +26,7 @@ export function listenToPointers(view) {
     if (!pointers.has(event.pointerId)) return;
     pointers.set(event.pointerId, at(event));
     if (pointers.size === 2 && pinch) {
-      const now = spread();
+      const now = pinchShape();
       view.zoomBy(now.width / pinch.width, now.middle);
       shift(pinch.middle, now.middle);
       pinch = now;
@@ -58,7 +58,7 @@ export function listenToPointers(view) {
     else editor.change(last, { position });
   });
 
-  function spread() {
+  function pinchShape() {
     const [a, b] = [...pointers.values()];
     return { width: Math.hypot(a[0] - b[0], a[1] - b[1]) || 1, middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2] };
   }
@@ -75,7 +75,7 @@ export function listenToPointers(view) {
     };
   }
 
-  // Returns what the drag that begins here does.
+  // Returns the function that handles the drag that begins here.
   function begin(where) {
     if (editor.mode === "look") return pan(where);
     if (editor.mode === "obstacle") return view.onSketch?.(view.toWorld(where)) ?? null;
@@ -96,7 +96,7 @@ export function listenToPointers(view) {
     return (to) => editor.change(index, { position: view.toWorld(to) });
   }
 
-  // The second drag: which way the tip points at the goal.
+  // Drags the handle: sets the tip's orientation at the goal.
   function turn(index) {
     return (to) => {
       const [x, y] = view.toScreen(editor.points[index].position);

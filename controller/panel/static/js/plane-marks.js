@@ -1,6 +1,6 @@
-// What a planar picture shows beside the arm: goals, waypoints, the planned configurations, the tip.
+// Marks of the planar drawing: goals, waypoints, planned configurations, tip.
 
-// The planned configurations, and how far the tip strays on the way to the first.
+// The planned configurations, and the deviation of the tip on the way to the first.
 export function drawGhost(view) {
   const plan = view.editor.plan;
   if (!plan?.accepted) return;
@@ -41,7 +41,7 @@ export function drawCross(view, position, colour) {
   view.line([[x - 7, y + 7], [x + 7, y - 7]]);
 }
 
-// A point that is about to be sent: a ring as wide as the tolerance, at least so that a finger finds it, and a handle.
+// An edited point: a ring of the tolerance's radius, at least a finger wide, and a handle.
 export function drawGoal(view, point, k) {
   const { context } = view;
   const [x, y] = view.toScreen(point.position);
@@ -62,7 +62,7 @@ export function drawGoal(view, point, k) {
   else context.fill();
 }
 
-// Where on the screen the handle is that turns a point: along the tip's y axis, which an arm points along.
+// Screen position of the handle that turns a point; it lies on the tip's y axis, the arm's direction.
 export function handle(view, point) {
   const [x, y] = view.toScreen(point.position);
   const angle = (point.orientation ?? 0) + Math.PI / 2;

@@ -1,17 +1,19 @@
-// A planar arm on a 2-D canvas. The server tells line segments; this only draws them.
+// A planar arm on a 2-D canvas. The server computes the line segments.
 
 import { drawCross, drawGhost, drawGoal, drawTip, drawWaypoints } from "./plane-marks.js";
 import { listenToPointers } from "./plane-input.js";
 import { drawObstacles } from "./shapes.js";
+import { View } from "./view.js";
 
-export class PlaneView {
+export class PlaneView extends View {
   constructor(stage, arm, editor) {
+    super();
     this.arm = arm;
     this.editor = editor;
     this.bodies = { commanded: null, measured: null };
     this.state = null;
     this.waypoints = [];
-    this.obstacles = []; // of the arm's file and those that were sent
+    this.obstacles = []; // of the arm's file, and sent ones
     this.sketch = null; // an obstacle that is being drawn
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
@@ -20,8 +22,7 @@ export class PlaneView {
     stage.replaceChildren(this.canvas);
     this.picture = null;
     this.fit();
-    new ResizeObserver(() => this.draw()).observe(stage);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    this.repaintWith(stage);
     this.input = listenToPointers(this);
     this.loadDensity();
   }
@@ -36,7 +37,7 @@ export class PlaneView {
     image.src = `/arms/${this.arm.name}/density`;
   }
 
-  // Shows all that the arm can reach, or a square of its length.
+  // Fits the view to the workspace, or to a square of the arm's length.
   fit() {
     const { density, base, length } = this.arm;
     const corners = density
@@ -57,7 +58,7 @@ export class PlaneView {
 
   get scale() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    return this.zoom * Math.min(width / this.extent[0], height / this.extent[1]); // pixels a unit
+    return this.zoom * Math.min(width / this.extent[0], height / this.extent[1]); // pixels per unit of length
   }
 
   toScreen([x, y]) {
@@ -76,14 +77,6 @@ export class PlaneView {
     const now = this.toWorld(at);
     this.centre = this.centre.map((c, a) => c + fixed[a] - now[a]);
     this.draw();
-  }
-
-  draw() {
-    if (this.pending) return;
-    this.pending = requestAnimationFrame(() => {
-      this.pending = null;
-      this.paint();
-    });
   }
 
   paint() {
@@ -124,7 +117,7 @@ export class PlaneView {
     context.transform(scale * base[0][0], -scale * base[1][0], scale * base[0][1], -scale * base[1][1], x, y);
     const [left, low] = [density.first[0] - density.pixel / 2, density.first[1] - density.pixel / 2];
     const [wide, tall] = [density.shape[2] * density.pixel, density.shape[1] * density.pixel];
-    context.scale(1, -1); // the picture's first row is the greatest y
+    context.scale(1, -1); // the first row of the picture has the greatest y
     context.imageSmoothingEnabled = scale * density.pixel < 3;
     context.drawImage(this.picture, left, -low - tall, wide, tall);
     context.restore();

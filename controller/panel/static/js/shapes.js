@@ -1,4 +1,4 @@
-// Obstacles of the plane: discs, boxes and half-planes, hatched so that no colour is needed to tell them.
+// Planar obstacles: discs, boxes and half-planes, hatched so that they need no colour.
 
 export function drawObstacles(view, regions) {
   const { context } = view;
@@ -29,7 +29,7 @@ function hatching(view) {
   return view.context.createPattern(tile, "repeat");
 }
 
-// The corners of a region on the screen.
+// The corners of an obstacle on the screen.
 function outline(view, region) {
   if (region.disc) {
     const { centre, radius } = region.disc;

@@ -1,13 +1,13 @@
-// Clicks in space: a goal on the plane through the last one that faces the camera, then arrows and rings to move and turn it.
+// Input of the spatial drawing: clicks place a goal on the plane through the last one that faces the camera; a gizmo moves it.
 
 import * as THREE from "three";
 import { TransformControls } from "/static/vendor/TransformControls.js";
 
-const STILL = 5; // [pixels] that a click may move
+const STILL = 5; // [pixels] within which a press counts as a click
 
 export function listenInSpace(view) {
   const { canvas, camera, scene, orbit, editor } = view;
-  const handle = new THREE.Object3D(); // what the gizmo moves: the last point
+  const handle = new THREE.Object3D(); // moved by the gizmo: the last point
   scene.add(handle);
   const gizmo = new TransformControls(camera, canvas);
   gizmo.setSize(0.7);
@@ -57,7 +57,7 @@ export function listenInSpace(view) {
     else if (editor.mode === "curve") editor.add(onPlane(event).toArray());
   });
 
-  // Returns the point under the pointer, as far away as the last point, or the tip.
+  // Returns the point under the pointer on the plane through the last point, or through the tip.
   function onPlane(event) {
     const box = canvas.getBoundingClientRect();
     const at = new THREE.Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
@@ -69,7 +69,7 @@ export function listenInSpace(view) {
   }
 
   return {
-    // Puts the gizmo where the last point is.
+    // Moves the gizmo to the last point.
     follow(point) {
       const shown = Boolean(point) && (editor.mode === "goal" || editor.mode === "turn" || editor.mode === "curve");
       gizmo.getHelper().visible = gizmo.enabled = shown;

@@ -1,10 +1,10 @@
-// Things of a spatial scene: bars for an arm's structure, obstacles, points of a density.
+// Parts of a spatial scene: bars of the arm's structure, obstacles, density points.
 
 import * as THREE from "three";
 
 const UP = new THREE.Vector3(0, 1, 0);
 
-// Line segments as thin cylinders, of which there may be thousands.
+// Line segments as instanced thin cylinders; there may be thousands.
 export class Bars {
   constructor(scene, radius, opacity = 1) {
     this.scene = scene;
@@ -43,7 +43,7 @@ export class Bars {
   }
 }
 
-// The bodies of regions; a half-space shows the square of its plane near the arm.
+// The mesh of an obstacle; of a half-space, a square of its boundary plane near the arm.
 export function obstacleMesh(region, colour, reach) {
   const material = new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.35, side: THREE.DoubleSide, depthWrite: false });
   const mesh = new THREE.Mesh(undefined, material);
@@ -64,7 +64,7 @@ export function obstacleMesh(region, colour, reach) {
   return mesh;
 }
 
-// Points (x, y, z, how dense) of the density, in the base's frame.
+// Points (x, y, z, density) in the base's frame.
 export function cloud(points, size, colour) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.Float32BufferAttribute(points.flatMap(([x, y, z]) => [x, y, z]), 3));

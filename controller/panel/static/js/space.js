@@ -1,12 +1,14 @@
-// A spatial arm in three.js. The server tells line segments; this only draws them.
+// A spatial arm in three.js. The server computes the line segments.
 
 import * as THREE from "three";
 import { OrbitControls } from "/static/vendor/OrbitControls.js";
 import { listenInSpace } from "./space-input.js";
 import { Bars, cloud, frameOf, obstacleMesh } from "./space-parts.js";
+import { View } from "./view.js";
 
-export class SpaceView {
+export class SpaceView extends View {
   constructor(stage, arm, editor) {
+    super();
     Object.assign(this, { stage, arm, editor, state: null, waypoints: [], obstacles: [], sketch: null });
     this.bodies = { commanded: null, measured: null };
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
@@ -32,7 +34,7 @@ export class SpaceView {
     this.stray = new THREE.Mesh(new THREE.SphereGeometry(1, 24, 16), new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.12, depthWrite: false }));
     this.regions = new THREE.Group();
     this.scene.add(this.tip, this.goal, this.target, this.path, this.stray, this.regions);
-    this.grid = new THREE.GridHelper(2 * arm.length, 20, 0xffffff, 0xffffff); // its colour comes with each picture
+    this.grid = new THREE.GridHelper(2 * arm.length, 20, 0xffffff, 0xffffff); // its colour is set at each repaint
     this.grid.rotation.x = Math.PI / 2;
     this.grid.position.set(arm.base[0][3], arm.base[1][3], arm.base[2][3]);
     const axes = new THREE.AxesHelper(arm.length / 8);
@@ -40,8 +42,7 @@ export class SpaceView {
     this.scene.add(this.grid, axes);
     this.input = listenInSpace(this);
     this.fit();
-    new ResizeObserver(() => this.draw()).observe(stage);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    this.repaintWith(stage);
     this.loadDensity();
   }
 
@@ -68,14 +69,6 @@ export class SpaceView {
     this.camera.position.sub(this.orbit.target).divideScalar(factor).add(this.orbit.target);
     this.orbit.update();
     this.draw();
-  }
-
-  draw() {
-    if (this.pending) return;
-    this.pending = requestAnimationFrame(() => {
-      this.pending = null;
-      this.paint();
-    });
   }
 
   paint() {
@@ -113,7 +106,7 @@ export class SpaceView {
     mesh.material.color.set(colour);
   }
 
-  // The planned configurations, and a ball as wide as the tip strays on the way to the first.
+  // The planned configurations, and a sphere of the tip's deviation on the way to the first.
   paintGhosts(colour) {
     const { plan } = this.editor;
     const points = plan?.accepted ? plan.waypoints.filter((waypoint) => waypoint.body).slice(0, 20) : [];

@@ -1,4 +1,4 @@
-// The time line of a replay: where it is, how fast, and whether it stands.
+// The timeline of a replay: position, speed and pause.
 
 import { clock, el, fill } from "./dom.js";
 
@@ -9,18 +9,18 @@ export function showTimeline(connection, notify) {
   const pause = el("button", { type: "button", id: "pause" });
   const speed = el("select", { "aria-label": "Speed" }, ...[0.1, 0.5, 1, 2, 5, 20].map((factor) => el("option", { value: String(factor) }, `${factor}×`)));
   fill(box, pause, slider, speed, words);
-  let told = null;
+  let timeline = null;
   let sliding = false;
-  const seek = async (wish) => {
-    const answer = await connection.ask({ do: "seek", ...wish });
+  const seek = async (change) => {
+    const answer = await connection.ask({ do: "seek", ...change });
     if (answer.accepted === false) notify(answer, "Replay");
   };
-  pause.addEventListener("click", () => seek({ paused: !told.paused }));
+  pause.addEventListener("click", () => seek({ paused: !timeline.paused }));
   speed.addEventListener("change", () => seek({ speed: Number(speed.value) }));
   slider.addEventListener("input", () => (sliding = true));
   slider.addEventListener("blur", () => (sliding = false)); // dragged and brought back: nothing changes
   slider.addEventListener("change", async () => {
-    await seek({ at: told.begin + (slider.value / 1000) * (told.end - told.begin) });
+    await seek({ at: timeline.begin + (slider.value / 1000) * (timeline.end - timeline.begin) });
     sliding = false;
   });
   // Shows a speed, one that `hyperbit replay --speed` set too.
@@ -30,12 +30,12 @@ export function showTimeline(connection, notify) {
     speed.value = String(factor);
   };
   connection.on("timeline", (message) => {
-    told = message;
+    timeline = message;
     box.hidden = false;
-    const share = told.end > told.begin ? (told.at - told.begin) / (told.end - told.begin) : 1;
+    const share = timeline.end > timeline.begin ? (timeline.at - timeline.begin) / (timeline.end - timeline.begin) : 1;
     if (!sliding) slider.value = String(Math.round(share * 1000));
-    pause.textContent = told.paused ? "▶ Play" : "❚❚ Pause";
-    if (speed.selectedOptions[0]?.value !== String(told.speed)) choose(told.speed);
-    words.textContent = `replay of ${told.file ?? "a recording"}, ${clock(told.at)} of ${clock(told.begin)} to ${clock(told.end)}`;
+    pause.textContent = timeline.paused ? "▶ Play" : "❚❚ Pause";
+    if (speed.selectedOptions[0]?.value !== String(timeline.speed)) choose(timeline.speed);
+    words.textContent = `replay of ${timeline.file ?? "a recording"}, ${clock(timeline.at)} of ${clock(timeline.begin)} to ${clock(timeline.end)}`;
   });
 }
