@@ -1,6 +1,6 @@
-"""The other side of the interface: how commands, pages and tests talk to a daemon.
+"""The client's side of the interface, for commands, pages and tests.
 
-Imports nothing that takes long to import: `hyperbit stop` uses this.
+It imports nothing slow, because `hyperbit stop` uses it.
 """
 
 import contextlib
@@ -16,10 +16,8 @@ import zenoh
 
 Message = dict[str, Any]
 
-TRIES, PAUSE = (
-    4,
-    0.1,
-)  # requests until somebody answers, and the first pause between them [s]; the last in a new session
+# Attempts until a reply comes, and the first pause between them [s]; the last attempt uses a new session.
+TRIES, PAUSE = 4, 0.1
 
 
 class Unanswered(RuntimeError):
@@ -27,15 +25,15 @@ class Unanswered(RuntimeError):
 
 
 class Client:
-    """Talks to the daemon of one arm.
+    """A client of one arm's daemon.
 
-    A get that brings no reply at all is asked again: routes may be stale though the daemon is there. Each request has
-    a number, so that a goal which the daemon has taken is not run twice.
+    A request without any reply is repeated, because Zenoh's routes may be stale. Each request has a number, so that the
+    daemon does not run a goal twice.
 
     Args:
         session: open session; a client of the daemon's.
         arm: name of the arm.
-        reopen: opens another session, for the last try; None: all tries use `session`.
+        reopen: opens a new session for the last attempt; None: all attempts use `session`.
         prefix: of all keys.
     """
 
@@ -52,7 +50,7 @@ class Client:
         self._on_renewal: list[Callable[[], None]] = []
 
     def close(self) -> None:
-        """Closes the sessions that this client has opened itself."""
+        """Closes the sessions that this client has opened."""
         for session in self._opened:
             session.close()  # type: ignore[no-untyped-call]
         self._opened.clear()
@@ -61,7 +59,7 @@ class Client:
         """Returns the daemon's answer on `key`: goal, jog, cancel, stop, reset, degrade, obstacles, plan or arm.
 
         Raises:
-            Unanswered: no answer came within `timeout` seconds, or the daemon does not take this client's requests.
+            no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
         """
         data, number = msgspec.json.encode(payload or {}), uuid.uuid4().hex.encode()
         until = time.monotonic() + timeout
@@ -84,7 +82,7 @@ class Client:
             for reply in replies:
                 if reply.ok is not None:
                     return decoded(reply.ok)
-                late = True  # the time is over, and somebody has the request
+                late = True  # a reply without an answer: the time is over, but the request was received
             if late:
                 break
         if self.alive():
@@ -96,7 +94,7 @@ class Client:
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
 
     def alive(self, timeout: float = 1.0) -> bool:
-        """Returns whether the daemon's liveliness token is there."""
+        """Returns whether the daemon's liveliness token exists."""
         return any(reply.ok for reply in self._session.liveliness().get(f"{self._prefix}/alive", timeout=timeout))
 
     def run(
@@ -112,10 +110,10 @@ class Client:
             goal: its payload; an id is added if it has none.
             on_feedback: called with the daemon's answer first, then with each feedback of the goal.
             silence: longest time without a message on the goal [s].
-            key: "goal", or "jog", whose payload has no id: the answer tells it.
+            key: "goal", or "jog"; the id of a jog comes with its answer.
 
         Raises:
-            Unanswered: the daemon did not answer, or fell silent.
+            Unanswered: the daemon did not answer, or stopped sending messages on the goal.
         """
         name = goal.get("id", uuid.uuid4().hex[:12])
         payload = {**goal, "id": name} if key == "goal" else goal
@@ -126,7 +124,7 @@ class Client:
             if key in ("feedback", "result", "state"):
                 news.put((key, decoded(sample)))
 
-        # One subscriber for all: only within one do messages keep their order, the last feedback before the result.
+        # One subscriber for all keys: only within one subscriber do messages keep their order.
         subscribers = [self._session.declare_subscriber(f"{self._prefix}/*", hand_over)]
 
         def move() -> None:
@@ -144,7 +142,7 @@ class Client:
             while True:
                 kind, message = news.get(timeout=max(until - time.monotonic(), 0.0))
                 if name not in (message.get("id"), message.get("goal")):
-                    continue  # of another goal; a daemon that was started anew knows nothing of this one
+                    continue  # of another goal, or of a daemon that was restarted and does not know this goal
                 until = time.monotonic() + silence
                 if kind == "result":
                     return message
@@ -157,10 +155,10 @@ class Client:
             subscribers[0].undeclare()  # type: ignore[no-untyped-call]
 
     def _renew(self) -> None:
-        """Opens another session in place of the one there is."""
+        """Replaces the session by a new one."""
         if self._reopen is None:
             return
-        with contextlib.suppress(zenoh.ZError):  # then the session there is must do
+        with contextlib.suppress(zenoh.ZError):  # if that fails, the old session stays
             self._session = self._reopen()
             self._opened.append(self._session)
             for move in self._on_renewal:

@@ -1,4 +1,4 @@
-"""The planner's process: session, ledger, link, planning and server put together, and taken apart in order."""
+"""The planner's process: builds session, ledger, link, planning and server, and closes them in order."""
 
 import contextlib
 import gc
@@ -29,8 +29,8 @@ from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
 
-# Zenoh's threads that receive. A flood on one key blocks the thread of each connection that it comes on; the two of
-# Zenoh's default would soon all be blocked, and a `stop` from another client would wait.
+# Number of Zenoh's receiving threads. A flood on one key blocks the thread of each connection that it uses. With
+# Zenoh's default of two, all would soon be blocked, and a `stop` from another client would wait.
 RECEIVERS = "(rx: (worker_threads: 16))"
 
 
@@ -50,10 +50,10 @@ def running(
 
     Args:
         arm: with wiring.
-        densities: of the arm without the states that locked actuators rule out.
+        densities: of the arm reduced by locked actuators.
         config: of the Zenoh session.
         ledger: path of the ledger.
-        socket: path of the executor's socket, or a function that returns it anew for each attempt to connect.
+        socket: path of the executor's socket, or a function that returns it for each attempt to connect.
         digest: SHA-256 of the arm's file, in hexadecimal.
 
     Raises:
@@ -76,7 +76,7 @@ def running(
             if key != "feedback":
                 goals.ended(payload.get("id"))
             outbox.publish(key, payload)
-            if key != "feedback":  # after it: a log may wait for its reader
+            if key != "feedback":  # after the publication, because writing the log may block
                 told, words = fields_of_result(payload), payload.get("message")
                 log.info("goal %s %s: %s", payload.get("id"), payload.get("status"), words, extra={"journal": told})
 
@@ -95,12 +95,12 @@ def running(
             outbox.waiting,
             notifier,
         )
-        closing.callback(reporter.close)  # while the executor is connected: its end is not a fault now
+        closing.callback(reporter.close)  # its end is no fault while the executor is connected
         closing.callback(planning.end_goals)
         server = Server(session, name, planning, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(server.close)
         gc.collect()
-        gc.freeze()  # what lives as long as the daemon: no goal waits while the collector looks through it
+        gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)
         notifier.send("READY=1")
         closing.callback(notifier.send, "STOPPING=1")

@@ -12,17 +12,17 @@ JSON = zenoh.Encoding.APPLICATION_JSON
 
 
 def encode(payload: Payload) -> bytes:
-    """Returns a payload as JSON; a number that is not finite becomes null.
+    """Returns a payload as JSON; numbers that are not finite become null.
 
     Raises:
-        TypeError: a value has no JSON.
-        UnicodeEncodeError: a text holds half a surrogate pair.
+        TypeError: a value has no JSON form.
+        UnicodeEncodeError: a text contains a lone surrogate.
     """
     return msgspec.json.encode(payload, enc_hook=plain)
 
 
 def plain(value: object) -> Any:
-    """Returns NumPy's numbers and arrays as Python's."""
+    """Converts NumPy's numbers and arrays to Python's."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no JSON")

@@ -1,4 +1,4 @@
-"""Child processes of `hyperbit run`, the executor first of all, for those who have no service manager."""
+"""Child processes of `hyperbit run`, above all the executor, for use without a service manager."""
 
 import ctypes
 import os
@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
-PATIENCE = 5.0  # [s] for the executor to end in order
+PATIENCE = 5.0  # [s] for the executor to end by itself
 
 
 class ExecutorProcess:
     """Runs `hyperbit execute` and ends it with this process.
 
-    The kernel sends the child SIGTERM if this process is killed. The child has a session of its own, so that Ctrl-C
-    reaches this process alone, which ends goals first. Standard input is the child's: with `simulate` it reads commands
-    for faults from there.
+    The kernel sends the child SIGTERM if this process is killed. The child has a session of its own. Ctrl-C therefore
+    reaches only this process, which ends goals first. The child has this process's standard input: with `simulate` it
+    reads commands for faults from there.
 
     Args:
         file: of the arm.
@@ -37,7 +37,7 @@ class ExecutorProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Id of the process."""
         return self._process.pid
 
     def ended(self) -> int | None:
@@ -45,24 +45,24 @@ class ExecutorProcess:
         return self._process.poll()
 
     def close(self, timeout: float = PATIENCE) -> None:
-        """Ends the executor, by force after `timeout` seconds."""
+        """Ends the executor; kills it after `timeout` seconds."""
         end_child(self._process, timeout)
 
 
 def start_child(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Starts a program in a session of its own, which the kernel ends with this process."""
+    """Starts a program in a session of its own; the kernel ends it with this process."""
     parent, prctl = os.getpid(), ctypes.CDLL(None).prctl  # looked up before the fork
 
     def die_with_parent() -> None:
         prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:  # it was killed meanwhile
+        if os.getppid() != parent:  # the parent was killed meanwhile
             os._exit(1)
 
     return subprocess.Popen(command, preexec_fn=die_with_parent, start_new_session=True, env=environment())
 
 
 def end_child(process: subprocess.Popen[bytes], timeout: float = PATIENCE) -> None:
-    """Ends a program, by force after `timeout` seconds."""
+    """Ends a program; kills it after `timeout` seconds."""
     process.terminate()
     try:
         process.wait(timeout)
@@ -72,6 +72,6 @@ def end_child(process: subprocess.Popen[bytes], timeout: float = PATIENCE) -> No
 
 
 def environment() -> dict[str, str]:
-    """Returns the child's environment: what systemd is to know comes from this process."""
+    """Returns the child's environment, without systemd's variables: only this process notifies systemd."""
     private = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
     return {name: value for name, value in os.environ.items() if name not in private}

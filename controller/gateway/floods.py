@@ -1,7 +1,7 @@
-"""Floods of bad requests: refused in the Zenoh callback at little cost, and slowed down, so that they delay nobody.
+"""Brake for floods of bad requests: refuses them cheaply in the Zenoh callback, and slows their senders.
 
-In a flood the callback pauses. Zenoh then stops to read the connections of the flood, and the interpreter is free for
-others. A goal from another client waits for the 256 messages before it in the callback's queue, some 60 ms.
+In a flood the callback pauses. Zenoh then stops reading the connections of the flood, and the interpreter is free for
+other threads. A goal from another client waits for the 256 messages before it in the callback's queue, about 60 ms.
 """
 
 import threading
@@ -14,15 +14,15 @@ from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import MOST_BYTES, GoalMessage, parse
 from controller.planning.messages import Payload, refused
 
-MOST_AT_ONCE = 20  # refusals in one second before the pauses; only these say why, which takes a hundred times as long
-PAUSE_EVERY, PAUSE = 10, 0.002  # refusals beyond these, and [s]
+MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
+PAUSE_EVERY, PAUSE = 10, 0.002  # number of further refusals for each pause, and its length [s]
 BRIEFLY = "the goal is malformed; why is not said, as too many bad requests come"
 
 _decode = msgspec.json.Decoder(GoalMessage).decode
 
 
 class FloodBrake:
-    """Refuses payloads that are no goals, and slows refused requests down if many come. For any thread.
+    """Refuses payloads that are no goals, and slows the callback down if many come. For any thread.
 
     Args:
         clock: [s].
@@ -33,10 +33,10 @@ class FloodBrake:
         self, clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep
     ) -> None:
         self._clock, self._pause, self._lock = clock, pause, threading.Lock()
-        self._since, self._refused = -float("inf"), 0  # in the second that began then
+        self._since, self._refused = -float("inf"), 0  # number of refusals in the second that began at `_since`
 
     def refusal(self, payload: bytes) -> Payload | None:
-        """Returns the answer to a malformed goal; None if the payload is to be looked at further."""
+        """Returns the refusal of a malformed goal; None if the payload decodes."""
         if decodes(payload):
             return None
         if self._refused >= MOST_AT_ONCE and self._clock() - self._since < 1.0:
@@ -48,7 +48,7 @@ class FloodBrake:
         return None
 
     def slow_down(self) -> None:
-        """Notes a request that was refused at once, and pauses now and then if there are too many."""
+        """Counts a request that was refused at once, and pauses if there are too many."""
         with self._lock:
             if (now := self._clock()) - self._since >= 1.0:
                 self._since, self._refused = now, 0
@@ -59,7 +59,7 @@ class FloodBrake:
 
 
 def decodes(payload: bytes) -> bool:
-    """Returns whether a payload is of a goal's size and decodes as a goal; `parse` checks more."""
+    """Returns whether a payload has a goal's size and decodes as a goal; `parse` checks more."""
     if len(payload) > MOST_BYTES:
         return False
     try:

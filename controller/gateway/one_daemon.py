@@ -1,7 +1,7 @@
-"""One daemon an arm: a second one of the same name refuses to start, and says where the first one runs.
+"""One daemon for each arm: a second daemon refuses to start, and says where the first one runs.
 
-Two daemons of one name would both take each goal. Zenoh does not tell the owner of a liveliness token that another
-session declares the same one, so the second daemon looks before it declares its own.
+Two daemons of one arm would both run each goal. Zenoh does not notify the owner of a liveliness token when another
+session declares the same one. So a daemon looks for the token before it declares its own.
 """
 
 import json
@@ -11,9 +11,9 @@ import zenoh
 
 from controller.gateway.session import LEASE
 
-GRACE = 0.5  # [s] in which a session that connects to somebody hears of the tokens there
-PATIENCE = LEASE + 2.0  # [s] in which the token of a daemon that was killed, or whose host is gone, goes away
-ANSWER = 1.0  # [s] for the first daemon to say where it runs
+GRACE = 0.5  # [s] for a new session to receive the tokens of its peers
+PATIENCE = LEASE + 2.0  # [s] until the token of a killed daemon, or of a lost host, disappears
+ANSWER = 1.0  # [s] for the first daemon to answer where it runs
 POLL = 0.1  # [s]
 
 
@@ -22,16 +22,16 @@ class AlreadyRunning(Exception):
 
 
 def require_no_other(session: zenoh.Session, arm: str, *, connects: bool, patience: float = PATIENCE) -> None:
-    """Returns once no other daemon of the arm is in the network.
+    """Returns when no other daemon of the arm is in the network.
 
     Args:
         session: open session that has not declared the arm's token.
         arm: name of the arm.
-        connects: whether the session connects to others, whose tokens it may hear of a moment later.
-        patience: how long a daemon that does not answer may still have its token [s].
+        connects: whether the session connects to peers, whose tokens may arrive a moment later.
+        patience: how long a daemon that does not answer may keep its token [s].
 
     Raises:
-        AlreadyRunning: there is one.
+        AlreadyRunning: there is another daemon.
     """
     began = time.monotonic()
     while True:

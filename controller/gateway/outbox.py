@@ -1,4 +1,4 @@
-"""Answers, feedback and results on their way out: any thread hands them over, one thread sends them."""
+"""Sends answers, feedback and results: any thread puts them in, one thread sends them."""
 
 import logging
 import threading
@@ -16,30 +16,30 @@ from controller.planning.messages import Payload, Reply, refused
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 1_000  # messages in each lane
-TURN = 0.2  # [s] between two looks at the clock
-RECONNECTED = 5.0  # [s] after a standstill, and after the start; clients try to connect anew every 4 s at least
+POLL = 0.2  # [s] between two readings of the clock
+RECONNECTED = 5.0  # [s] after a standstill, or after the start; clients reconnect at least every 4 s
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
 
 Item = tuple[zenoh.Query | str, str, Payload]
 
 
 class Outbox:
-    """A thread that makes the Zenoh calls which may wait for a slow peer.
+    """A thread for the Zenoh calls that may wait for a slow peer.
 
-    Messages wait in two lanes. The first has results, feedback and the answers to commands that were carried out, in
-    order. The second has refusals and other answers; a flood of bad requests therefore delays no result. Results of
-    accepted goals are never dropped here. Other messages are dropped while MOST_WAITING are in their lane: requests
-    could else fill the memory, and a peer without an answer sees its request end.
+    Messages wait in two lanes. The first has results, feedback and answers to accepted commands, in order. The second
+    has refusals and other answers, so that a flood of bad requests delays no result. Results of accepted goals are
+    never dropped here. Other messages are dropped while MOST_WAITING are in their lane, because requests could
+    otherwise fill the memory. A peer without an answer sees its request end.
 
-    A process that stood still for about the lease of its session loses its peers the moment that it goes on. What it
-    published then would reach nobody, so results, and what follows them in their lane, wait until peers have had time
-    to connect anew. So do the results of goals of the planner before this one, after the start.
+    A process that stood still for about its session's lease loses its peers as soon as it continues. Results published
+    at that moment would reach no client. Results, and the messages after them in their lane, therefore wait until
+    clients have had time to reconnect. The results of an earlier planner process wait in the same way after the start.
 
     Args:
         session: open session.
         prefix: of all keys, "hyperbit/<arm>".
         lease: of the session [s].
-        clock: time that goes on while the process stands still [s].
+        clock: a clock that continues while the process stands still [s].
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class Outbox:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
-        self._turned, self._held_until = clock(), -float("inf")  # last look at the clock, and end of a wait [s]
+        self._last_reading, self._wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
-        self._reached_from = clock() + RECONNECTED  # clients of the planner before have connected [s]
+        self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
         self._news = threading.Condition()
         self._full = self._closing = False
         self._publishers = {
@@ -72,7 +72,7 @@ class Outbox:
     def publish(self, key: str, payload: Payload) -> None:
         """Publishes on `key`: "result", "feedback", "@request", or "inherited".
 
-        The last is for the result of a goal of the planner before.
+        "inherited" is for the result of a goal of an earlier planner process.
         """
         if key == "inherited":
             self._put(self._inherited, ("result", "result", payload), needed=True)
@@ -81,12 +81,12 @@ class Outbox:
         lane = self._second if refusal or key == "@request" else self._first
         self._put(lane, (key, key, payload), needed=key == "result" and not refusal)
 
-    def heard(self, key: str) -> bool:
-        """Returns whether somebody subscribes to a key that this publishes on."""
+    def has_subscriber(self, key: str) -> bool:
+        """Returns whether a peer subscribes to a key."""
         return bool(self._publishers[key].matching_status.matching)  # type: ignore[attr-defined]  # a struct, not bool
 
     def answer(self, query: zenoh.Query, key: str) -> Reply:
-        """Returns the function that answers a query on `key` and ends it."""
+        """Returns a function that answers a query on `key` and ends it."""
 
         def reply(payload: Payload) -> None:
             carried_out = key in COMMANDS and payload.get("accepted") is True
@@ -95,21 +95,21 @@ class Outbox:
         return reply
 
     def close(self, timeout: float = 2.0) -> None:
-        """Sends what is left, for `timeout` seconds at most."""
+        """Sends the rest, for at most `timeout` seconds."""
         with self._news:
             self._closing = True
             self._news.notify()
         self._thread.join(timeout)
 
     def waiting(self) -> int:
-        """Returns how many messages are still to be sent."""
+        """Returns the number of messages that wait."""
         return len(self._first) + len(self._second) + len(self._inherited)
 
     def _put(self, lane: deque[Item], item: Item, *, needed: bool) -> None:
         with self._news:
             full = len(lane) >= MOST_WAITING
             if full and not self._full:
-                log.warning("peers do not take what is sent: answers are dropped")
+                log.warning("peers do not read their answers: answers are dropped")
             self._full = full
             if needed or not full:
                 lane.append(item)
@@ -119,22 +119,23 @@ class Outbox:
         """Returns the next message, the first lane's before the second's; None at the end."""
         with self._news:
             while True:
-                held = self._held() and not self._closing
-                lane = self._second if held else self._first or self._second
+                waits = self._must_wait() and not self._closing
+                lane = self._second if waits else self._first or self._second
                 if self._closing or self._clock() >= self._reached_from:
                     lane = self._inherited or lane
                 if lane or self._closing:
                     return lane.popleft() if lane else None
-                self._news.wait(TURN)
+                self._news.wait(POLL)
 
-    def _held(self) -> bool:
-        """Returns whether a result is next, and the process stood still so shortly ago that nobody would hear it."""
+    def _must_wait(self) -> bool:
+        """Returns whether a result is next and must wait for clients to reconnect after a standstill."""
         now = self._clock()
-        if now - self._turned > self._lease / 2:  # keep-alives go out four times in a lease
-            self._held_until = now + RECONNECTED
-            log.warning("the process stood still for %.1f s: results wait for %g s", now - self._turned, RECONNECTED)
-        self._turned = now
-        return now < self._held_until and bool(self._first) and self._first[0][1] == "result"
+        if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
+            self._wait_until = now + RECONNECTED
+            standstill = now - self._last_reading
+            log.warning("the process stood still for %.1f s: results wait for %g s", standstill, RECONNECTED)
+        self._last_reading = now
+        return now < self._wait_until and bool(self._first) and self._first[0][1] == "result"
 
     def _run(self) -> None:
         while (item := self._next()) is not None:
@@ -150,13 +151,13 @@ class Outbox:
                 else:
                     with target:
                         target.reply(f"{self._prefix}/{key}", data, encoding=JSON)
-            except Exception as error:  # a peer that is gone must not end the service of the others
+            except Exception as error:  # an error of one peer must not stop the service of the others
                 log.warning("not sent on %s: %s", key, error)
-            self._turned = self._clock()  # to wait for a slow peer is no standstill
+            self._last_reading = self._clock()  # waiting for a slow peer is no standstill
 
 
 def without_json(payload: Payload) -> Payload:
-    """Returns what is sent in place of a payload that has no JSON: of a result, its goal and status are kept."""
-    kept = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
-    kept = {name: value.encode(errors="backslashreplace").decode() for name, value in kept.items()}
-    return {**refused(codes.INVALID_GOAL, "internal error, see the journal"), **kept}
+    """Returns a replacement for a payload that cannot be encoded; it has the goal and status of a result."""
+    fields = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
+    fields = {name: value.encode(errors="backslashreplace").decode() for name, value in fields.items()}
+    return {**refused(codes.INVALID_GOAL, "internal error, see the journal"), **fields}

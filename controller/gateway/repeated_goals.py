@@ -1,8 +1,8 @@
-"""Goals that come twice: a client that hears no answer asks again, and must not move the arm twice.
+"""Recognizes repeated goals: a client without an answer asks again, and must not move the arm twice.
 
-A goal is known by the request number that hyperbit's clients attach to it, or, from other clients, by its payload if
-that has an id. The number names one request for ever; a payload names its goal until the goal has ended, since the
-same file may be sent again later.
+A goal is recognized by the request number that hyperbit's clients attach to it. Goals of other clients are recognized
+by their payload if it has an id. A number always identifies the same request. A payload identifies its goal only until
+the goal has ended, because the same file may be sent again later.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from controller.planning.messages import Payload, Reply
 
-REMEMBERED = 60.0  # [s] after the last answer; clients ask again for a few seconds
+REMEMBERED = 60.0  # [s] after the last answer; clients repeat a request for a few seconds
 FORGET_EVERY = 1.0  # [s]
 MOST = 1_000  # goals remembered
 WITH_ID = re.compile(rb'"id"\s*:\s*"')
@@ -22,14 +22,14 @@ WITH_ID = re.compile(rb'"id"\s*:\s*"')
 
 @dataclass(eq=False)
 class Known:
-    """A goal that came in.
+    """A goal that has arrived.
 
     Attributes:
-        keys: of the table, by which it is known.
-        replies: who waits for the answer.
-        answer: None until it is there.
-        ended: whether no result is to come any more.
-        at: when it was last heard of [s].
+        keys: of the table, by which it is recognized.
+        replies: functions that wait for the answer.
+        answer: None until it is known.
+        ended: whether no result will follow.
+        at: time of its last message [s].
     """
 
     keys: list[bytes]
@@ -40,7 +40,7 @@ class Known:
 
 
 class RepeatedGoals:
-    """Answers a repeated goal as it was answered first. For any thread.
+    """Answers a repeated goal with the answer to the first one. For any thread.
 
     Args:
         clock: [s].
@@ -52,13 +52,13 @@ class RepeatedGoals:
         self._forget_at = -float("inf")
 
     def take(self, payload: bytes, request: bytes, reply: Reply, submit: Callable[[bytes, Reply], None]) -> None:
-        """Hands a goal on, or answers it as before.
+        """Submits a new goal, or repeats the answer to a known one.
 
         Args:
             payload: of the goal.
             request: number that the client attached; empty if none.
             reply: takes the answer.
-            submit: takes the payload of a goal that is new, and who is to be answered.
+            submit: takes the payload of a new goal, and the function that takes its answer.
         """
         keys = [b"number" + request[:64]] if request else []
         if WITH_ID.search(payload):
@@ -81,7 +81,7 @@ class RepeatedGoals:
             reply(answer)
 
     def ended(self, goal: str | None) -> None:
-        """Forgets the payload of a goal that has its result."""
+        """Forgets the payload of a goal that has ended."""
         with self._lock:
             for known in {id(it): it for it in self._known.values()}.values():
                 if known.answer is not None and known.answer.get("id") == goal:
@@ -103,7 +103,7 @@ class RepeatedGoals:
                 del self._known[key]
 
     def _forget(self) -> None:
-        """Forgets goals that ended long ago, once in a while, and the oldest if there are too many."""
+        """Drops goals that ended more than REMEMBERED ago, every FORGET_EVERY, and the oldest ones above MOST."""
         if (now := self._clock()) >= self._forget_at:
             self._forget_at = now + FORGET_EVERY
             old = [key for key, known in self._known.items() if known.ended and known.at + REMEMBERED < now]

@@ -1,6 +1,6 @@
-"""Notes on requests and their answers for who records the arm: a query reaches nobody else.
+"""Publishes notes on requests and their answers, for recorders: a query itself reaches only the daemon.
 
-The key `@request` is one that wildcards do not match: who subscribes to everything does not get the notes.
+Wildcards do not match the key `@request`. A subscriber to all keys does not receive the notes.
 """
 
 import time
@@ -11,15 +11,15 @@ import msgspec
 
 from controller.planning.messages import Payload, Reply
 
-MOST_REFUSED = 50  # notes on refused requests in one second
-MOST_TEXT = 500  # characters told of a payload that is no JSON
+MOST_REFUSED = 50  # notes a second on refused requests
+MOST_TEXT = 500  # characters of a payload that is no JSON
 
 
 class RequestNotes:
-    """Publishes a note on each request as it is answered, while somebody subscribes to the notes.
+    """Publishes a note on each answered request while there is a subscriber.
 
     Args:
-        wanted: whether somebody does; must be quick.
+        wanted: returns whether there is a subscriber; must be quick.
         publish: takes a key and a payload; must not wait.
         wall: UNIX time [s].
     """
@@ -47,14 +47,14 @@ class RequestNotes:
         return answer
 
     def _few(self, second: int) -> bool:
-        """Returns whether another note on a refused request may go out in a second."""
+        """Returns whether another note on a refused request may be published in this second."""
         self._refused = 1 if second != self._second else self._refused + 1
         self._second = second
         return self._refused <= MOST_REFUSED
 
 
 def content_of(payload: bytes) -> dict[str, Any]:
-    """Returns `payload` as it came, null if there is none; `text` of one that is no JSON."""
+    """Returns `payload` as it came, null if it is empty; for a payload that is no JSON also its `text`."""
     if not payload:
         return {"payload": None}
     try:

@@ -1,4 +1,4 @@
-"""Requests over Zenoh. Callbacks only hand over; every answer leaves through the outbox."""
+"""Receives requests over Zenoh. Callbacks only submit them; all answers go through the outbox."""
 
 import logging
 import os
@@ -20,7 +20,7 @@ from controller.planning.messages import Payload, Reply, refused
 
 log = logging.getLogger(__name__)
 
-MOST_REFUSALS = 50  # of puts, published in one second
+MOST_REFUSALS = 50  # refusals of puts published in one second
 
 Take = Callable[[bytes, Reply], None]
 Receive = Callable[[], bytes | None]
@@ -33,13 +33,13 @@ Declared = (
 
 
 class Requests(Protocol):
-    """Who carries out requests. All methods may be called from any thread and never wait."""
+    """Carries out requests. For any thread; no method waits."""
 
     def goal(self, payload: bytes, reply: Reply) -> None:
         """Runs a goal."""
 
     def plan(self, payload: bytes, reply: Reply) -> None:
-        """Plans a goal that is not to be run."""
+        """Plans a goal without running it."""
 
     def jog(self, payload: bytes, reply: Reply) -> None:
         """Switches single actuators."""
@@ -48,7 +48,7 @@ class Requests(Protocol):
         """Ends the running goal or stream."""
 
     def stop(self, reply: Reply) -> None:
-        """Holds until a reset."""
+        """Stops the arm until a reset."""
 
     def reset(self, reply: Reply) -> None:
         """Leaves a stop or a fault."""
@@ -57,33 +57,33 @@ class Requests(Protocol):
         """Locks an actuator, or unlocks it."""
 
     def obstacles(self, payload: bytes, reply: Reply) -> None:
-        """Replaces the regions to keep out of."""
+        """Replaces the obstacles that were sent before."""
 
     def setpoints(self, receive: Receive) -> None:
-        """Takes the function that returns the latest set-point."""
+        """Sets the function that returns the latest set-point."""
 
     def measured_tips(self, receive: Receive) -> None:
-        """Takes the function that returns the latest measured tip."""
+        """Sets the function that returns the latest measured tip."""
 
     def description(self, wanted: Collection[str] = ()) -> Payload:
-        """Returns the payload of `arm`, and what is `wanted` besides, as `Planning.description` has it."""
+        """Returns the payload of `arm` with the wanted parts, see Planning.description."""
 
 
 class Server:
     """Declares the keys under "hyperbit/<arm>".
 
-    Requests that can move an arm, or change what it may do, must name it in full. `stop` and `cancel` also reach all
-    arms that a wildcard matches, as in `hyperbit/*/stop`; queries that change nothing take any wildcard.
+    Requests that can move an arm, or change its limits, must name it in full. `stop` and `cancel` also reach each arm
+    that a wildcard matches, as in `hyperbit/*/stop`. Queries that change nothing accept any wildcard.
 
-    A put has nobody to answer: its refusal is published on `result`, at most MOST_REFUSALS in a second.
+    A put has no reply. Its refusal is published on `result`, at most MOST_REFUSALS in a second.
 
     Args:
         session: open session.
         arm: name of the arm.
-        requests: who carries them out.
-        outbox: takes the answers.
-        goals: recognizes goals that come twice.
-        tracker: whether measured tips are taken.
+        requests: carries out the requests.
+        outbox: sends the answers.
+        goals: recognizes repeated goals.
+        tracker: whether measured tips are accepted.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Server:
         self._session, self._outbox, self._goals = session, outbox, goals
         self._prefix = f"hyperbit/{arm}"
         self._second, self._refusals, self._brake = 0, 0, FloodBrake()
-        self._notes = RequestNotes(lambda: outbox.heard("@request"), outbox.publish)
+        self._notes = RequestNotes(lambda: outbox.has_subscriber("@request"), outbox.publish)
         self._declared: list[Declared] = []
         daemon = {"host": socket.gethostname(), "pid": os.getpid()}
         self._command("stop", lambda _, reply: requests.stop(reply), everywhere=True)
@@ -117,12 +117,12 @@ class Server:
         self._declared.append(session.liveliness().declare_token(f"{self._prefix}/alive"))
 
     def close(self) -> None:
-        """Takes no more requests; the liveliness token goes first."""
+        """Undeclares all keys, the liveliness token first."""
         while self._declared:
             self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
 
     def _command(self, key: str, take: Take, *, everywhere: bool = False) -> None:
-        """Takes commands on `key`, by query and by put; `everywhere`: also those whose wildcard matches the arm."""
+        """Accepts commands on `key`, by query and by put; `everywhere`: also through a wildcard that matches it."""
 
         def on_query(query: zenoh.Query) -> None:
             reply = self._outbox.answer(query, key)
@@ -148,7 +148,7 @@ class Server:
         self._declared.append(self._session.declare_subscriber(f"{self._prefix}/{key}", on_put))
 
     def _take_goal(self, take: Take, payload: bytes, request: bytes, reply: Reply) -> None:
-        """Hands on a goal that is well-formed and new; others are answered here, and take no place in any queue."""
+        """Submits a goal that is well-formed and new; others are answered here and enter no queue."""
 
         def take_once(payload: bytes, reply: Reply) -> None:
             self._goals.take(payload, request, reply, lambda *goal: carry_out(take, *goal))
@@ -156,7 +156,7 @@ class Server:
         self._well_formed(take_once)(payload, reply)
 
     def _well_formed(self, take: Take) -> Take:
-        """Returns a function that hands on payloads which decode as goals, and refuses others."""
+        """Returns a function that submits payloads which decode as goals, and refuses others."""
 
         def take_well_formed(payload: bytes, reply: Reply) -> None:
             refusal = self._brake.refusal(payload)
@@ -168,7 +168,7 @@ class Server:
         return take_well_formed
 
     def _noted(self, key: str, take: Take) -> Take:
-        """Returns a function that hands on requests, whose answers are noted."""
+        """Returns a function that submits requests and publishes notes on their answers."""
         return lambda payload, reply: take(payload, self._notes.noting(key, payload, reply))
 
     def _query(self, key: str, take: Take) -> None:
@@ -180,7 +180,7 @@ class Server:
         self._declared.append(self._session.declare_queryable(f"{self._prefix}/{key}", on_query))
 
     def _braked(self, reply: Reply, act: Callable[[Reply], None]) -> None:
-        """Acts on a request. Where many are refused at once, the callback pauses, and with it who sends them."""
+        """Acts on a request. If many are refused at once, the callback pauses, which slows their sender."""
         refused_at_once = False
 
         def note(answer: Payload) -> None:
@@ -193,15 +193,15 @@ class Server:
             self._brake.slow_down()
 
     def _latest(self, key: str) -> Receive:
-        """Returns the function that returns the latest sample put on `key` itself; None if there is no new one."""
-        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # nothing waits for who reads
+        """Returns a function that returns the latest sample put on `key` itself; None if there is no new one."""
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # a full ring drops its oldest
         subscriber = self._session.declare_subscriber(f"{self._prefix}/{key}", ring)
         self._declared.append(subscriber)
 
         def receive() -> bytes | None:
             try:
                 sample = subscriber.try_recv()
-            except zenoh.ZError:  # undeclared: the keys go before those who read them
+            except zenoh.ZError:  # undeclared: the keys are closed before their readers
                 return None
             named = sample is not None and str(sample.key_expr) == f"{self._prefix}/{key}"
             return content(sample.payload) if sample is not None and named else None
@@ -222,7 +222,7 @@ class Server:
 
 
 def carry_out(take: Take, payload: bytes, reply: Reply) -> None:
-    """Hands a request on; a defect is answered in words."""
+    """Submits a request; an exception becomes an answer."""
     try:
         take(payload, reply)
     except Exception:
@@ -231,7 +231,7 @@ def carry_out(take: Take, payload: bytes, reply: Reply) -> None:
 
 
 def wanted(payload: bytes) -> Collection[str]:
-    """Returns what a query of `arm` wants besides, as in {"with": ["drawing"]}; nothing if it is written otherwise."""
+    """Returns the parts that a query of `arm` asks for, as in {"with": ["drawing"]}; empty in any other form."""
     try:
         return msgspec.json.decode(payload, type=dict[str, list[str]]).get("with", [])
     except (msgspec.MsgspecError, RecursionError):

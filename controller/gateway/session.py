@@ -7,8 +7,8 @@ from pathlib import Path
 import zenoh
 
 ENDPOINT = "tcp/127.0.0.1:7447"
-LEASE = 10.0  # [s] without a sign of life after which a peer is given up; busy machines stand still for seconds
-MOST_BLOCKED = 1.0  # [s] that a message waits for room, before the peer that does not read is given up
+LEASE = 10.0  # [s] of silence after which a peer counts as lost; long, because busy machines stand still for seconds
+MOST_BLOCKED = 1.0  # [s] that a message waits for a peer that does not read, before the peer is disconnected
 TLS = "transport/link/tls"
 TLS_FILES = (
     *("root_ca_certificate", "listen_certificate", "listen_private_key"),
@@ -68,17 +68,17 @@ def lease(config: zenoh.Config) -> float:
 
 
 def connects(config: zenoh.Config) -> bool:
-    """Returns whether a session of this configuration is to connect to somebody."""
+    """Returns whether a session of this configuration connects to an endpoint."""
     return bool(json.loads(config.get_json("connect/endpoints")))
 
 
 def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
-    """Returns a function that tells whether a session is connected to an endpoint of its configuration, if any."""
+    """Returns a function that returns whether a session is connected to one of its endpoints, if it has any."""
     if not connects(config):
         return lambda: True
     return lambda: bool(session.info.routers_zid() or session.info.peers_zid())
 
 
 def reason(error: zenoh.ZError) -> str:
-    """Returns what Zenoh says went wrong, without the places in its source."""
+    """Returns the message of a Zenoh error, without the places in Zenoh's source."""
     return str(error).split(" at /")[0].strip()

@@ -1,4 +1,4 @@
-"""Publishes `state` 20 times a second and on change, `diagnostics` once a second, and reports to systemd."""
+"""Publishes `state` 20 times a second and on change, and `diagnostics` once a second; notifies systemd."""
 
 import logging
 import threading
@@ -18,22 +18,22 @@ from controller.program import Fault
 log = logging.getLogger(__name__)
 
 STATE_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
-LEAST_GAP = 0.002  # [s] between two states, however often something changes
-SILENCE = 1.2 * STATE_EVERY  # [s] without a change; each snapshot of the executor counts as one
+LEAST_GAP = 0.002  # [s] between two states, at least
+SILENCE = 1.2 * STATE_EVERY  # [s] without a change until the next `state`; each snapshot is a change
 
 
 class StatusReporter:
-    """A thread that publishes the latest state and diagnostics; a slow peer misses some and delays nobody.
+    """A thread that publishes the latest state and diagnostics. A slow peer misses some of them.
 
     Args:
         session: open session.
         prefix: of all keys, "hyperbit/<arm>".
         state: returns the payload of `state`.
         diagnostics: returns the payload of `diagnostics`.
-        changed: set by others when the state changes.
-        warnings: returns the active warnings that `state` has beside its own faults.
-        outbox: returns how many messages wait to be sent.
-        notifier: takes what systemd is to know.
+        changed: other threads set it when the state changes.
+        warnings: returns the active warnings that `state` shows beside its own faults.
+        outbox: returns the number of messages that wait to be sent.
+        notifier: notifies systemd.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class StatusReporter:
             log.exception("the state was not published")
 
     def _log_faults(self, faults: Iterable[Mapping[str, Any]]) -> None:
-        """Writes faults that begin, and those that are over, into the journal; warnings are written by who warns."""
+        """Logs faults when they begin and end; `Warnings` logs its own."""
         active = {(fault["code"], fault["source"]): fault["message"] for fault in faults}
         for (code, source), message in active.items():
             if (code, source) not in self._faults:
@@ -106,13 +106,13 @@ class StatusReporter:
             diagnostics = self._of_diagnostics()
             queues = {**diagnostics.get("queues", {}), "outbox": self._outbox()}
             self._diagnostics.put(encode({**diagnostics, "queues": queues}))
-            self._notifier.send("WATCHDOG=1")  # this thread asks every part of the planner, so it hangs with any
+            self._notifier.send("WATCHDOG=1")  # this thread calls all parts of the planner: it hangs if one does
         except Exception:
             log.exception("the diagnostics were not published")
 
 
 def merged(faults: Iterable[Mapping[str, Any]], warnings: Iterable[Fault]) -> list[Mapping[str, Any]]:
-    """Returns faults, and the warnings that are not among them."""
+    """Returns the faults, and the warnings that are not among them."""
     result = list(faults)
     known = {(fault["code"], fault["source"]) for fault in result}
     result += [msgspec.structs.asdict(fault) for fault in warnings if (fault.code, fault.source) not in known]

@@ -1,4 +1,4 @@
-"""Warnings of the planner's side: the system's clock, the Zenoh network, the ledger. None of them stops the arm."""
+"""The planner's own warnings: the system's clock, the Zenoh network, the ledger. None of them stops the arm."""
 
 import logging
 import time
@@ -9,16 +9,16 @@ from controller.program import Fault
 
 log = logging.getLogger(__name__)
 
-STEP = 0.5  # [s]; a clock that jumps by more was set, not slewed
+STEP = 0.5  # [s]; a greater jump of the clock was set, not slewed
 REMEMBERED = 10.0  # [s] for which a warning stays after its cause
 
 
 class Warnings:
-    """Watches for causes of warnings. All but the arguments belongs to one thread.
+    """Detects the causes of warnings. Belongs to one thread.
 
     Args:
         reachable: returns whether the session is connected to an endpoint of its configuration.
-        others: returns the active warnings of others, such as the ledger.
+        others: returns the active warnings of other parts, such as the ledger.
         wall: the system's clock, UNIX seconds.
         clock: a clock that is never set [s].
     """
@@ -37,7 +37,7 @@ class Warnings:
         self._logged: set[tuple[str, str]] = set()
 
     def active(self) -> tuple[Fault, ...]:
-        """Returns the warnings that are active now; logs each when it begins."""
+        """Returns the active warnings; logs each when it begins."""
         now = self._clock()
         own = (*self._clock_set(now), *self._network_lost(now))
         for fault in own:

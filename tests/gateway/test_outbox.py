@@ -166,7 +166,7 @@ def test_after_a_standstill_results_wait_for_peers_and_answers_do_not(session: F
     now = [100.0]
     outbox = Outbox(session, "hyperbit/arm", lease=2.0, clock=lambda: now[0])  # type: ignore[arg-type]
     now[0] += 1.1  # as after SIGSTOP and SIGCONT
-    eventually(lambda: outbox._held_until > now[0])
+    eventually(lambda: outbox._wait_until > now[0])
     outbox.publish("result", {"id": "a", "status": "succeeded"})
     outbox.publish("feedback", {"id": "b"})
     outbox.answer(FakeQuery(session), "arm")({"name": "arm"})  # type: ignore[arg-type]
@@ -174,7 +174,7 @@ def test_after_a_standstill_results_wait_for_peers_and_answers_do_not(session: F
     assert session.sent == [("hyperbit/arm/arm", {"name": "arm"})]
     for _ in range(int(RECONNECTED / 0.9) + 1):
         turned = now[0] = now[0] + 0.9
-        eventually(lambda turned=turned: outbox._turned == turned)
+        eventually(lambda turned=turned: outbox._last_reading == turned)
     eventually(lambda: len(session.sent) == 3)
     assert [payload["id"] for _, payload in session.sent[1:]] == ["a", "b"]
     outbox.close()
@@ -184,7 +184,7 @@ def test_at_the_end_results_wait_no_longer(session: FakeSession) -> None:
     now = [100.0]
     outbox = Outbox(session, "hyperbit/arm", lease=2.0, clock=lambda: now[0])  # type: ignore[arg-type]
     now[0] += 10.0
-    eventually(lambda: outbox._held_until > now[0])
+    eventually(lambda: outbox._wait_until > now[0])
     outbox.publish("result", {"id": "a", "status": "succeeded"})
     outbox.close(PATIENCE)
     assert [payload["id"] for _, payload in session.sent] == ["a"]
