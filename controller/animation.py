@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.regions import NONE, Regions
+from controller.obstacles.obstacles import NONE, Obstacles
 from controller.plots import COLOURS, Panel, bounds, figure
 from controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
 
-SHARES = (0.25, 0.5, 0.75, 1.0)  # of the strokes, one frame each
-FRAME, END, PAUSE = 50, 110, 1300  # [ms] that a frame stays: in mid-stroke, at the end of a transition, at a pause
+SHARES = (0.25, 0.5, 0.75, 1.0)  # displacements at which a transition is drawn
+FRAME, END, PAUSE = 50, 110, 1300  # [ms] that a frame stays: in mid-travel, at the end of a transition, at a pause
 SHADES = 48  # of the palette: fewer make a smaller file
 SIDES, DOTS = (7.0, 5.9), 72.0  # of the picture [inch], and per inch
 
@@ -29,7 +29,7 @@ def animate(
     states: Sequence[ArrayLike],
     pauses: Collection[int],
     panel: Panel,
-    regions: Regions = NONE,
+    obstacles: Obstacles = NONE,
 ) -> None:
     """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
 
@@ -40,7 +40,7 @@ def animate(
         states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
         pauses: indices of the states at which the animation pauses.
         panel: title, targets and waypoints.
-        regions: that the arm keeps out of.
+        obstacles: that the arm keeps out of.
 
     Raises:
         OSError: the file cannot be written.
@@ -51,7 +51,7 @@ def animate(
 
     steps = [np.asarray(each, dtype=float) for each in states]
     bodies = [body_of(manipulator, step) for step in steps]
-    shown = figure(manipulator, densities, [panel], regions=regions)
+    shown = figure(manipulator, densities, [panel], obstacles=obstacles)
     shown.set_size_inches(*SIDES)
     shown.set_dpi(DOTS)
     axes, canvas = shown.axes[0], cast(Any, FigureCanvasAgg)(shown)
@@ -83,21 +83,21 @@ def animate(
     few[0].save(path, save_all=True, append_images=few[1:], duration=durations, loop=0, optimize=True)
 
 
-def body_of(manipulator: Manipulator, strokes: Array) -> Array:
-    """Returns the line segments (n, 2, 3) of the arm in the world, its actuators at strokes (A,); maybe not numbers."""
-    return chained(manipulator, strokes)[0]
+def body_of(manipulator: Manipulator, displacements: Array) -> Array:
+    """Returns the line segments (n, 2, 3) of the arm in the world at displacements (A,); NaN if unknown."""
+    return chained(manipulator, displacements)[0]
 
 
-def tip_of(manipulator: Manipulator, strokes: Array) -> Array:
+def tip_of(manipulator: Manipulator, displacements: Array) -> Array:
     """Returns the position of the tip in the world, shape (3,)."""
-    return chained(manipulator, strokes)[1][:3, 3]
+    return chained(manipulator, displacements)[1][:3, 3]
 
 
-def chained(manipulator: Manipulator, strokes: Array) -> tuple[Array, Array]:
-    """Returns the line segments (n, 2, 3) and the tip's frame (4, 4), the actuators at strokes (A,), 0 to 1."""
+def chained(manipulator: Manipulator, displacements: Array) -> tuple[Array, Array]:
+    """Returns the line segments (n, 2, 3) and the tip frame (4, 4) at displacements (A,), each from 0 to 1."""
     frame, parts, start = manipulator.base, list[Array](), 0
     for module in manipulator.modules:
-        own = strokes[start : start + len(module.actuators)]
+        own = displacements[start : start + len(module.actuators)]
         start += len(module.actuators)
         step, body = module.between(own[None])
         parts.append(body[0] @ frame[:3, :3].T + frame[:3, 3])

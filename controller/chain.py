@@ -1,4 +1,4 @@
-"""The chain that an arm's file describes: its modules, type by type, and every fault by the path of the field."""
+"""Builds the modules of an arm's file, type by type; each fault names the path of its field."""
 
 import math
 from collections.abc import Sequence
@@ -27,12 +27,12 @@ PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three 
 
 
 def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[Module]:
-    """Returns the chain's modules, those of wrong geometry replaced by faults.
+    """Returns the valid modules of the chain.
 
     Args:
-        groups: the file's `modules`.
-        folder: where tables are looked for.
-        faults: appended to.
+        groups: `modules` of the file.
+        folder: folder of the tables.
+        faults: a sentence is appended for each wrong field.
     """
     modules: list[Module] = []
     for g, group in enumerate(groups):
@@ -52,7 +52,7 @@ def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[s
 
 
 def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames.Frame | None:
-    """Returns the frame (4, 4), or None and a fault."""
+    """Returns the frame (4, 4); appends a fault and returns None if it is invalid."""
     angle, position = settings.orientation, settings.position
     if isinstance(angle, list):
         if not is_unit(angle):
@@ -68,7 +68,7 @@ def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames
 
 
 def build_vgt(group: VgtSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the two kinds of truss that alternate; none where there are faults."""
+    """Returns the two kinds of truss that alternate; none if there are faults."""
     legs = group.lengths if isinstance(group.lengths, Legs) else Legs(*[group.lengths] * 3)
     lengths = (legs.left, legs.diagonal, legs.right)
     for name, (contracted, extended) in zip(ACTUATORS, lengths, strict=True):
@@ -83,7 +83,7 @@ def build_vgt(group: VgtSettings, path: str, faults: list[str]) -> list[Module]:
 
 
 def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the joint; none where there are faults."""
+    """Returns the joint; none if there are faults."""
     before = len(faults)
     if math.hypot(*group.axis) < 1e-9:
         faults.append(f"{path}.axis: a direction is needed, got {group.axis}")
@@ -102,7 +102,7 @@ def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: 
 
 
 def build_platform(group: PlatformSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the platform; none where there are faults."""
+    """Returns the platform; none if there are faults."""
     before, (contracted, extended) = len(faults), group.lengths
     if contracted >= extended:
         faults.append(f"{path}.lengths: {contracted:g} contracted, so not {extended:g} extended")
@@ -124,7 +124,7 @@ def build_platform(group: PlatformSettings, path: str, faults: list[str]) -> lis
 
 
 def build_transforms(group: TransformsSettings, path: str, folder: Path, faults: list[str]) -> list[Module]:
-    """Returns the module of listed or tabulated frames; none where there are faults."""
+    """Returns the module of listed or tabulated frames; none if there are faults."""
     if (group.states is None) == (group.table is None):
         faults.append(f"{path}: either states or table is needed, got {'both' if group.table else 'neither'}")
         return []

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from controller.actuators import longest_travel, map_actuators
 from controller.chain import build_frame, build_modules
-from controller.manipulator.held import STATES, Held, free, hold
+from controller.manipulator.locked import STATES, LockedStates, lock_actuators, none_locked
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.notation import build_regions
-from controller.obstacles.regions import NONE, Regions, together
+from controller.obstacles.notation import parse_obstacles
+from controller.obstacles.obstacles import NONE, Obstacles, together
 from controller.settings import ActuatorSettings, ArmSettings, read_settings
 from controller.strict import InputFaults
 
@@ -29,35 +29,35 @@ class Arm:
         settings: the file's fields.
         manipulator: the chain.
         wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
-        regions: that no module may touch.
+        obstacles: that no module may touch.
         path: of the file; None if the arm was not read from one.
     """
 
     settings: ArmSettings
     manipulator: Manipulator
     wiring: tuple[ActuatorSettings, ...]
-    regions: Regions = NONE
+    obstacles: Obstacles = NONE
     path: Path | None = None
 
     @cached_property
-    def held(self) -> Held:
-        """The states of the actuators that are declared stuck, shape (A,)."""
-        held = free(self.manipulator)
+    def locked(self) -> LockedStates:
+        """The states of the actuators that the file declares stuck, -1 for the others, shape (A,)."""
+        locked = none_locked(self.manipulator)
         for k, entry in enumerate(self.wiring):
             if entry.stuck is not None:
-                held[k] = STATES.index(entry.stuck)
-        return held
+                locked[k] = STATES.index(entry.stuck)
+        return locked
 
     @cached_property
-    def left(self) -> Manipulator:
-        """The chain without the states that the actuators declared stuck rule out."""
-        return hold(self.manipulator, self.held)
+    def reduced(self) -> Manipulator:
+        """The chain without the module states that the stuck actuators rule out."""
+        return lock_actuators(self.manipulator, self.locked)
 
-    def clearance(self, manipulator: Manipulator | None = None, others: Regions = NONE) -> Clearance:
-        """Returns what the chain, or what is left of it, must keep clear of: the file's regions and others."""
+    def clearance(self, manipulator: Manipulator | None = None, others: Obstacles = NONE) -> Clearance:
+        """Returns what the chain, or what is left of it, must keep clear of: the file's obstacles and others."""
         return Clearance(
             manipulator or self.manipulator,
-            together([self.regions, others]),
+            together([self.obstacles, others]),
             self.settings.body_radius,
             self_collision=self.settings.self_collision,
         )
@@ -130,12 +130,12 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
     wiring = map_actuators(settings, [module.actuators for module in modules], faults)
     if faults:
         raise InputFaults(path, faults)
-    regions = build_regions(settings.obstacles, manipulator.dimension, "obstacles", faults)
-    arm = Arm(settings, manipulator, wiring, regions)
+    obstacles = parse_obstacles(settings.obstacles, manipulator.dimension, "obstacles", faults)
+    arm = Arm(settings, manipulator, wiring, obstacles)
     if not faults and (walled := walled_in(arm)) is not None:
         faults.append(f"obstacles: {walled}, whatever its state; the arm could not move")
     try:
-        hold(manipulator, arm.held)
+        lock_actuators(manipulator, arm.locked)
     except ValueError as error:
         faults.append(f"actuators: as they are stuck, {error}")
     if faults:

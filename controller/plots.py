@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.regions import NONE, Regions
-from controller.region_plots import draw_regions, draw_spatial_regions
+from controller.obstacle_plots import draw_obstacles, draw_spatial_obstacles
+from controller.obstacles.obstacles import NONE, Obstacles
 from controller.workspace.densities import Densities
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who draw wait for it
@@ -51,7 +51,7 @@ def save(
     densities: Densities,
     panels: Sequence[Panel],
     unit: str = "m",
-    regions: Regions = NONE,
+    obstacles: Obstacles = NONE,
 ) -> None:
     """Writes a picture of the panels side by side, in the format of the path's suffix.
 
@@ -61,17 +61,21 @@ def save(
         densities: of its intermediate workspaces; a spatial arm is drawn without.
         panels: from left to right.
         unit: of length, for the axes.
-        regions: that the arm keeps out of.
+        obstacles: that the arm keeps out of.
 
     Raises:
         OSError: the file cannot be written.
         ValueError: matplotlib knows no such suffix.
     """
-    figure(manipulator, densities, panels, unit, regions).savefig(path, dpi=150, bbox_inches="tight")
+    figure(manipulator, densities, panels, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
 
 
 def figure(
-    manipulator: Manipulator, densities: Densities, panels: Sequence[Panel], unit: str = "m", regions: Regions = NONE
+    manipulator: Manipulator,
+    densities: Densities,
+    panels: Sequence[Panel],
+    unit: str = "m",
+    obstacles: Obstacles = NONE,
 ) -> Figure:
     """Returns the picture that `save` writes."""
     from matplotlib.figure import Figure
@@ -81,10 +85,10 @@ def figure(
     for k, panel in enumerate(panels):
         if manipulator.planar:
             axes = result.add_subplot(1, len(panels), k + 1)
-            shades = draw(axes, manipulator, densities, panel, unit, regions)
+            shades = draw(axes, manipulator, densities, panel, unit, obstacles)
         else:
             axes = result.add_subplot(1, len(panels), k + 1, projection="3d")
-            draw_spatial(axes, manipulator, panel, unit, regions)
+            draw_spatial(axes, manipulator, panel, unit, obstacles)
     if shades is not None:
         bar = result.colorbar(shades, ax=result.axes, extend="max", shrink=0.7, aspect=30, pad=0.02)
         bar.set_label(f"point density [1/{unit}²]")
@@ -98,7 +102,7 @@ def draw(
     densities: Densities,
     panel: Panel,
     unit: str = "m",
-    regions: Regions = NONE,
+    obstacles: Obstacles = NONE,
 ) -> Any:
     """Draws a planar arm in the world over the density of W_0; returns the density's image, for a colour bar."""
     from matplotlib.collections import LineCollection
@@ -114,7 +118,7 @@ def draw(
         everything.append(body.reshape(-1, 2))
     goals = draw_goals(axes, panel, 2)
     low, high = bounds([*everything, *goals])
-    draw_regions(axes, regions, low, high)
+    draw_obstacles(axes, obstacles, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=panel.title)
     axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     add_legend(axes)
@@ -149,7 +153,9 @@ def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> 
     return shades, centres[:, :2] @ base[:2, :2].T + base[:2, 2]
 
 
-def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m", regions: Regions = NONE) -> None:
+def draw_spatial(
+    axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m", obstacles: Obstacles = NONE
+) -> None:
     """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
@@ -164,7 +170,7 @@ def draw_spatial(axes: Any, manipulator: Manipulator, panel: Panel, unit: str = 
         everything.append(body.reshape(-1, 3))
     goals = draw_goals(axes, panel, 3)
     low, high = bounds([*everything, *goals])
-    draw_spatial_regions(axes, regions, low, high)
+    draw_spatial_obstacles(axes, obstacles, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=panel.title)
     ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):

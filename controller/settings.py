@@ -30,7 +30,7 @@ Method = Literal["minimum-switch", PaperMethod, Variant]
 OnLoss = Literal["hold", "contract"]
 ErrorState = Literal["off", "hold", "device"] | bool  # YAML reads a plain off as false
 
-MOST_REGIONS = 256  # in one list
+MOST_OBSTACLES = 256  # in one list
 
 
 class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -118,7 +118,7 @@ class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
     normal: Vector
 
 
-class RegionSettings(Struct, forbid_unknown_fields=True, frozen=True):
+class ObstacleSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """A region that no module may touch: one of these, and what sentences call it."""
 
     disc: RoundSettings | None = None
@@ -129,7 +129,7 @@ class RegionSettings(Struct, forbid_unknown_fields=True, frozen=True):
     name: Name | None = None
 
 
-RegionList = Annotated[list[RegionSettings], Meta(max_length=MOST_REGIONS)]
+ObstacleList = Annotated[list[ObstacleSettings], Meta(max_length=MOST_OBSTACLES)]
 
 
 class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -272,7 +272,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     boards: BoardSettings = BoardSettings()
     real_time: RealTimeSettings | None = None
     tracker: TrackerSettings | None = None
-    obstacles: RegionList = field(default_factory=list)
+    obstacles: ObstacleList = field(default_factory=list)
     body_radius: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
     self_collision: bool = False
     buses: list[BusSettings] = field(default_factory=list)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
-from controller.obstacles.regions import sphere
+from controller.obstacles.obstacles import sphere
 from controller.settings import WeightSettings
 from tests.documents import changed, document, listed
 
@@ -92,23 +92,23 @@ def test_actuators_that_are_stuck_leave_their_modules_fewer_states(read):
     value = changed("actuators.1.stuck", "extended")
     value["actuators"][5]["stuck"] = "contracted"
     arm = read(value)
-    assert arm.held.tolist() == [-1, 1, -1, -1, -1, 0]
-    assert (arm.manipulator.states.tolist(), arm.left.states.tolist()) == ([8, 8], [4, 4])
-    assert set(arm.left.modules[0].bits[:, 1]) == {1}
+    assert arm.locked.tolist() == [-1, 1, -1, -1, -1, 0]
+    assert (arm.manipulator.states.tolist(), arm.reduced.states.tolist()) == ([8, 8], [4, 4])
+    assert set(arm.reduced.modules[0].bits[:, 1]) == {1}
     assert read(document()).left.states.tolist() == [8, 8]
 
 
 def test_regions_are_those_of_the_file_and_others_beside_them(read):
     arm = read(document())
-    assert arm.regions.names == ("disc 'pillar'", "box obstacles[1]", "half-plane 'floor'")
+    assert arm.obstacles.names == ("disc 'pillar'", "box obstacles[1]", "half-plane 'floor'")
     points = [[2.4, 2, 0], [-1, 1, 0], [7, -0.25, 0], [-1.0 + 0.3 * math.cos(0.5), 1.0 + 0.3 * math.sin(0.5), 0]]
     expected = [[0.1, None, 2.2], [None, -0.1, 1.2], [None, None, -0.05], [None, 0.1, None]]
-    for depths, wanted in zip(arm.regions.depths(points), expected, strict=True):
+    for depths, wanted in zip(arm.obstacles.depths(points), expected, strict=True):
         assert [d for d, w in zip(depths, wanted, strict=True) if w is not None] == pytest.approx(
             [w for w in wanted if w is not None]
         )
     clearance = arm.clearance(others=sphere("disc 'guest'", [0, 3], 0.1))
-    assert clearance.regions.names[3:] == ("disc 'guest'",)
+    assert clearance.obstacles.names[3:] == ("disc 'guest'",)
     assert (clearance.radius, clearance.self_collision) == (0.02, True)
 
 
@@ -121,5 +121,5 @@ def test_boxes_in_space_are_turned_by_a_quaternion(read):
     states = listed({"position": [0, 0, 1]}, {"position": [0, 1, 1]})
     upright = {"centre": [0, 0, 5], "size": [2, 0.2, 0.2], "orientation": [0, 0.5**0.5, 0, 0.5**0.5]}
     value = {"name": "a", "modules": states, "tolerance": {"position": 1}, "obstacles": [{"box": upright}]}
-    regions = read(value).regions
-    assert regions.depths([[0, 0, 5.9], [0.9, 0, 5]])[:, 0] == pytest.approx([-0.1, 0.8])
+    obstacles = read(value).obstacles
+    assert obstacles.depths([[0, 0, 5.9], [0.9, 0, 5]])[:, 0] == pytest.approx([-0.1, 0.8])

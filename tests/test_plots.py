@@ -11,7 +11,7 @@ from controller import figure5
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import parse_configuration
-from controller.obstacles.regions import box, half_space, sphere, together
+from controller.obstacles.obstacles import box, half_space, sphere, together
 from controller.plots import COLOURS, Panel, figure, save
 from controller.search.method import PAPER_METHODS
 from controller.workspace.mapping import map_densities
@@ -123,8 +123,8 @@ def test_figure_5_is_one_picture(tmp_path, arm, densities, rows):
 
 def test_regions_are_drawn_where_they_are(manipulator, densities):
     floor = half_space("floor", [0, -0.5], [0, 1])
-    regions = together([sphere("disc", [1, 2], 0.3), box("box", [-1, 1], [0.8, 0.2], TURNED), floor])
-    axes = figure(manipulator, densities, [Panel("", {"bent": BENT})], regions=regions).axes[0]
+    obstacles = together([sphere("disc", [1, 2], 0.3), box("box", [-1, 1], [0.8, 0.2], TURNED), floor])
+    axes = figure(manipulator, densities, [Panel("", {"bent": BENT})], obstacles=obstacles).axes[0]
     drawn = [patch.get_transform().transform_path(patch.get_path()).vertices for patch in axes.patches]
     disc, turned, below = ((axes.transData.inverted().transform(path)) for path in drawn)
     assert_allclose(np.linalg.norm(disc - [1, 2], axis=1).min(), 0.3, atol=0.01)
@@ -135,16 +135,16 @@ def test_regions_are_drawn_where_they_are(manipulator, densities):
 
 def test_a_half_plane_beyond_the_picture_is_not_drawn(manipulator, densities):
     far = half_space("floor", [0, -50], [0, 1])
-    assert len(figure(manipulator, densities, [Panel()], regions=far).axes[0].patches) == 0
+    assert len(figure(manipulator, densities, [Panel()], obstacles=far).axes[0].patches) == 0
 
 
 def test_regions_in_space_are_drawn_translucent(tmp_path):
     arm = spatial_arm(4)
     shapes = [sphere("s", [0, 0.3, 0.5], 0.1), box("b", [0.3, 0, 0.5], [0.1, 0.2, 0.3])]
-    regions = together([*shapes, half_space("h", [0, 0, 0.1], [0, 0.1, 1]), half_space("far", [0, 0, -9], [0, 0, 1])])
+    obstacles = together([*shapes, half_space("h", [0, 0, 0.1], [0, 0.1, 1]), half_space("far", [0, 0, -9], [0, 0, 1])])
     densities = map_densities(arm, 0.1, 4000)
-    (axes,) = figure(arm, densities, [Panel("", {"bent": np.zeros(4, int)})], regions=regions).axes
+    (axes,) = figure(arm, densities, [Panel("", {"bent": np.zeros(4, int)})], obstacles=obstacles).axes
     balls, boxes, plane = axes.collections[1:]
     assert all(shape.get_alpha() is None and shape.get_facecolor()[0][3] < 0.3 for shape in (balls, boxes, plane))
     assert_allclose(np.unique(abs(np.concatenate(boxes._faces) - [0.3, 0, 0.5]).round(9), axis=0), [[0.05, 0.1, 0.15]])
-    assert_allclose(regions.depths(plane._faces[0])[:, 2], 0, atol=1e-9)
+    assert_allclose(obstacles.depths(plane._faces[0])[:, 2], 0, atol=1e-9)

@@ -1,9 +1,9 @@
-"""An arm's calibration: the base is set by Kabsch first, then all numbers are fitted and cross-validated.
+"""Calibration of an arm: the base by Kabsch's algorithm, then all numbers by least squares with cross-validation.
 
-Cross-validation fits the arm anew without each fold, from the file's numbers, and judges the fit by the fold. Samples
-of one configuration are in one fold: a tip that was measured twice tells nothing new. The modules' new numbers count as
-better only if they meet the folds better than the file's modules do with a fitted base: a tracker in another frame
-changes the base, and nothing else.
+Cross-validation fits the arm without each fold, starting from the file's numbers, and evaluates the fit on the fold.
+Samples of one configuration are in one fold, because a repeated measurement is no independent test. The result is
+compared with a fit of the base alone. A tracker in another frame changes only the base, so the modules' new numbers are
+better only if they predict the folds better than that fit.
 """
 
 from collections.abc import Sequence
@@ -29,14 +29,14 @@ from controller.config import Arm
 from controller.manipulator.frames import Frame
 
 FOLDS = 5
-FEWEST = 10  # samples
+FEWEST = 10  # fewest samples
 MOST_PARAMETERS = 1000
-DIGITS = 10  # written
+DIGITS = 10  # digits of numbers in the new file
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Distances, or angles [rad], between computed and measured tips: root mean square, 95 % and worst."""
+    """Distances, or angles [rad], between computed and measured tips: root mean square, 95th percentile, maximum."""
 
     rms: float
     most: float
@@ -45,7 +45,7 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Residuals of positions and, where they were measured, of orientations."""
+    """Residuals of positions and, if they were measured, of orientations."""
 
     position: Residuals
     orientation: Residuals | None
@@ -53,14 +53,14 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One parameter.
+    """The change of one parameter.
 
     Attributes:
-        parameter: where it stands.
-        before: the value in the file, or the quaternion; in a file that gives every module an entry.
-        after: the new one.
-        deviation: its standard deviation now.
-        told: whether the samples tell more of it than the file.
+        parameter: the parameter.
+        before: value, or quaternion, in the file.
+        after: new value or quaternion.
+        deviation: standard deviation of the new value.
+        told: whether the samples contribute more information than the file.
     """
 
     parameter: Parameter
@@ -72,21 +72,20 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What was found.
+    """The result of a calibration. Misfits are over the samples that are no outliers.
 
     Attributes:
-        samples: how many there are.
-        aside: lines of those set aside.
-        before: misfit of the arm as in the file, over the samples kept, as all that follow.
-        base_only: of the arm whose base alone is fitted.
-        after: of the calibrated one.
-        held_out: cross-validated: of arms fitted to four fifths of the samples, over the fifth that each has not seen.
-        held_out_base_only: the same of arms whose base alone is fitted.
-        better: whether the modules' new numbers meet the samples held out better than the file's numbers with a fitted
-            base, in mean square and by more than two standard errors.
-        noise: standard deviation of a coordinate, and of a turn [rad] if there are any.
-        loose: how many directions in the space of parameters are held by the file, not by the samples.
-        changes: of all parameters.
+        samples: number of samples.
+        aside: lines of the outliers.
+        before: misfit of the arm in the file.
+        base_only: misfit of the arm with only the base fitted.
+        after: misfit of the calibrated arm.
+        held_out: cross-validated misfit: arms fitted to four folds, evaluated on the fifth.
+        held_out_base_only: cross-validated misfit with only the base fitted.
+        better: whether `held_out` beats `held_out_base_only`: in mean square, by more than two standard errors.
+        noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
+        loose: number of directions in parameter space that the file determines, not the samples.
+        changes: changes of all parameters.
         description: `base` and `modules` of the new file.
     """
 
@@ -108,12 +107,12 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
     """Returns the calibration of an arm.
 
     Args:
-        arm: as its file has it.
-        samples: what was measured.
-        each: give every module, and every leg of a truss, numbers of its own.
+        arm: the arm of the file.
+        samples: the measurements.
+        each: fit each module, and each leg of a truss, by itself.
 
     Raises:
-        CannotFit: there are too few samples, too many parameters, or no arm like the file's suits them.
+        CannotFit: there are too few samples or too many parameters, or most samples are far from the arm.
     """
     if len(samples.tips) < FEWEST:
         raise CannotFit(f"{len(samples.tips)} samples, at least {FEWEST} are needed")
@@ -149,10 +148,10 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
 
 
 def base_under(arm: Arm, samples: Samples) -> Description:
-    """Returns the base that brings the computed tips nearest to the measured ones, or the file's if that is nearer.
+    """Returns the base that brings computed and measured tips nearest, or the file's base if it is nearer.
 
-    A tracker's world may be any; from afar least squares may end anywhere. By Kabsch, twice: the second time over the
-    nearer half of the samples, as some may be far off.
+    The tracker's frame is arbitrary, and least squares need a near start. Kabsch's algorithm runs twice, the second
+    time on the nearer half of the samples, because of outliers.
     """
     manipulator, measured = arm.manipulator, samples.tips[:, :3, 3]
     tips = manipulator.tips(samples.configurations)[:, :3, 3]
@@ -168,7 +167,7 @@ def base_under(arm: Arm, samples: Samples) -> Description:
 
 
 def onto(points: Array, others: Array) -> Frame:
-    """Returns the frame (4, 4) that moves points (n, 3) nearest to others (n, 3), after Kabsch 1976."""
+    """Returns the frame (4, 4) that moves points (n, 3) onto others (n, 3) by least squares (Kabsch 1976)."""
     middle, other = points.mean(axis=0), others.mean(axis=0)
     u, _, v = np.linalg.svd((points - middle).T @ (others - other))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
@@ -179,13 +178,13 @@ def onto(points: Array, others: Array) -> Frame:
 
 
 def models(arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Parameter]) -> tuple[Model, Model]:
-    """Returns the models whose numbers are fitted: all of them, and those of the base."""
+    """Returns two models to fit: one with all parameters, one with those of the base only."""
     description = {**in_file, "base": base_under(arm, samples)}
     return Model(description, chosen), Model(description, [parameter for parameter in chosen if parameter.part == 0])
 
 
 def folds(configurations: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns the fold of each sample, shape (n,): samples of one configuration (B,) are in one fold.
+    """Returns the fold of each sample (n,). All samples of one configuration (B,) are in the same fold.
 
     Raises:
         CannotFit: there are fewer configurations than folds.
@@ -207,10 +206,9 @@ Compared = list[tuple[Model, Samples, Array]]
 def held_out(
     arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Parameter], fold: NDArray[np.int64]
 ) -> tuple[Compared, Compared]:
-    """Returns models fitted without each fold, each with the fold and the parameters' changes; and of the base alone.
+    """Returns the models fitted without each fold, with fold and changes; for all parameters and for the base only.
 
-    A sample of the fold is left out of both only if it is too far off to be noise for both: then it is an outlier
-    whatever the modules are.
+    A sample of the fold is an outlier, and dropped for both, only if both fits consider it one.
     """
     length, every, base_only = arm.manipulator.length, Compared(), Compared()
     for k in range(FOLDS):
@@ -222,19 +220,19 @@ def held_out(
             every.append((model, unseen.only(near), found.steps))
             base_only.append((base_model, unseen.only(near), base_found.steps))
     if not every:
-        raise CannotFit("no sample is met by an arm that is fitted to the others")
+        raise CannotFit("no fit predicts the samples of the other folds; check configurations and units of the samples")
     return every, base_only
 
 
 def better(compared: Compared, others: Compared) -> bool:
-    """Returns whether models meet the same samples better than others do, by more than two standard errors."""
+    """Returns whether models have a smaller mean squared distance than others, by more than two standard errors."""
     first, second = (np.concatenate([distances(*each) for each in part]) ** 2 for part in (compared, others))
     gain = second - first
     return bool(gain.mean() > 2 * gain.std() / np.sqrt(len(gain)))
 
 
 def misfit(compared: Compared) -> Misfit:
-    """Returns the residuals of models with changes over samples, all together."""
+    """Returns the residuals of models with changes over their samples, all together."""
     position = np.concatenate([distances(*each) for each in compared])
     if not compared[0][1].oriented:
         return Misfit(summed_up(position), None)
@@ -242,12 +240,12 @@ def misfit(compared: Compared) -> Misfit:
 
 
 def summed_up(values: Array) -> Residuals:
-    """Returns what is told of distances or angles (n,)."""
+    """Returns the statistics of distances or angles (n,)."""
     return Residuals(float(np.sqrt((values**2).mean())), float(np.percentile(values, 95)), float(values.max()))
 
 
 def rounded(value: Any) -> Any:
-    """Returns a value with its numbers cut to DIGITS digits."""
+    """Returns a value with its numbers rounded to DIGITS digits."""
     if isinstance(value, dict):
         return {key: rounded(part) for key, part in value.items()}
     if isinstance(value, list):

@@ -1,8 +1,8 @@
-"""Least squares over the numbers of an arm's file, with samples that are far off set aside.
+"""Least squares over the numbers of an arm's file, without outliers.
 
-Each residual counts in standard deviations of its noise, which is estimated from the residuals themselves, and each
-parameter's change in those of what the file says of it. So what the samples do not determine, as where a joint may turn
-one way and the link behind it the other, stays near the file's value.
+Each residual is divided by the standard deviation of its noise, which is estimated from the residuals. Each change of a
+parameter is divided by its prior standard deviation. So parameters that the samples do not determine stay near the
+file's values, such as opposite rotations of a joint and its link.
 """
 
 from dataclasses import dataclass
@@ -16,28 +16,28 @@ from controller.calibration.model import Array, Model
 from controller.calibration.samples import Samples
 from controller.manipulator import frames
 
-GATE = 1 - 1e-6  # of samples that are only noisy, so many are kept
-ROUNDS = 8  # most, in which noise and samples set aside are found
-STEPS = 100  # most, of one least squares
-FINEST = 1e-6  # least noise, against the arm's length, and as an angle [rad]: no tracker is better
-SPREAD = 1.4826  # standard deviation of normal noise, against the median of its absolute value
+GATE = 1 - 1e-6  # share of the samples with normal noise that pass the outlier test
+ROUNDS = 8  # most rounds of estimating noise and outliers
+STEPS = 100  # most steps of one least-squares fit
+FINEST = 1e-6  # least noise relative to the arm's length, and as an angle [rad]: no tracker is better
+MAD_SCALE = 1.4826  # standard deviation of normal noise over the median of its absolute value
 
 
 class CannotFit(ValueError):
-    """The samples do not suffice, or the arm cannot be as they say."""
+    """The samples are too few, or no arm like the file's fits them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What was found.
+    """The result of a fit.
 
     Attributes:
         steps: changes of the parameters, shape (P,).
-        deviations: standard deviations of the parameters now, shape (P,).
-        told: share of what is known of each parameter that the samples told, 0 to 1, shape (P,).
-        loose: directions in the space of parameters of which the samples tell less than the file does.
-        kept: samples that are not set aside, shape (n,).
-        noise: standard deviation of a coordinate, and of a turn [rad], of which there is none for positions only.
+        deviations: standard deviations of the fitted parameters, shape (P,).
+        told: share of the information on each parameter that is from the samples, 0 to 1, shape (P,).
+        loose: number of directions in parameter space with less information from the samples than from the file.
+        kept: mask of the samples that are no outliers, shape (n,).
+        noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
     """
 
     steps: Array
@@ -49,7 +49,7 @@ class Fit:
 
 
 class Problem:
-    """The least squares over one set of samples; parameters in standard deviations of what the file says of them."""
+    """The least squares over one set of samples. Parameters are in units of their prior standard deviations."""
 
     def __init__(self, model: Model, samples: Samples, length: float) -> None:
         self.model, self.samples = model, samples
@@ -60,34 +60,34 @@ class Problem:
         self._finest = np.array([FINEST * length, FINEST])[: self.kinds[-1] + 1]
 
     def residuals(self, x: Array) -> Array:
-        """Returns computed minus measured (n, C)."""
+        """Returns the residuals (n, C), computed minus measured."""
         return self.model.residuals(self.samples, np.asarray(x * self.priors))
 
     def jacobian(self, x: Array) -> Array:
-        """Returns their derivatives (n, C, P)."""
+        """Returns the derivatives (n, C, P) of the residuals."""
         return np.asarray(self.model.jacobian(self.samples, x * self.priors) * self.priors)
 
     def scales(self, residuals: Array, *, robust: bool, told: float) -> Array:
-        """Returns the noise of coordinates and turns, of residuals (n, C) of which so many values fit by themselves."""
+        """Returns the noise of coordinates and angles from residuals (n, C), corrected for `told` fitted parameters."""
         share = max(1 - told / residuals.size, 0.1)
         found = []
         for kind in range(len(self._finest)):
             own = residuals[:, self.kinds == kind]
-            found.append(SPREAD * np.median(np.abs(own)) if robust else np.sqrt((own**2).mean()))
+            found.append(MAD_SCALE * np.median(np.abs(own)) if robust else np.sqrt((own**2).mean()))
         return np.asarray(np.maximum(np.array(found) / np.sqrt(share), self._finest))
 
     def solve(self, x: Array, noise: Array, kept: NDArray[np.bool_], *, robust: bool) -> Array:
-        """Returns the parameters (P,) that fit best the samples kept.
+        """Returns the parameters (P,) that fit the samples of a mask (n,) best.
 
         Raises:
-            CannotFit: it comes to no end.
+            CannotFit: the least squares fail.
         """
         weights = 1 / noise[self.kinds]
 
         def missed(x: Array) -> Array:
             try:
                 weighted = self.residuals(x)[kept] * weights
-            except ValueError:  # no such arm: a shorter step is tried
+            except ValueError:  # there is no such arm: try a shorter step
                 weighted = np.full((int(kept.sum()), len(weights)), np.inf)
             return np.concatenate([weighted.ravel(), x])
 
@@ -95,7 +95,7 @@ class Problem:
             weighted = self.jacobian(x)[kept] * weights[:, None]
             return np.vstack([weighted.reshape(-1, len(x)), np.eye(len(x))])
 
-        loss, enough = ("soft_l1", 1e-3) if robust else ("linear", 1e-8)  # robustly, it is only to begin well
+        loss, enough = ("soft_l1", 1e-3) if robust else ("linear", 1e-8)  # the robust fit is only a start
         try:
             found = least_squares(missed, x, changes, loss=loss, max_nfev=STEPS, xtol=1e-8, ftol=enough)
         except (ValueError, np.linalg.LinAlgError) as error:
@@ -103,26 +103,28 @@ class Problem:
         return np.asarray(found.x)
 
     def information(self, x: Array, noise: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Returns what the samples kept tell of P directions (P,), the file telling 1 of each, and these (P, P)."""
+        """Returns the information (P,) of the samples along directions (P, P), where the file has 1, and these."""
         weighted = (self.jacobian(x)[kept] / noise[self.kinds][:, None]).reshape(-1, len(x))
         values, directions = np.linalg.eigh(weighted.T @ weighted)
         return np.maximum(values, 0.0), directions
 
     def within(self, x: Array, noise: Array) -> NDArray[np.bool_]:
-        """Returns which samples (n,) are not too far off to be noise."""
+        """Returns a mask (n,) of the samples whose residuals may be noise."""
         residuals = self.residuals(x)
         square = ((residuals / noise[self.kinds]) ** 2).sum(axis=1)
-        turned = angles(self.model, self.samples, x * self.priors) > np.pi / 2  # there the sine falls again
+        turned = (
+            angles(self.model, self.samples, x * self.priors) > np.pi / 2
+        )  # the residual is a sine and falls beyond this angle
         return np.asarray((square <= 2 * gammaincinv(residuals.shape[1] / 2, GATE)) & ~turned)
 
 
 def fit(model: Model, samples: Samples, length: float) -> Fit:
-    """Returns the changes of the parameters that suit the samples best.
+    """Returns the parameters that fit the samples best, without outliers.
 
     Args:
-        model: of the arm.
-        samples: what was measured.
-        length: of the arm.
+        model: model of the arm.
+        samples: the measurements.
+        length: length of the arm.
 
     Raises:
         CannotFit: there are too few samples, or the least squares fail.
@@ -132,7 +134,7 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
     check_enough(problem, x)
     every = np.ones(len(samples.tips), dtype=bool)
     noise, told = problem.scales(problem.residuals(x), robust=True, told=0.0), 0.0
-    for _ in range(ROUNDS):  # the noise is first taken far too great, as the file's errors are in it
+    for _ in range(ROUNDS):  # the first estimate is far too great: it contains the errors of the file
         x = problem.solve(x, noise, every, robust=True)
         information, _ = problem.information(x, noise, every)
         told = float((information / (information + 1)).sum())
@@ -142,7 +144,7 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
     kept = problem.within(x, noise)
     for _ in range(ROUNDS):
         if 2 * kept.sum() <= len(kept):
-            raise CannotFit(f"{(~kept).sum()} of {len(kept)} samples are far off: no arm like the file's suits them")
+            raise CannotFit(f"{(~kept).sum()} of {len(kept)} samples are outliers: no arm like the file's fits them")
         x = problem.solve(x, noise, kept, robust=False)
         noise = problem.scales(problem.residuals(x)[kept], robust=False, told=told)
         last, kept = kept, problem.within(x, noise)
@@ -161,13 +163,13 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
 
 
 def plausible(model: Model, samples: Samples, length: float, found: Fit) -> NDArray[np.bool_]:
-    """Returns which samples (n,) a fit to others meets as nearly as its noise allows."""
+    """Returns a mask (n,) of the samples that a fit to other samples predicts within its noise."""
     problem = Problem(model, samples, length)
     return problem.within(found.steps / problem.priors, found.noise)
 
 
 def check_enough(problem: Problem, x: Array) -> None:
-    """Checks that there are two values measured for each parameter that they tell of.
+    """Checks that there are at least two measured values for each parameter that they depend on.
 
     Raises:
         CannotFit: there are fewer.
@@ -183,14 +185,14 @@ def check_enough(problem: Problem, x: Array) -> None:
 
 
 def distances(model: Model, samples: Samples, steps: Array) -> Array:
-    """Returns how far computed tips are from measured ones (n,)."""
+    """Returns the distances (n,) of computed and measured tips."""
     tips = model.tips(samples, steps)
     size = 3 if isinstance(model.description["base"]["orientation"], list) else 2
     return np.asarray(np.linalg.norm((tips - samples.tips)[:, :size, 3], axis=1))
 
 
 def angles(model: Model, samples: Samples, steps: Array) -> Array:
-    """Returns the angles (n,) [rad] between computed and measured tips; 0 where only positions were measured."""
+    """Returns the angles (n,) [rad] between computed and measured tips; 0 if only positions were measured."""
     if not samples.oriented:
         return np.zeros(len(samples.tips))
     tips = frames.inverse(samples.tips) @ model.tips(samples, steps)

@@ -1,4 +1,4 @@
-"""The tips that an arm would have if numbers of its file were others, and how they follow each of these numbers."""
+"""A model of an arm: its tips as a function of the numbers of its file, with derivatives."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from controller.calibration.parameters import (
     replaced,
     value_at,
 )
-from controller.calibration.platforms import followed, led_on
+from controller.calibration.platforms import pose_derivatives, tracked
 from controller.calibration.samples import Samples
 from controller.chain import build_modules
 from controller.manipulator.frames import Frame
@@ -25,17 +25,18 @@ from controller.settings import ModuleSettings
 
 Array = NDArray[np.float64]
 
-NUDGE = 1e-6  # of a parameter's prior, for differences
+NUDGE = 1e-6  # step of finite differences, as a share of a parameter's prior
 
 
 class Model:
-    """An arm's description and what of it may change. Part 0 is the base, part g + 1 entry g of `modules`.
+    """An arm's description with P parameters that may change.
 
-    A part has one or two kinds of modules, which alternate, each with frames (K, 4, 4).
+    Part 0 is the base, part g + 1 is entry g of `modules`. A part has one kind of module, or two kinds that alternate,
+    each with frames (K, 4, 4).
 
     Attributes:
-        description: of the arm as it is in the file, or nearly.
-        parameters: that may change, P of them.
+        description: description of the arm, as in the file or with another base.
+        parameters: the P parameters.
     """
 
     def __init__(self, description: Description, parameters: Sequence[Parameter]) -> None:
@@ -53,17 +54,17 @@ class Model:
         return changed(self.description, self.parameters, steps)
 
     def tips(self, samples: Samples, steps: Array) -> Frame:
-        """Returns the tips (n, 4, 4) in the samples' configurations.
+        """Returns the tips (n, 4, 4) of the samples' configurations.
 
         Raises:
-            ValueError: there is no such arm; a truss does not close, or a platform has no assembly.
+            ValueError: there is no such arm: a truss does not close, or a platform has no assembly.
         """
         return self._chain(samples, self._frames(self.changed(steps)))[-1]
 
     def residuals(self, samples: Samples, steps: Array) -> Array:
-        """Returns computed minus measured (n, C): coordinates, then, where orientations were measured, turns.
+        """Returns the residuals (n, C), computed minus measured: coordinates, then rotations if they were measured.
 
-        A turn is the sine of the angle between both, times its axis, of which a planar arm has z only.
+        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z.
 
         Raises:
             ValueError: there is no such arm.
@@ -72,7 +73,7 @@ class Model:
         return self._compared(samples, tips - samples.tips, tips)
 
     def jacobian(self, samples: Samples, steps: Array) -> Array:
-        """Returns how the residuals (n, C) follow each parameter, shape (n, C, P).
+        """Returns the derivatives (n, C, P) of the residuals by the parameters.
 
         Raises:
             ValueError: there is no such arm.
@@ -95,7 +96,7 @@ class Model:
         return np.stack(columns, axis=2)
 
     def _compared(self, samples: Samples, moved: Array, turned: Array) -> Array:
-        """Returns the coordinates of (n, 4, 4), and what frames (n, 4, 4) or changes of them turn against samples."""
+        """Returns residuals (n, C) from differences and frames (n, 4, 4), or derivatives of both."""
         planar = not isinstance(self.description["base"]["orientation"], list)
         coordinates = moved[:, : 2 if planar else 3, 3]
         if not samples.oriented:
@@ -106,11 +107,11 @@ class Model:
         return np.hstack([coordinates, turns[:, 2:] if planar else turns])
 
     def _chosen(self, samples: Samples) -> NDArray[np.int64]:
-        """Returns the states (n, B + 1) of the base, which has one, and the modules."""
+        """Returns the states (n, B + 1) of the base, always 0, and of the modules."""
         return np.pad(samples.configurations, ((0, 0), (1, 0)))
 
     def _chain(self, samples: Samples, stacks: list[list[Frame]]) -> list[Frame]:
-        """Returns the frames (n, 4, 4) before each place, and the tips."""
+        """Returns the frames (n, 4, 4) below each place of the chain, and the tips."""
         chain, chosen = [np.tile(np.eye(4), (len(samples.tips), 1, 1))], self._chosen(samples)
         for i, (part, kind) in enumerate(self._places):
             chain.append(chain[-1] @ stacks[part][kind][chosen[:, i]])
@@ -120,18 +121,18 @@ class Model:
         return [frames_of(part, near) for part, near in zip(parts(description), self._first, strict=True)]
 
     def _slopes(self, description: Description, parameter: Parameter, steps: Array, stacks: list[Frame]) -> list[Array]:
-        """Returns the derivatives (K, 4, 4) of a part's kinds by a parameter of it."""
+        """Returns the derivatives (K, 4, 4) of the frames of a part's kinds by one of its parameters."""
         first, alike = value_at(self.description, parameter.where), self._alike[parameter.where]
 
         def nudged(by: float) -> Description:
-            value = first  # turns do not commute: each is taken where it stands among those of its orientation
+            value = first  # rotations do not commute, so all of this orientation are applied in order
             for p in alike:
                 value = moved(value, self.parameters[p].axis, steps[p] + by * (self.parameters[p] is parameter))
             return parts(replaced(description, parameter.where, value))[parameter.part]
 
         part = parts(description)[parameter.part]
         if part.get("type") == "platform":
-            return [followed(part, nudged, stack) for stack in stacks]
+            return [pose_derivatives(part, nudged, stack) for stack in stacks]
         return slopes(lambda by: frames_of(nudged(by)), NUDGE * parameter.prior)
 
 
@@ -141,12 +142,12 @@ def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array
 
 
 def parts(description: Description) -> list[Description]:
-    """Returns base and entries."""
+    """Returns the base and the entries of `modules`."""
     return [description["base"], *description["modules"]]
 
 
 def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:
-    """Returns the frames (K, 4, 4) of each kind of module in a part; `near` are those of a part much like it.
+    """Returns the frames (K, 4, 4) of each kind of module in a part; `near` are the frames of a similar part.
 
     Raises:
         ValueError: there is no such module.
@@ -154,13 +155,13 @@ def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]
     if "type" not in part:
         return [frame_of(part)[None]]
     if part["type"] == "platform" and near is not None:
-        return [led_on(part, near[0])]
+        return [tracked(part, near[0])]
     faults: list[str] = []
     try:
         two = msgspec.convert({**part, "count": min(part["count"], 2)}, ModuleSettings)
     except msgspec.ValidationError as error:  # a length below 0, or an angle of more than a turn
         raise ValueError(str(error)) from None
-    modules = build_modules([two], Path(), faults)  # tables are written out, so nothing is looked for
+    modules = build_modules([two], Path(), faults)  # tables are written out, so no file is read
     if faults:
         raise ValueError(faults[0])
     return [module.frames for module in modules[: 2 if part["type"] == "vgt" else 1]]

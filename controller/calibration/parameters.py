@@ -1,7 +1,7 @@
-"""The numbers of an arm's file that calibration changes, and how surely each is known before.
+"""The numbers of an arm's file that calibration changes, with prior standard deviations.
 
-They are the numbers of the modules' geometry and of the base frame as they stand in the file: what `count` modules of
-one entry share they go on sharing. Axes are taken as they are; a link behind a joint may turn as well.
+They are the numbers of the modules' geometry and of the base frame. Modules of one entry share their parameters. The
+axes of joints do not change; the link behind a joint may turn instead.
 """
 
 import copy
@@ -23,7 +23,7 @@ from controller.manipulator.vgt import ACTUATORS
 Key = str | int
 Description = dict[str, Any]  # the `base` and `modules` of a file, all frames planar or all spatial, as plain values
 
-# Standard deviations of what the file says: lengths as against the arm's length for each module, and angles [rad].
+# Prior standard deviations: of lengths relative to the mean length of a module, and of angles [rad].
 LENGTHS, ANGLES = 0.05, 0.05
 
 
@@ -33,9 +33,9 @@ class Parameter:
 
     Attributes:
         where: keys and indices from the top of the file.
-        prior: standard deviation of what the file says.
+        prior: prior standard deviation.
         angular: whether it is an angle [rad].
-        axis: 0 to 2, the one of its own axes that a frame is turned about; None: a number is added to.
+        axis: axis of the frame about which it turns, 0 to 2; None: a number to add to.
     """
 
     where: tuple[Key, ...]
@@ -56,11 +56,11 @@ class Parameter:
 
 
 def described(arm: Arm, *, each: bool) -> Description:
-    """Returns what an arm's file says of modules and base, tables written out.
+    """Returns the base and modules of an arm's file, with tables written out.
 
     Args:
-        arm: as loaded.
-        each: give every module an entry, and every leg of a truss lengths of its own.
+        arm: the arm.
+        each: give each module an entry, and each leg of a truss its own lengths.
     """
     planar, modules, entries, place = arm.manipulator.planar, arm.manipulator.modules, list[Description](), 0
     for group in arm.settings.modules:
@@ -76,7 +76,7 @@ def described(arm: Arm, *, each: bool) -> Description:
 
 
 def single(entry: Description, k: int) -> Description:
-    """Returns an entry for the module number k, from 0, of an entry."""
+    """Returns an entry for module k, from 0, of an entry."""
     own = {**copy.deepcopy(entry), "count": 1}
     if own["type"] == "vgt":
         own["first_diagonal"] = ("BC", "AD")[(k + (own["first_diagonal"] == "AD")) % 2]
@@ -86,13 +86,13 @@ def single(entry: Description, k: int) -> Description:
 
 
 def written(frame: Frame, *, planar: bool) -> Description:
-    """Returns a frame (4, 4) as a file has it."""
+    """Returns the fields of a file for a frame (4, 4)."""
     position = frame[: 2 if planar else 3, 3].tolist()
     return {"position": position, "orientation": frames.angle(frame) if planar else frames.quaternion(frame).tolist()}
 
 
 def frame_of(settings: Description) -> Frame:
-    """Returns the frame (4, 4) that a file's fields stand for."""
+    """Returns the frame (4, 4) of the fields of a file."""
     position, orientation = settings["position"], settings["orientation"]
     if isinstance(orientation, list):
         return frames.spatial([*position, 0.0][:3], orientation)
@@ -100,12 +100,12 @@ def frame_of(settings: Description) -> Frame:
 
 
 def parameters(description: Description, length: float, modules: int) -> tuple[Parameter, ...]:
-    """Returns all that may change; the base is as good as unknown, so that it takes what it shares with modules.
+    """Returns all parameters. The base has a wide prior, so that it takes changes that modules could take, too.
 
     Args:
-        description: of the arm.
-        length: of the arm.
-        modules: how many it has.
+        description: description of the arm.
+        length: length of the arm.
+        modules: number of modules.
     """
     found = list(of_frame(("base",), description["base"], length, np.pi))
     for g, entry in enumerate(description["modules"]):
@@ -122,14 +122,14 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
 
 
 def of_frame(where: tuple[Key, ...], frame: Description, length: float, angle: float) -> Iterator[Parameter]:
-    """Gives the parameters of a frame: its coordinates and angle, or its coordinates and three turns."""
+    """Yields the parameters of a frame: coordinates and an angle, or coordinates and three rotations."""
     yield from (Parameter(leaf, length, False) for leaf in leaves((*where, "position"), frame["position"]))
     axes: list[int | None] = [0, 1, 2] if isinstance(frame["orientation"], list) else [None]
     yield from (Parameter((*where, "orientation"), angle, True, axis) for axis in axes)
 
 
 def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:
-    """Gives the places of all numbers in a value."""
+    """Yields the places of all numbers in a value."""
     if isinstance(value, (int, float)):
         yield where
     else:
@@ -138,12 +138,12 @@ def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:
 
 
 def value_at(description: Description, where: Sequence[Key]) -> Any:
-    """Returns what stands at a place."""
+    """Returns the value at a place."""
     return reduce(getitem, where, description)  # type: ignore[arg-type]
 
 
 def changed(description: Description, chosen: Sequence[Parameter], steps: ArrayLike) -> Description:
-    """Returns a description with the chosen parameters changed by steps (P,), each in its unit."""
+    """Returns a description with the chosen parameters changed by steps (P,)."""
     for parameter, step in zip(chosen, np.asarray(steps).tolist(), strict=True):
         new = moved(value_at(description, parameter.where), parameter.axis, step)
         description = replaced(description, parameter.where, new)
@@ -151,7 +151,7 @@ def changed(description: Description, chosen: Sequence[Parameter], steps: ArrayL
 
 
 def moved(value: Any, axis: int | None, step: float) -> Any:
-    """Returns a number with a step added, or an orientation turned by it about one of its own axes."""
+    """Returns a number plus a step, or an orientation turned by a step [rad] about one of its axes."""
     if axis is None:
         return float(value + step)
     turn = frames.turned(np.eye(3)[axis], step)
@@ -159,7 +159,7 @@ def moved(value: Any, axis: int | None, step: float) -> Any:
 
 
 def replaced(value: Any, where: Sequence[Key], part: Any) -> Any:
-    """Returns a value with another part at a place in it; what is elsewhere is shared."""
+    """Returns a copy of a value with another part at a place; the rest is shared."""
     if not where:
         return part
     result = value.copy()

@@ -1,7 +1,7 @@
-"""Poses of platforms whose geometry changes a little: led on from those known, and how they follow each number.
+"""Poses of platforms whose geometry changes slightly, with derivatives.
 
-A leg's constraint holds before and after, so a pose moves by as much as makes up for what the constraint would miss:
-no state need be led from the middle of all legs again, as it is when an arm is loaded.
+The constraints of the legs hold before and after a change (implicit function theorem). So a pose is tracked from the
+known pose by Newton's method; the continuation from the middle of all legs is needed only when an arm is loaded.
 """
 
 from collections.abc import Callable
@@ -16,44 +16,44 @@ from controller.manipulator.platform import MANY, Legs, legs_of
 
 Array = NDArray[np.float64]
 
-NUDGE = 1e-6  # of the legs' middle length
+NUDGE = 1e-6  # step of finite differences, as a share of the legs' middle length
 
 
 def legs_and_lengths(entry: Description, size: float) -> tuple[Legs, Array]:
-    """Returns the geometry and the legs' lengths of all states (K, L), in units of `size`."""
+    """Returns the geometry, and the lengths (K, L) of the legs in all states, in units of `size`."""
     legs = legs_of(entry["base"], entry["top"], size)
     return legs, np.array(entry["lengths"])[binary_code(2 ** len(legs.base))] / size
 
 
 def scaled(stack: Frame, factor: float) -> Frame:
-    """Returns frames (K, 4, 4) with lengths times a factor."""
+    """Returns frames (K, 4, 4) with their positions times a factor."""
     result = stack.copy()
     result[:, :3, 3] *= factor
     return result
 
 
-def led_on(entry: Description, near: Frame) -> Frame:
-    """Returns the poses (K, 4, 4) of a platform that Newton's steps find from those of one much like it.
+def tracked(entry: Description, near: Frame) -> Frame:
+    """Returns the poses (K, 4, 4) of a platform by Newton's method from the poses of a similar platform.
 
     Raises:
-        ValueError: a state has none.
+        ValueError: a state has no pose.
     """
     size = sum(entry["lengths"]) / 2
     legs, lengths = legs_and_lengths(entry, size)
-    found = [legs.settled(frame, own, MANY) for frame, own in zip(scaled(near, 1 / size), lengths, strict=True)]
+    found = [legs.solve_pose(frame, own, MANY) for frame, own in zip(scaled(near, 1 / size), lengths, strict=True)]
     stack = [frame for frame in found if frame is not None]
     if len(stack) < len(found):
         raise ValueError("a platform's state has no assembly")
     return scaled(np.array(stack), size)
 
 
-def followed(entry: Description, nudged: Callable[[float], Description], poses: Frame) -> Array:
+def pose_derivatives(entry: Description, nudged: Callable[[float], Description], poses: Frame) -> Array:
     """Returns the derivatives (K, 4, 4) of a platform's poses by one number.
 
     Args:
         entry: the platform.
-        nudged: returns it with that number changed by so much.
-        poses: of its states, shape (K, 4, 4).
+        nudged: returns the platform with the number changed by a step.
+        poses: poses of its states, shape (K, 4, 4).
     """
     size = sum(entry["lengths"]) / 2
     legs, lengths = legs_and_lengths(entry, size)

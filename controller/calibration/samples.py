@@ -1,4 +1,4 @@
-"""Measured tips in CSV files, a row for each sample, and every fault in them by its line."""
+"""Reads measured tips from CSV files, one sample a row; each fault names its line."""
 
 import csv
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ STATES = ("configuration", "actuators")
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What was measured.
+    """The measurements.
 
     Attributes:
-        configurations: of the arm, shape (n, B).
-        tips: frames measured in the world, shape (n, 4, 4); of no turn where only positions were.
-        oriented: whether orientations were measured, too.
-        lines: of the file, shape (n,).
+        configurations: configurations of the arm, shape (n, B).
+        tips: measured frames in the world, shape (n, 4, 4); not turned if only positions were measured.
+        oriented: whether orientations were measured.
+        lines: line of each sample in the file, shape (n,).
     """
 
     configurations: NDArray[np.int64]
@@ -36,7 +36,7 @@ class Samples:
     lines: NDArray[np.int64]
 
     def only(self, chosen: NDArray[np.bool_]) -> "Samples":
-        """Returns the samples that a mask (n,) chooses."""
+        """Returns the samples of a mask (n,)."""
         return replace(
             self, configurations=self.configurations[chosen], tips=self.tips[chosen], lines=self.lines[chosen]
         )
@@ -45,17 +45,17 @@ class Samples:
 def read_samples(path: Path, manipulator: Manipulator) -> Samples:
     """Returns the samples in a CSV file.
 
-    The first line names the columns, in any order: `configuration` as `hyperbit fk` takes it, or `actuators`, a 0 or 1
-    for each in the order of the arm's actuators; and the tip as x, y and maybe th [rad], for a spatial arm x, y, z and
-    maybe a quaternion qx, qy, qz, qw.
+    The first line names the columns, in any order. The state is `configuration`, as `hyperbit fk` takes it, or
+    `actuators`, a 0 or 1 for each actuator in the arm's order. The tip is x, y with an optional th [rad] for a planar
+    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw.
 
     Raises:
-        InputFaults: the file is missing, or what is wrong in which lines.
+        InputFaults: the file cannot be read, or lines have faults.
     """
     faults: list[str] = []
     found: list[tuple[Configuration, Frame, int]] = []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before it
+        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
             reader = csv.reader(file, skipinitialspace=True, strict=True)
             columns = [column.strip() for column in next(reader, [])]
             state, tip = checked_columns(path, columns, planar=manipulator.planar)
@@ -80,10 +80,10 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
 
 
 def checked_columns(path: Path, columns: Sequence[str], *, planar: bool) -> tuple[str, list[str]]:
-    """Returns which column tells the arm's state, and those of the tip, in the file's order.
+    """Returns the column of the arm's state and the columns of the tip, in the file's order.
 
     Raises:
-        InputFaults: they are others.
+        InputFaults: columns are missing or unknown.
     """
     states, tip = [c for c in columns if c in STATES], [c for c in columns if c not in STATES]
     known = (PLANAR[:2], PLANAR) if planar else (SPATIAL[:3], SPATIAL)
@@ -97,7 +97,7 @@ def checked_columns(path: Path, columns: Sequence[str], *, planar: bool) -> tupl
 def read_sample(
     row: dict[str, str], count: int, state: str, tip: Sequence[str], manipulator: Manipulator, where: str
 ) -> tuple[Configuration, Frame] | str:
-    """Returns the configuration (B,) and the tip (4, 4) in a row of `count` fields, or what is wrong."""
+    """Returns the configuration (B,) and the tip (4, 4) of a row with `count` fields, or a fault."""
     if count != 1 + len(tip):
         return f"{where}: {1 + len(tip)} fields are needed, got {count}; a configuration with commas stands in quotes"
     try:
@@ -115,10 +115,10 @@ def read_sample(
 
 
 def actuator_states(text: str) -> NDArray[np.int8]:
-    """Returns the states (A,) that a text of 0 and 1 spells.
+    """Returns the states (A,) of a text of 0 and 1.
 
     Raises:
-        ValueError: it holds anything else.
+        ValueError: the text has other characters.
     """
     if set(text.strip()) - {"0", "1"}:
         raise ValueError(f"a 0 or 1 for each actuator is needed, got {text!r}")

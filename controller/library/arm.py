@@ -16,7 +16,7 @@ from controller.library.density import Density
 from controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
 from controller.library.modules import Module, base_settings, checked
 from controller.library.obstacles import Obstacle, obstacle_settings
-from controller.manipulator.held import STATES, Held, carried, hold
+from controller.manipulator.locked import STATES, LockedStates, lock_actuators, transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.settings import ArmSettings
@@ -82,16 +82,16 @@ class Arm:
         self._take(build(settings, Path(name)))
 
     @classmethod
-    def _of(cls, arm: config.Arm, held: Held | None = None) -> Arm:
+    def _of(cls, arm: config.Arm, held: LockedStates | None = None) -> Arm:
         """Returns the arm of a file, with actuators locked, shape (A,), as the file says if None."""
         self = cls.__new__(cls)
         self._take(arm, held)
         return self
 
-    def _take(self, arm: config.Arm, held: Held | None = None) -> None:
+    def _take(self, arm: config.Arm, held: LockedStates | None = None) -> None:
         self._arm = arm
-        self._held = arm.held if held is None else held
-        self._reduced = arm.left if held is None else hold(arm.manipulator, held)
+        self._held = arm.locked if held is None else held
+        self._reduced = arm.reduced if held is None else lock_actuators(arm.manipulator, held)
 
     @property
     def name(self) -> str:
@@ -290,13 +290,13 @@ class Arm:
         """
         whole = self.parse(configuration)
         try:
-            return carried(whole, self._whole, self._reduced)
+            return transferred(whole, self._whole, self._reduced)
         except ValueError as error:
             raise ConfigurationError(f"as actuators are locked, {error}") from None
 
     def _widened(self, configuration: Configuration) -> Configuration:
         """Returns a configuration (B,) of the arm without the states ruled out, in the numbers of the whole arm."""
-        return carried(configuration, self._reduced, self._whole)
+        return transferred(configuration, self._reduced, self._whole)
 
 
 def load(path: str | Path) -> Arm:

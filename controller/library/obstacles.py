@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.library.errors import ObstacleError
-from controller.obstacles.notation import build_regions
-from controller.obstacles.regions import Regions
-from controller.settings import RegionSettings
+from controller.obstacles.notation import parse_obstacles
+from controller.obstacles.obstacles import Obstacles
+from controller.settings import ObstacleSettings
 from controller.strict import check
 
 
@@ -107,7 +107,7 @@ KINDS: dict[type[Obstacle], str] = {
 }
 
 
-def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> RegionSettings | None:
+def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> ObstacleSettings | None:
     """Returns an obstacle as an arm's file writes it, or None and its faults."""
     if type(obstacle) not in KINDS:
         faults.append(f"obstacles: one of {', '.join(kind.__name__ for kind in KINDS)} is needed, got {obstacle!r}")
@@ -119,10 +119,10 @@ def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> RegionSettings |
     except (TypeError, ValueError):
         faults.append(f"obstacles: numbers are needed, got {obstacle!r}")
         return None
-    return check({KINDS[type(obstacle)]: body, **name}, RegionSettings, faults)
+    return check({KINDS[type(obstacle)]: body, **name}, ObstacleSettings, faults)
 
 
-def build_obstacles(obstacles: Sequence[Obstacle], dimension: int) -> Regions:
+def build_obstacles(obstacles: Sequence[Obstacle], dimension: int) -> Obstacles:
     """Returns obstacles as the collision checks take them.
 
     Args:
@@ -135,7 +135,7 @@ def build_obstacles(obstacles: Sequence[Obstacle], dimension: int) -> Regions:
     faults: list[str] = []
     listed = [obstacle_settings(obstacle, faults) for obstacle in obstacles]
     given = [entry for entry in listed if entry is not None]
-    regions = build_regions(given, dimension, "obstacles", faults)
+    regions = parse_obstacles(given, dimension, "obstacles", faults)
     if faults:
         raise ObstacleError("\n".join(faults))
     return regions

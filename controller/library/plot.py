@@ -12,7 +12,7 @@ from controller import plots
 from controller.library.arm import Arm
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.library.solver import Path
-from controller.obstacles.regions import together
+from controller.obstacles.obstacles import together
 from controller.search.solution import Solution
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import
@@ -59,7 +59,7 @@ def plot(
             given = {}
         case _:
             given = {name: arm.parse(configuration) for name, configuration in drawn.items()}
-    regions = together([arm._arm.regions, build_obstacles(obstacles, arm.dimension)])
+    regions = together([arm._arm.obstacles, build_obstacles(obstacles, arm.dimension)])
     panel = plots.Panel(arm.name if title is None else title, given, targets, curve)
     if arm.dimension == 2:
         return plots.figure(arm._whole, arm._densities, [panel], unit, regions)

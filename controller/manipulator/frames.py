@@ -1,4 +1,4 @@
-"""Frames (R, b) as homogeneous 4x4 matrices; a planar frame is a spatial one that stays in the plane z = 0."""
+"""Frames (R, b) as homogeneous 4x4 matrices. A planar frame is a spatial frame in the plane z = 0."""
 
 import math
 
@@ -17,7 +17,7 @@ def planar(x: float, y: float, angle: float = 0.0) -> Frame:
 
 
 def spatial(position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> Frame:
-    """Returns the 4x4 frame at `position` (3,) turned by the quaternion (x, y, z, w), which is normalised."""
+    """Returns the 4x4 frame at `position` (3,), turned by the quaternion (x, y, z, w). The function normalises it."""
     q = np.asarray(quaternion, dtype=float)
     x, y, z, w = q / np.linalg.norm(q)
     frame = np.eye(4)
@@ -31,7 +31,7 @@ def spatial(position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -
 
 
 def turned(axis: ArrayLike, angle: float) -> Frame:
-    """Returns the 4x4 frame turned by `angle` [rad] about `axis` (3,), of any length but 0, by the right-hand rule."""
+    """Returns the 4x4 frame turned by `angle` [rad] about `axis` (3,), not 0, by the right-hand rule."""
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     return spatial((0.0, 0.0, 0.0), [*(math.sin(angle / 2) * unit), math.cos(angle / 2)])
 
@@ -54,7 +54,7 @@ def angle(frame: Frame) -> float:
 def quaternion(frame: Frame) -> NDArray[np.float64]:
     """Returns the unit quaternion (x, y, z, w), w >= 0, of a frame (4, 4)."""
     r = frame[:3, :3]
-    # The largest of the four squared components is taken as divisor, so that nothing cancels.
+    # The largest of the four squared components is the divisor, to avoid cancellation.
     squares = np.array([1 + 2 * r[i, i] - np.trace(r) for i in range(3)] + [1 + np.trace(r)])
     k = int(np.argmax(squares))
     products = np.array(
@@ -71,7 +71,7 @@ def quaternion(frame: Frame) -> NDArray[np.float64]:
 
 @njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
 def compose(r: Array, b: Array, s: Array, c: Array, turned: Array, moved: Array) -> None:
-    """Writes the product (R S, b + R c) of the frames (R, b) and (S, c); (R, b) may be overwritten with it."""
+    """Writes the product (R S, b + R c) of the frames (R, b) and (S, c). The output may be (R, b) itself."""
     for i in range(3):
         x, y, z = r[i, 0], r[i, 1], r[i, 2]
         moved[i] = b[i] + x * c[0] + y * c[1] + z * c[2]
@@ -81,7 +81,7 @@ def compose(r: Array, b: Array, s: Array, c: Array, turned: Array, moved: Array)
 
 @njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)
 def angle_between(first: Frame, second: Frame) -> float:
-    """Returns the angle [rad] of the rotation that leads from one frame's orientation to another's, in [0, pi]."""
+    """Returns the angle [rad] between the orientations of two frames (4, 4), in [0, pi]."""
     trace = 0.0
     turned = np.zeros((3, 3))  # R^T R'
     for a in range(3):
@@ -95,15 +95,15 @@ def angle_between(first: Frame, second: Frame) -> float:
 
 @njit("f8(f8[:,:], f8[:,:], f8)", cache=True, nogil=True)
 def distance(first: Frame, second: Frame, weight: float) -> float:
-    """Returns how far apart two frames (4, 4) are: sqrt(|b - b'|^2 + (weight * angle between them)^2).
+    """Returns the distance of two frames (4, 4): sqrt(|b - b'|^2 + (weight * angle between them)^2).
 
-    A metric that no choice of the base frame changes (Park 1995, Distance metrics on the rigid-body motions with
-    applications to mechanism design); a point at distance `weight` from the axis moves by weight * angle.
+    The metric does not depend on the base frame (Park 1995, Distance metrics on the rigid-body motions with
+    applications to mechanism design). A point at distance `weight` from the axis moves by weight * angle.
 
     Args:
         first: a frame.
-        second: another one.
-        weight: of the rotation, a length in the unit of the arm; 0 compares positions only.
+        second: another frame.
+        weight: weight of the rotation, a length; 0 compares positions only.
     """
     square = 0.0
     for a in range(3):

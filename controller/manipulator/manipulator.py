@@ -1,4 +1,4 @@
-"""A macroscopically-serial manipulator: a chain of modules on a base frame, numbered 1 to B from base to tip."""
+"""A macroscopically-serial manipulator: modules 1 to B on a base frame, from base to tip (section 2.1)."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -14,12 +14,12 @@ Configuration = NDArray[np.int64]
 
 
 class Manipulator:
-    """The chain and its kinematics. Arrays over modules are padded to the largest number of states, Kmax.
+    """The chain and its forward kinematics. Arrays over modules are padded to the largest number of states, Kmax.
 
     Attributes:
         modules: base first.
         base: frame F_0 in the world, shape (4, 4).
-        planar: whether base and modules stay in the plane z = 0; positions then have two coordinates outside.
+        planar: whether base and modules stay in the plane z = 0; positions then have two coordinates for users.
         states: number of states K_i of each module, shape (B,).
         rotations: R of each module's states, shape (B, Kmax, 3, 3).
         translations: b of each module's states, shape (B, Kmax, 3).
@@ -54,12 +54,12 @@ class Manipulator:
 
     @cached_property
     def actuators(self) -> tuple[str, ...]:
-        """Every actuator as "<module>.<name>", modules counted from 1 at the base; the order of all state vectors."""
+        """All actuators as "<module>.<name>", modules counted from 1 at the base; the order of all state vectors."""
         return tuple(f"{i + 1}.{name}" for i, module in enumerate(self.modules) for name in module.actuators)
 
     @cached_property
     def length(self) -> float:
-        """The greatest distance the tip can have from the base by the triangle inequality."""
+        """An upper bound of the distance from base to tip, by the triangle inequality."""
         steps = np.linalg.norm(self.translations, axis=2)
         return float(steps.max(axis=1).sum())
 
@@ -100,7 +100,7 @@ class Manipulator:
         """Returns the configuration (B,) of actuator states (A,).
 
         Raises:
-            ValueError: there are too few or too many, or a module's belong to none of its configurations.
+            ValueError: the number of states is wrong, or a module has no configuration with its states.
         """
         states = np.asarray(actuator_states)
         if states.shape != (len(self.actuators),):
@@ -118,36 +118,36 @@ class Manipulator:
         return result
 
     def per_module(self, values: ArrayLike) -> NDArray[np.float64]:
-        """Returns values of the actuators (A,) by module, padded with 0, shape (B, Amax)."""
+        """Returns values (A,) of the actuators by module, padded with 0, shape (B, Amax)."""
         result = np.zeros(self._filled.shape)
         result[self._filled] = values
         return result
 
     def switches(self, first: ArrayLike, second: ArrayLike) -> int:
-        """Returns how many actuators differ between two configurations (B,)."""
+        """Returns the number of actuators that differ between two configurations (B,)."""
         rows = self._rows
         return int((self.bits[rows, np.asarray(first)] != self.bits[rows, np.asarray(second)]).sum())
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
-        """Indices of the modules, shape (B,)."""
+        """Numbers of the modules, shape (B,)."""
         return np.arange(len(self.modules))
 
     @cached_property
     def _filled(self) -> NDArray[np.bool_]:
-        """Which places of arrays over modules and their actuators are not padding, shape (B, Amax)."""
+        """Mask of the places of arrays (B, Amax) that are not padding."""
         return np.array([len(m.actuators) for m in self.modules])[:, None] > np.arange(self.bits.shape[2])
 
     @cached_property
     def _codes(self) -> list[dict[bytes, int]]:
-        """The first state of each module with some actuator states, by these as bytes of int64."""
+        """For each module, its first state for each code: actuator states as bytes of int64."""
         every = [module.bits.astype(np.int64) for module in self.modules]
         return [{code.tobytes(): k for k, code in reversed(list(enumerate(codes)))} for codes in every]
 
 
 @njit("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", cache=True, nogil=True, boundscheck=True)
 def tip(base: Frame, frames: Frame, configuration: Configuration) -> Frame:
-    """Returns the tip frame (4, 4) of one configuration (B,) of an arm with these frames (B, Kmax, 4, 4)."""
+    """Returns the tip frame (4, 4) of a configuration (B,) from the base (4, 4) and the frames (B, Kmax, 4, 4)."""
     frame, following = base.copy(), np.empty((4, 4))
     for i in range(len(frames)):
         for a in range(4):

@@ -1,4 +1,4 @@
-"""A module: its configuration set C_i and the actuator states that bring each configuration about."""
+"""A module: its configuration set C_i, and the actuator states of each configuration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from controller.manipulator.displacement_rates import blended_rates, corner_states
 from controller.manipulator.frames import Frame, quaternion, spatial
-from controller.manipulator.stroke_rates import blended_rates, corner_states
 
 Array = NDArray[np.float64]
 Motion = Callable[[Array], tuple[Frame, Array]]
@@ -19,15 +19,15 @@ class Module:
     """One module of the chain (section 2.1).
 
     Attributes:
-        frames: the configuration set C_i, frame i in frame i-1 for each state, shape (K, 4, 4).
-        bits: the actuator states (0 contracted, 1 extended) of each state, shape (K, A).
-        actuators: the actuators' names, in the order of the columns of `bits`.
+        frames: the configuration set C_i: frame i in frame i-1 for each state, shape (K, 4, 4).
+        bits: actuator states (0 contracted, 1 extended) of each state, shape (K, A).
+        actuators: names of the actuators, in the order of the columns of `bits`.
         body: line segments of the module's structure in frame i-1, for each state, shape (K, L, 2, 3).
         planar: whether every frame stays in the plane z = 0.
-        motion: returns frames (n, 4, 4) and bodies (n, L, 2, 3) where the actuators are at strokes (n, A), each between
-            0, contracted, and 1, extended; not numbers where nobody knows. None: `blended` from the states around.
-        rates: returns proven bounds (k, 3) on what strokes do, see stroke_rates, from the strokes (A,) of actuators
-            that stay and those that move (k,). None: by `blended`, or unknown if `motion` is given.
+        motion: returns frames (n, 4, 4) and bodies (n, L, 2, 3) at displacements (n, A), each from 0 (contracted) to 1
+            (extended); NaN where the position is unknown. None: `blended` from the states around.
+        rates: returns proven bounds (k, 3), see displacement_rates, from the displacements (A,) of the actuators that
+            do not move and the numbers (k,) of those that do. None: by `blended`, or unknown if `motion` is given.
     """
 
     frames: Frame
@@ -38,17 +38,17 @@ class Module:
     motion: Motion | None = None
     rates: Rates | None = None
 
-    def between(self, strokes: Array) -> tuple[Frame, Array]:
-        """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) in mid-stroke, see `motion`."""
-        return blended(self, strokes) if self.motion is None else self.motion(strokes)
+    def between(self, displacements: Array) -> tuple[Frame, Array]:
+        """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) at displacements (n, A), see `motion`."""
+        return blended(self, displacements) if self.motion is None else self.motion(displacements)
 
     @property
     def proven(self) -> bool:
-        """Whether bounds on what strokes do are proven."""
+        """Whether the bounds in mid-travel are proven."""
         return self.rates is not None or self.motion is None
 
     def bounds(self, fixed: Array, moving: NDArray[np.int64]) -> Array:
-        """Returns proven bounds (k, 3) on what strokes do, see `rates`; only if `proven`."""
+        """Returns the proven bounds (k, 3) in mid-travel, see `rates`. Call only if `proven`."""
         if self.rates is not None:
             return self.rates(fixed, moving)
         if (states := corner_states(self.bits, fixed, moving)) is None:
@@ -58,47 +58,47 @@ class Module:
 
 
 def binary_code(states: int) -> NDArray[np.uint8]:
-    """Returns the actuator states (states, A) that count in binary, most significant first, A as few as suffice."""
+    """Returns the actuator states (states, A) of a binary code, most significant first, with the fewest actuators."""
     width = max(1, (states - 1).bit_length())
     shifts = np.arange(width - 1, -1, -1)
     return ((np.arange(states)[:, None] >> shifts) & 1).astype(np.uint8)
 
 
 def gray_code(states: int) -> NDArray[np.uint8]:
-    """Returns the actuator states (states, A) in Gray's binary reflected code: neighbours differ in one actuator."""
+    """Returns the actuator states (states, A) of the reflected Gray code: neighbours differ in one actuator."""
     bits = binary_code(states)
     bits[:, 1:] ^= bits[:, :-1].copy()
     return bits
 
 
-def shares(bits: NDArray[np.uint8], strokes: Array) -> Array:
-    """Returns how much of each of the codes (K, A) there is in strokes (n, A) between them, shape (n, K), 1 in all.
+def shares(bits: NDArray[np.uint8], displacements: Array) -> Array:
+    """Returns the multilinear weights (n, K) of the codes (K, A) at displacements (n, A); each row sums to 1.
 
-    Not a number where one of the codes around has no state.
+    A row is NaN if one of the codes around it has no state.
     """
-    parts = np.where(bits == 1, strokes[:, None], 1.0 - strokes[:, None]).prod(axis=2)
+    parts = np.where(bits == 1, displacements[:, None], 1.0 - displacements[:, None]).prod(axis=2)
     return np.where(abs(parts.sum(axis=1, keepdims=True) - 1.0) < 1e-9, parts, np.nan)
 
 
-def blended(module: Module, strokes: Array) -> tuple[Frame, Array]:
-    """Returns frames and bodies in mid-stroke: straight on between the states around, turning evenly."""
-    parts = shares(module.bits, strokes)
-    frames = np.full((len(strokes), 4, 4), np.nan)
+def blended(module: Module, displacements: Array) -> tuple[Frame, Array]:
+    """Returns frames and bodies in mid-travel: positions are multilinear, rotations are nested slerps."""
+    parts = shares(module.bits, displacements)
+    frames = np.full((len(displacements), 4, 4), np.nan)
     for n in np.flatnonzero(np.isfinite(parts).all(axis=1)):
-        free = np.flatnonzero((strokes[n] > 0) & (strokes[n] < 1))
-        corners = np.tile(strokes[n], (1 << len(free), 1))
+        free = np.flatnonzero((displacements[n] > 0) & (displacements[n] < 1))
+        corners = np.tile(displacements[n], (1 << len(free), 1))
         corners[:, free] = binary_code(1 << len(free))[:, : len(free)]
         states = (module.bits == corners[:, None]).all(axis=2).argmax(axis=1)
         turns = np.array([quaternion(frame) for frame in module.frames[states]])
-        for stroke in strokes[n, free]:
+        for displacement in displacements[n, free]:
             first, second = np.split(turns, 2)
-            turns = midway(first, second, stroke)
+            turns = midway(first, second, displacement)
         frames[n] = spatial(parts[n] @ module.frames[:, :3, 3], turns[0])
     return frames, np.tensordot(parts, module.body, 1)
 
 
 def midway(first: Array, second: Array, share: float) -> Array:
-    """Returns the unit quaternions on the shortest ways from the first (n, 4) to the second."""
+    """Returns the unit quaternions (n, 4) at a share of the shortest way from first to second (slerp)."""
     cosines = np.clip((first * second).sum(axis=1, keepdims=True), -1.0, 1.0)
     angles, signs = np.arccos(abs(cosines)), np.where(cosines < 0, -1.0, 1.0)
     near, sines = angles < 1e-6, np.maximum(np.sin(angles), 1e-9)
@@ -110,19 +110,19 @@ def midway(first: Array, second: Array, share: float) -> Array:
 def spelled(
     stack: Frame, bits: NDArray[np.uint8], *, planar: bool, motion: Motion | None = None, rates: Rates | None = None
 ) -> Module:
-    """Returns the module whose states are frames (K, 4, 4), spelled by actuators 1, 2, ... (K, A); its body a line."""
+    """Returns the module of frames (K, 4, 4) with actuators 1, 2, ... in states (K, A); its body is one line."""
     names = tuple(str(k + 1) for k in range(bits.shape[1]))
     return Module(stack, bits, names, lines(stack), planar, motion, rates)
 
 
 def lines(stack: Frame) -> Array:
-    """Returns the bodies (n, 1, 2, 3) that lead straight to frames (n, 4, 4)."""
+    """Returns the bodies (n, 1, 2, 3) that are lines from the origin to frames (n, 4, 4)."""
     body = np.zeros((len(stack), 1, 2, 3))
     body[:, 0, 1] = stack[:, :3, 3]
     return body
 
 
 def transforms(frames: ArrayLike, *, planar: bool) -> Module:
-    """Returns the module whose states are frames (K, 4, 4); its actuators 1, 2, ... spell the state in binary."""
+    """Returns the module of frames (K, 4, 4); its actuators 1, 2, ... are the binary digits of the state."""
     stack = np.array(frames, dtype=float)
     return spelled(stack, binary_code(len(stack)), planar=planar)

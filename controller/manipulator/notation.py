@@ -1,6 +1,6 @@
-"""How configurations and poses are written.
+"""Text forms of configurations and poses.
 
-A configuration is digits, base first, or numbers with commas where a module has more than ten states.
+A configuration is a row of digits, base first. Numbers with commas are used if a module has more than ten states.
 """
 
 from typing import Any
@@ -14,10 +14,10 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 
 
 def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:
-    """Returns the configuration (B,) that `text` writes.
+    """Returns the configuration (B,) of a text.
 
     Raises:
-        ValueError: wrong characters, wrong number of modules, or a state that a module does not have.
+        ValueError: a character, the number of modules, or a state is wrong.
     """
     digits = "," not in text and manipulator.states.max() <= 10
     parts = list(text.strip()) if digits else text.strip().split(",")
@@ -34,12 +34,12 @@ def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:
 
 
 def format_configuration(manipulator: Manipulator, configuration: ArrayLike) -> str:
-    """Returns the text that parse_configuration reads back."""
+    """Returns the text of a configuration (B,); parse_configuration reads it."""
     separator = "" if manipulator.states.max() <= 10 else ","
     return separator.join(str(state) for state in np.asarray(configuration).tolist())
 
 
 def pose(manipulator: Manipulator, tip: Frame) -> dict[str, Any]:
-    """Returns position and orientation of a frame (4, 4) for JSON, the orientation as an angle or a quaternion."""
+    """Returns the position and the orientation (an angle or a quaternion) of a frame (4, 4) for JSON."""
     orientation = frames.angle(tip) if manipulator.planar else frames.quaternion(tip).tolist()
     return {"position": tip[: manipulator.dimension, 3].tolist(), "orientation": orientation}

@@ -1,13 +1,13 @@
-"""The binary platform: a plate on legs of two lengths each, driven in parallel.
+"""The binary platform: a parallel mechanism, a plate on legs of two lengths each.
 
-- Six legs in space, ball joints at both ends: Gough's and Stewart's platform.
-- Three legs in space, ball joints above; below they swing about axes, in the plane through leg and z axis (3-RPS).
-- Three legs in the plane, turning joints at both ends (3-RPR).
+- Six legs in space, ball joints at both ends: Stewart platform (Gough-Stewart).
+- Three legs in space (3-RPS): ball joints above; below, each leg turns in the plane through itself and the z axis.
+- Three legs in the plane (3-RPR): revolute joints at both ends.
 
-Leg i ends at t_i = b + R p_i, and the pose (R, b) is where |t_i - a_i| is the leg's length for all i; of six legs that
-may be up to 40 poses. The one taken for a state is that which the plate is led to when all legs go evenly from the
-middle of their travel to the state's lengths. It never passes a pose in which the plate is loose, where two poses meet
-and the legs do not say which way it goes on.
+Leg i ends at t_i = b + R p_i. The pose (R, b) satisfies |t_i - a_i| = length of leg i for all i. Six legs permit up to
+40 poses. The pose of a state is found by continuation: all legs go evenly from the middle of their travel to the
+lengths of the state. The path must not pass a singular pose. There two poses meet, and the legs do not determine on
+which one the plate continues.
 """
 
 from dataclasses import dataclass
@@ -20,22 +20,22 @@ from controller.manipulator.module import Module, binary_code
 
 Array = NDArray[np.float64]
 
-RESIDUAL = 1e-12  # of every leg's length, in shares of the middle length
-STIFFNESS = 1e-3  # least: where it is less, a leg's error makes one of the pose a thousand times as large
-FIRST_STEP, LAST_STEP = 1 / 8, 2.0**-12  # shares of the way from the middle lengths
-MANY, FEW = 100, 8  # Newton's steps from a guess, and from nearby
-CLOSE = 0.2  # most that a step moves and turns the plate, in middle lengths and radians
+RESIDUAL = 1e-12  # greatest error of a leg's length, as a share of the middle length
+STIFFNESS = 1e-3  # least singular value of the Jacobian; below it a pose error is 1000 times a leg's error
+FIRST_STEP, LAST_STEP = 1 / 8, 2.0**-12  # greatest and least step of the continuation
+MANY, FEW = 100, 8  # most Newton steps from a guess, and from a near pose
+CLOSE = 0.2  # greatest twist of a Newton step, in middle lengths and radians
 
 
 @dataclass(frozen=True, eq=False)
 class Legs:
-    """The geometry, in units of the middle length.
+    """The geometry of a platform, in units of the middle length.
 
     Attributes:
         base: lower joints a_i in the frame below, shape (L, 3).
         top: upper joints p_i in the frame above, shape (L, 3).
-        normals: of the planes through the z axis in which the legs swing, shape (L, 3), or none, shape (0, 3).
-        free: motions that the plate has, of 0 to 2 along and 3 to 5 about x, y and z.
+        normals: normals of the planes in which the legs of a 3-RPS turn, shape (L, 3); otherwise shape (0, 3).
+        free: degrees of freedom of the plate: 0 to 2 along and 3 to 5 about x, y and z.
     """
 
     base: Array
@@ -44,16 +44,16 @@ class Legs:
     free: tuple[int, ...]
 
     def joints(self, frames: Frame) -> Array:
-        """Returns the upper joints t_i (..., L, 3) in the frame below, of frames (..., 4, 4)."""
+        """Returns the upper joints t_i (..., L, 3) in the frame below, for poses (..., 4, 4)."""
         return np.asarray(self.top @ np.swapaxes(frames[..., :3, :3], -1, -2) + frames[..., None, :3, 3])
 
     def body(self, frame: Frame) -> Array:
-        """Returns legs, base and plate as line segments (3 L, 2, 3)."""
+        """Returns legs, base and plate of a pose (4, 4) as line segments (3 L, 2, 3)."""
         ends = self.joints(frame)
         return np.array([*zip(self.base, ends, strict=True), *around(self.base), *around(ends)])
 
     def misfit(self, frames: Frame, lengths: Array) -> tuple[Array, Array]:
-        """Returns what each constraint misses (..., n), and how the plate's free motions change it (..., n, n)."""
+        """Returns the residuals (..., n) of the constraints at poses (..., 4, 4), and their Jacobian (..., n, n)."""
         ends = self.joints(frames)
         legs = ends - self.base
         found = np.linalg.norm(legs, axis=-1)
@@ -63,8 +63,15 @@ class Legs:
         missed = np.concatenate([found - lengths, (self.normals * swinging).sum(axis=-1)], axis=-1)
         return missed, np.concatenate([directions, np.cross(arms, directions)], axis=-1)[..., self.free]
 
-    def settled(self, frame: Frame, lengths: Array, steps: int, reach: float = np.inf) -> Frame | None:
-        """Returns the pose that so many of Newton's steps find, the first no longer than `reach`, or None."""
+    def solve_pose(self, frame: Frame, lengths: Array, steps: int, longest: float = np.inf) -> Frame | None:
+        """Returns the pose (4, 4) for lengths (L,) by Newton's method, or None if it does not converge.
+
+        Args:
+            frame: first guess, shape (4, 4).
+            lengths: lengths of the legs, shape (L,).
+            steps: most steps.
+            longest: give up if the first step is longer.
+        """
         for step in range(steps):
             missed, change = self.misfit(frame, lengths)
             if np.abs(missed).max() < RESIDUAL:
@@ -75,13 +82,13 @@ class Legs:
             except np.linalg.LinAlgError:
                 return None
             size = float(np.linalg.norm(twist))
-            if step == 0 and size > reach:
+            if step == 0 and size > longest:
                 return None
             frame = moved(frame, twist * (CLOSE / max(size, CLOSE)))
         return None
 
-    def followed(self, frame: Frame, lengths: Array) -> Frame:
-        """Returns the poses (n, 4, 4) near one, where legs have lengths (n, L); not numbers where it is loose."""
+    def track(self, frame: Frame, lengths: Array) -> Frame:
+        """Returns the poses (n, 4, 4) near a pose (4, 4) for lengths (n, L); NaN where the plate is loose."""
         side, frames = self.stiffness(frame)[1], np.tile(frame, (len(lengths), 1, 1))
         for _ in range(FEW):
             missed, change = self.misfit(frames, lengths)
@@ -94,26 +101,26 @@ class Legs:
         missed, change = self.misfit(frames, lengths)
         change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
         loose = np.linalg.svd(change, compute_uv=False)[:, -1] < STIFFNESS
-        settled = abs(missed).max(axis=1) <= RESIDUAL
-        frames[loose | ~settled | (np.sign(np.linalg.det(change)) != side)] = np.nan
+        converged = abs(missed).max(axis=1) <= RESIDUAL
+        frames[loose | ~converged | (np.sign(np.linalg.det(change)) != side)] = np.nan
         return frames
 
     def stiffness(self, frame: Frame) -> tuple[float, float]:
-        """Returns how much the least felt motion of the plate changes the legs, and on which side of loose it is."""
+        """Returns the least singular value of the Jacobian at a pose, and the sign of its determinant."""
         _, change = self.misfit(frame, np.ones(len(self.base)))
         return float(np.linalg.svd(change, compute_uv=False)[-1]), float(np.sign(np.linalg.det(change)))
 
     def middle(self) -> Frame:
-        """Returns the pose with all legs in the middle of their travel, the plate upright over the base.
+        """Returns the pose (4, 4) with all legs in the middle of their travel and the plate upright over the base.
 
         Raises:
-            ValueError: there is none, or the plate is loose there.
+            ValueError: there is no such pose, or the plate is loose in it.
         """
         up = 1 if len(self.free) == 3 else 2
         shift = self.base.mean(axis=0) - self.top.mean(axis=0)
         aside = np.delete(self.top + shift - self.base, up, axis=1)
         height = np.sqrt(np.maximum(1.0 - (aside**2).sum(axis=1), 0.01)).mean()
-        frame = self.settled(spatial(shift + height * np.eye(3)[up]), np.ones(len(self.base)), MANY)
+        frame = self.solve_pose(spatial(shift + height * np.eye(3)[up]), np.ones(len(self.base)), MANY)
         if frame is None:
             raise ValueError("all legs in the middle of their travel: the plate has no pose near upright")
         if frame[up, up] <= 0 or (self.joints(frame) - self.base)[:, up].mean() <= 0:
@@ -125,17 +132,17 @@ class Legs:
             )
         return frame
 
-    def led(self, frame: Frame, lengths: Array) -> Frame:
-        """Returns the pose that the plate is led to from its middle pose.
+    def continued(self, frame: Frame, lengths: Array) -> Frame:
+        """Returns the pose (4, 4) for lengths (L,) by continuation from the middle pose (4, 4).
 
         Raises:
-            ValueError: there is none, or it passes a loose one.
+            ValueError: there is no such pose, or the plate is loose on the way.
         """
         side = self.stiffness(frame)[1]
         done, step = 0.0, FIRST_STEP
         while done < 1.0:
             share = min(done + step, 1.0)
-            following = self.settled(frame, 1.0 + share * (lengths - 1.0), FEW, CLOSE)
+            following = self.solve_pose(frame, 1.0 + share * (lengths - 1.0), FEW, CLOSE)
             if following is not None and self.firm(following, side):
                 frame, done = following, share
             elif step > LAST_STEP:
@@ -145,21 +152,21 @@ class Legs:
         return frame
 
     def firm(self, frame: Frame, side: float) -> bool:
-        """Returns whether the plate is not loose, nor beyond a pose in which it is."""
+        """Returns whether the plate is not loose in a pose (4, 4), and on the given side of singular poses."""
         stiffness, own = self.stiffness(frame)
         return stiffness >= STIFFNESS and own == side
 
 
 def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> Module:
-    """Returns a platform; its actuators 1, 2, ... are the legs, in the order of the joints.
+    """Returns a platform. Its actuators 1, 2, ... are the legs, in the order of the joints.
 
     Args:
-        base: lower joints in the frame below, shape (6, 3), (3, 3), or (3, 2) for one in the plane.
-        top: upper joints in the frame above, likewise.
-        lengths: of every leg, contracted and extended.
+        base: lower joints in the frame below, shape (6, 3), (3, 3), or (3, 2) in the plane.
+        top: upper joints in the frame above, same shape.
+        lengths: contracted and extended length of each leg.
 
     Raises:
-        ValueError: the shapes are others, or a state has no assembly.
+        ValueError: the shapes are wrong, or a state has no assembly.
     """
     size = (lengths[0] + lengths[1]) / 2
     legs = legs_of(base, top, size)
@@ -167,7 +174,7 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
     frames = []
     for own in bits:
         try:
-            frames.append(legs.led(middle, np.array(lengths)[own] / size))
+            frames.append(legs.continued(middle, np.array(lengths)[own] / size))
         except ValueError as error:
             extended = ", ".join(str(k + 1) for k in np.flatnonzero(own)) or "none"
             raise ValueError(f"extended legs {extended}: {error}") from None
@@ -176,8 +183,8 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
     stack = np.array(frames)
     stack[:, :3, 3] *= size
 
-    def motion(strokes: Array) -> tuple[Frame, Array]:
-        there = legs.followed(middle, (lengths[0] + strokes * (lengths[1] - lengths[0])) / size)
+    def motion(displacements: Array) -> tuple[Frame, Array]:
+        there = legs.track(middle, (lengths[0] + displacements * (lengths[1] - lengths[0])) / size)
         bodies = np.array([legs.body(frame) for frame in there]) * size
         there[:, :3, 3] *= size
         return there, bodies
@@ -186,31 +193,33 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
 
 
 def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:
-    """Returns the geometry of a platform's joints, in units of `size`.
+    """Returns the geometry of a platform from its joints, in units of `size`.
 
     Raises:
-        ValueError: the joints' shapes are others than those of a platform, or a leg of three has no plane.
+        ValueError: the shapes are not those of a platform, or a leg of a 3-RPS has no plane.
     """
     shape: tuple[int, ...] = np.shape(base)
     if shape not in ((6, 3), (3, 3), (3, 2)) or np.shape(top) != shape:
-        raise ValueError(f"6 or 3 legs in space or 3 in the plane are known, not joints {shape} and {np.shape(top)}")
+        raise ValueError(
+            f"a platform has 6 or 3 legs in space or 3 in the plane, got joints of shapes {shape} and {np.shape(top)}"
+        )
     below, above = (np.pad(np.array(part, dtype=float), ((0, 0), (0, 3 - shape[1]))) for part in (base, top))
     normals = np.zeros((0, 3))
     if shape == (3, 3):
         radii = np.hypot(below[:, 0], below[:, 1])
         if radii.min() < 1e-6 * size:
-            raise ValueError("a lower joint of three legs lies on the z axis: its leg has no plane to swing in")
+            raise ValueError("a lower joint of three legs lies on the z axis: its leg has no plane to turn in")
         normals = np.column_stack([-below[:, 1], below[:, 0], np.zeros(3)]) / radii[:, None]
     return Legs(below / size, above / size, normals, (0, 1, 5) if shape == (3, 2) else (0, 1, 2, 3, 4, 5))
 
 
 def around(joints: Array) -> list[tuple[Array, Array]]:
-    """Returns the sides of a plate with these joints (L, 3)."""
+    """Returns the sides of a plate with joints (L, 3)."""
     return list(zip(joints, np.roll(joints, -1, axis=0), strict=True))
 
 
 def rotations(turns: Array) -> Array:
-    """Returns the rotations (n, 3, 3) about axes, by their lengths [rad] (n, 3)."""
+    """Returns the rotations (n, 3, 3) of rotation vectors (n, 3) [rad]."""
     angles = np.linalg.norm(turns, axis=1)[:, None, None]
     x, y, z = turns.T
     crosses = np.moveaxis(np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]]), -1, 0)
@@ -219,7 +228,7 @@ def rotations(turns: Array) -> Array:
 
 
 def moved(frame: Frame, twist: Array) -> Frame:
-    """Returns a frame moved along and turned about the axes below it by a twist (6,)."""
+    """Returns a frame (4, 4) displaced by a twist (6,) in the axes of the frame below."""
     angle = float(np.linalg.norm(twist[3:]))
     result = frame.copy()
     if angle > 0:

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.manipulator.displacement_rates import truss_rates
 from controller.manipulator.frames import Frame, planar
 from controller.manipulator.module import Array, Module, binary_code
-from controller.manipulator.stroke_rates import truss_rates
 from controller.settings import Diagonal
 
 Point = NDArray[np.float64]
@@ -19,17 +19,17 @@ ACTUATORS = ("left", "diagonal", "right")
 
 
 def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right: Lengths) -> Module:
-    """Returns a truss module with base nodes A, B and top nodes C, D, |AB| = |CD| = `width`.
+    """Returns a truss module with base nodes A, B and top nodes C, D, where |AB| = |CD| = `width`.
 
     Args:
-        diagonal: "BC" (the paper's odd modules) or "AD" (its even ones).
-        width: of base and top.
+        diagonal: "BC" (odd modules of the paper) or "AD" (even modules).
+        width: width of base and top.
         left: contracted and extended length of the leg AC.
         middle: contracted and extended length of the diagonal.
         right: contracted and extended length of the leg BD.
 
     Raises:
-        ValueError: some state's lengths do not close the two triangles.
+        ValueError: the two triangles of a state do not close.
     """
     legs = np.array([left, middle, right])
 
@@ -37,8 +37,8 @@ def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right:
         states = [assembled(diagonal, width, *three) for three in lengths]
         return np.array([frame for frame, _ in states]), np.array([body for _, body in states])
 
-    def motion(strokes: Array) -> tuple[Frame, Array]:
-        return assembly((legs[:, 0] + strokes * (legs[:, 1] - legs[:, 0])).tolist())
+    def motion(displacements: Array) -> tuple[Frame, Array]:
+        return assembly((legs[:, 0] + displacements * (legs[:, 1] - legs[:, 0])).tolist())
 
     def rates(fixed: Array, moving: NDArray[np.int64]) -> Array:
         ranges = legs[:, 0, None] + np.repeat(fixed[:, None], 2, axis=1) * (legs[:, 1] - legs[:, 0])[:, None]
@@ -53,10 +53,10 @@ def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right:
 
 
 def assembled(diagonal: Diagonal, width: float, ac: float, across: float, bd: float) -> tuple[Frame, Array]:
-    """Returns the frame (4, 4) and body (4, 2, 3) of a truss whose left leg, diagonal and right leg have these lengths.
+    """Returns the frame (4, 4) and body (4, 2, 3) of a truss from the lengths of left leg, diagonal and right leg.
 
     Raises:
-        ValueError: they do not close the two triangles.
+        ValueError: the two triangles do not close.
     """
     a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
     try:
@@ -75,7 +75,7 @@ def assembled(diagonal: Diagonal, width: float, ac: float, across: float, bd: fl
 
 
 def apex(p: Point, q: Point, from_p: float, from_q: float) -> Point:
-    """Returns the apex over the base p -> q, on its left, at the given distances.
+    """Returns the apex (2,) to the left of the base p -> q, at the given distances from p and q.
 
     Raises:
         ValueError: the triangle does not close.

@@ -189,7 +189,7 @@ class LabelSetting:
         if k in trajectory.fixed:
             return self._following(layer, k, np.inf, MOST)
         tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
-        sure = solver.solve(trajectory.goal(k), seed, tolerance, deadline=SURE, turn=turn)
+        sure = solver.solve(trajectory.goal(k), seed, tolerance, deadline=SURE, angle_tolerance=turn)
         if not sure.within_tolerance or self._late():
             return None
         found = Layer(sure.configuration.astype(np.uint16)[None], np.array([least + sure.cost]), np.zeros(1, np.int64))

@@ -68,7 +68,7 @@ class LookAhead:
         if not best:  # too far for the small tables: one way on, by the search that goes farther
             way = self._ways[0]
             goal, tolerance, turn = self._goal()
-            found = self._solver.solve(goal, way.configuration, tolerance, turn=turn)
+            found = self._solver.solve(goal, way.configuration, tolerance, angle_tolerance=turn)
             best[b""] = Way(way.cost + found.cost, found.configuration, self._next + 1, way)
         self._next += 1
         # Of two ways of one cost the better is that which serves longer: a point costs what it did so far.

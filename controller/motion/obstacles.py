@@ -4,8 +4,8 @@ from msgspec import Struct
 
 from controller.motion.goal import refusal
 from controller.motion.setpoint import parse
-from controller.obstacles.notation import RegionList, build_regions
-from controller.obstacles.regions import Regions
+from controller.obstacles.notation import ObstacleList, parse_obstacles
+from controller.obstacles.obstacles import Obstacles
 
 MOST_BYTES = 200_000  # 256 obstacles with long names and all digits
 
@@ -13,10 +13,10 @@ MOST_BYTES = 200_000  # 256 obstacles with long names and all digits
 class ObstaclesMessage(Struct, forbid_unknown_fields=True, frozen=True):
     """The payload of `obstacles`: all regions beside those of the arm's file, in the same notation."""
 
-    regions: RegionList
+    regions: ObstacleList
 
 
-def decode(payload: bytes, dimension: int) -> Regions:
+def decode(payload: bytes, dimension: int) -> Obstacles:
     """Returns the regions in a payload.
 
     Args:
@@ -28,7 +28,7 @@ def decode(payload: bytes, dimension: int) -> Regions:
     """
     message = parse(payload, ObstaclesMessage, "obstacles", MOST_BYTES)
     faults = list[str]()
-    regions = build_regions(message.regions, dimension, "regions", faults)
+    regions = parse_obstacles(message.regions, dimension, "regions", faults)
     if faults:
         raise refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))
     return regions

@@ -151,8 +151,10 @@ class Pace:
         stages = numbered(start, usual.stages)
         if ways.clear(stages):
             return replace(usual, strict=True)
-        if (touch := sweep.touch(start, np.arange(0))) is not None:  # however little time is left to look for ways
-            raise Blocked(f"the arm touches something where it stands: {sweep.words(touch)}")
+        if (
+            touch := sweep.first_collision(start, np.arange(0))
+        ) is not None:  # however little time is left to look for ways
+            raise Blocked(f"the arm touches something where it stands: {sweep.describe(touch)}")
         upwards, own = transition.actuators, np.concatenate(stages)
         cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := ways.cut(order))]
         if not any(len(cut) <= room for cut in cuts) and patience > 0:

@@ -181,7 +181,7 @@ def plan(
         except Blocked as blocked:
             solution, transition = aside(solver, trajectory, previous, solution, k, pace, blocked)
         except Refusal:  # perhaps a search with more time finds what switches less
-            solution = solver.solve(goal, previous, tolerance, method, turn=turn)
+            solution = solver.solve(goal, previous, tolerance, method, angle_tolerance=turn)
             try:
                 transition = staged(solver, trajectory, previous, solution, k, pace)
             except Blocked as blocked:
@@ -216,7 +216,9 @@ def aside(
     others, costs = solver.candidates(goal, previous, tolerance, OTHERS, turn)
     methods: tuple[Method, ...] = ("ipop-fewest-switches", "pop")
     ranked = [others[n] for n in np.argsort(costs, kind="stable")]
-    ranked += [solver.solve(goal, previous, tolerance, method, turn=turn).configuration for method in methods]
+    ranked += [
+        solver.solve(goal, previous, tolerance, method, angle_tolerance=turn).configuration for method in methods
+    ]
     distinct = {c.tobytes(): c for c in (cheapest.configuration, *ranked)}
     found = [solver.described(c, goal, previous, tolerance, turn) for c in distinct.values()]
     served = [solution for solution in found if solution.within_tolerance]

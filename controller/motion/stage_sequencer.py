@@ -11,7 +11,7 @@ from heapq import heappop, heappush
 import numpy as np
 
 from controller.obstacles.distance import Index
-from controller.obstacles.sweep import States, Sweep, Touch
+from controller.obstacles.sweep import Collision, States, Sweep
 
 DETOUR_TIME = 0.1  # [s] for one roundabout way
 
@@ -27,13 +27,13 @@ class StageSequencer:
 
     def __init__(self, sweep: Sweep, states: States, most: int) -> None:
         self._sweep, self._states, self._most = sweep, states, most
-        self._blame: Touch | None = None
+        self._blame: Collision | None = None
         self._seen: dict[tuple[bytes, bytes], bool] = {}
 
     @property
     def blame(self) -> str:
         """What the last stage looked at that is not clear touches, or may, in words."""
-        return "nothing" if self._blame is None else self._sweep.words(self._blame)
+        return "nothing" if self._blame is None else self._sweep.describe(self._blame)
 
     def clear(self, stages: Sequence[Index]) -> bool:
         """Returns whether stages, one after the other, are clear."""
@@ -95,7 +95,7 @@ class StageSequencer:
             options = np.arange(len(here)) if fro else np.flatnonzero(differ)
             following = np.repeat(here[None], len(options), axis=0)
             following[np.arange(len(options)), options] ^= 1
-            for k in np.flatnonzero(~self._sweep.standing(following)):
+            for k in np.flatnonzero(~self._sweep.blocked(following)):
                 left = int(differ.sum()) + (-1 if differ[options[k]] else 1)
                 price = left + (len(way) + 1 + left - n) / 2  # what leads astray counts twice
                 heappush(heaps[side], (price, left, -count, following[k].tobytes(), [*way, int(options[k])]))
@@ -104,7 +104,7 @@ class StageSequencer:
     def _clear(self, states: States, stage: Index) -> bool:
         key = states.tobytes(), np.sort(stage).tobytes()
         if key not in self._seen:
-            touch = self._sweep.touch(states, stage)
+            touch = self._sweep.first_collision(states, stage)
             self._seen[key] = touch is None
             self._blame = touch or self._blame
         return self._seen[key]

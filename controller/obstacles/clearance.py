@@ -1,4 +1,4 @@
-"""Whether an arm's modules keep clear of regions and, where that is asked for, of each other."""
+"""Collision checks of whole configurations: modules against obstacles, and against each other if asked."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -6,33 +6,38 @@ from numpy.typing import ArrayLike, NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.collision import first_collisions
 from controller.obstacles.distance import Array, Index
-from controller.obstacles.regions import Regions
+from controller.obstacles.obstacles import Obstacles
 
-# Of the arm's length: what comes so near counts as touching, however sums are rounded. Where two lines that are nearly
-# parallel cross is known to half of the digits only.
+# Share of the arm's length that covers rounding: bodies that come so near count as touching. The crossing of two nearly
+# parallel lines has half of the digits only.
 ROUNDING = 1e-7
 
 
 class Clearance:
-    """An arm's bodies among regions. A body is the line segments of a module's structure, thickened by a radius.
+    """The bodies of an arm among obstacles. A body is a module's line segments, thickened by a radius.
 
     Attributes:
         manipulator: the arm.
-        regions: that no body may touch.
-        radius: of the bodies, as the arm's file gives it.
-        margin: with which kernels compare: the radius, and what rounding takes.
-        self_collision: whether bodies of modules that are not neighbours must stay apart, too.
-        apart: how near to each other is too near; less than 0 where that does not matter.
-        bodies: of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
-        balls: centre and radius of a ball around each, shape (B, Kmax, 4).
+        obstacles: no body may touch them.
+        radius: radius of the bodies, as in the arm's file.
+        margin: the radius, increased by the rounding error; kernels compare with it.
+        self_collision: whether modules that are not neighbours must not touch each other.
+        apart: distance at which two modules count as touching; negative without `self_collision`.
+        bodies: line segments of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
+        balls: centre and radius of a ball around each body, shape (B, Kmax, 4).
         lines: number of line segments of each module, shape (B,).
     """
 
     def __init__(
-        self, manipulator: Manipulator, regions: Regions, radius: float = 0.0, *, self_collision: bool = False
+        self, manipulator: Manipulator, obstacles: Obstacles, radius: float = 0.0, *, self_collision: bool = False
     ) -> None:
-        """Pads the modules' bodies."""
-        self.manipulator, self.regions, self.radius, self.self_collision = manipulator, regions, radius, self_collision
+        """Builds the padded arrays of the bodies."""
+        self.manipulator, self.obstacles, self.radius, self.self_collision = (
+            manipulator,
+            obstacles,
+            radius,
+            self_collision,
+        )
         self.margin = radius + ROUNDING * manipulator.length
         self.apart = radius + self.margin if self_collision else -1.0
         self.lines = np.array([module.body.shape[1] for module in manipulator.modules])
@@ -45,7 +50,7 @@ class Clearance:
     @property
     def free(self) -> bool:
         """Whether there is nothing to avoid."""
-        return len(self.regions) == 0 and not self.self_collision
+        return len(self.obstacles) == 0 and not self.self_collision
 
     def blocked(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Returns which of configurations (n, B) touch anything, shape (n,)."""
@@ -53,22 +58,22 @@ class Clearance:
         return np.zeros(len(chosen), dtype=bool) if self.free else np.asarray(self.first_collisions(chosen)[:, 0] >= 0)
 
     def where(self, configuration: Configuration) -> str | None:
-        """Returns what touches first from the base, "module 7 is in disc 'pillar'", or None."""
+        """Returns the first collision from the base as a sentence, "module 7 is in disc 'pillar'", or None."""
         if self.free:
             return None
-        module, region, other = self.first_collisions(np.array([configuration], dtype=np.int64))[0].tolist()
+        module, obstacle, other = self.first_collisions(np.array([configuration], dtype=np.int64))[0].tolist()
         if module < 0:
             return None
-        if region >= 0:
-            return f"module {module + 1} is in {self.regions.names[region]}"
+        if obstacle >= 0:
+            return f"module {module + 1} is in {self.obstacles.names[obstacle]}"
         return f"modules {other + 1} and {module + 1} touch"
 
     def buried(self, point: Array, tolerance: float) -> bool:
-        """Returns whether a tip within a distance of a point (3,) in the world is inside an obstacle for certain.
+        """Returns whether every tip within a distance of a point (3,) in the world is surely inside an obstacle.
 
-        That is certain only of last modules whose bodies contain the tip in every state.
+        Only a last module whose body contains the tip in every state permits this conclusion.
         """
-        if (self.regions.depths(point) > self.radius - tolerance).all():
+        if (self.obstacles.depths(point) > self.radius - tolerance).all():
             return False
         last = self.manipulator.modules[-1]
         for frame, lines in zip(last.frames, last.body, strict=True):
@@ -81,8 +86,11 @@ class Clearance:
         return True
 
     def first_collisions(self, configurations: Index) -> Index:
-        """Returns module, region and other module that touch first in configurations (n, B), or -1 each; (n, 3)."""
-        arm, regions = self.manipulator, self.regions
+        """Returns the first collision of each configuration (n, B), shape (n, 3).
+
+        A row has the module, the obstacle that it touches, and the other module that it touches; -1 for none.
+        """
+        arm, obstacles = self.manipulator, self.obstacles
         return np.asarray(
             first_collisions(
                 np.ascontiguousarray(arm.base[:3, :3]),
@@ -92,10 +100,10 @@ class Clearance:
                 self.bodies,
                 self.balls,
                 self.lines,
-                regions.kinds,
-                regions.axes,
-                regions.centres,
-                regions.sizes,
+                obstacles.kinds,
+                obstacles.axes,
+                obstacles.centres,
+                obstacles.sizes,
                 self.margin,
                 self.apart,
                 configurations,
@@ -104,8 +112,8 @@ class Clearance:
 
 
 def balls(bodies: Array) -> Array:
-    """Returns centre and radius (..., 4) of balls that hold the line segments (..., L, 2, 3)."""
+    """Returns centre and radius (..., 4) of balls around line segments (..., L, 2, 3)."""
     ends = bodies.reshape(*bodies.shape[:-3], -1, 3)
     middle = (ends.min(axis=-2) + ends.max(axis=-2)) / 2
-    reach = np.linalg.norm(ends - middle[..., None, :], axis=-1).max(axis=-1)
-    return np.concatenate([middle, reach[..., None]], axis=-1)
+    radius = np.linalg.norm(ends - middle[..., None, :], axis=-1).max(axis=-1)
+    return np.concatenate([middle, radius[..., None]], axis=-1)

@@ -1,4 +1,4 @@
-"""Which module of a configuration touches first, from the base on: a region, or another module."""
+"""The first collision of a configuration, from base to tip, with an obstacle or between two modules."""
 
 import numpy as np
 from numba import njit
@@ -11,8 +11,8 @@ from controller.obstacles.distance import Array, Index, first_obstacle, placed
 def lines_distance(first: Array, second: Array) -> float:
     """Returns the distance between two line segments (2, 3).
 
-    Their nearest points are sought on the straight lines, and at the ends where they lie beyond (Ericson 2004,
-    Real-Time Collision Detection, section 5.1.9).
+    The nearest points of the two straight lines are clamped to the segments (Ericson 2004, Real-Time Collision
+    Detection, section 5.1.9).
     """
     along, across, both, ahead, aside = 0.0, 0.0, 0.0, 0.0, 0.0
     for a in range(3):
@@ -39,14 +39,14 @@ def lines_distance(first: Array, second: Array) -> float:
 
 @njit("i8(f8[:,:,:,::1], f8[:,::1], i8[::1], i8, f8)", cache=True, nogil=True)
 def first_module(ends: Array, middles: Array, lines: Index, i: int, apart: float) -> int:
-    """Returns the first module that module i comes no farther from than `apart`, but for its neighbours; -1 if none.
+    """Returns the first module at most `apart` away from module i, without its neighbours; -1 if there is none.
 
     Args:
         ends: line segments in the world, shape (B, Lmax, 2, 3).
         middles: centres and radii of balls around them, shape (B, 4).
         lines: number of line segments of each module, shape (B,).
-        i: the module.
-        apart: the distance.
+        i: the module; only modules below it are compared.
+        apart: distance that counts as touching.
     """
     for j in range(i - 1):
         square = 0.0
@@ -83,24 +83,24 @@ def first_collisions(
     apart: float,
     configurations: Index,
 ) -> Index:
-    """Returns for each configuration the first module that touches, the region, and else the module that it touches.
+    """Returns the first collision of each configuration, shape (n, 3).
 
-    Where there is none of them it says -1; shape (n, 3).
+    A row has the module, the obstacle that it touches, and the other module that it touches; -1 for none.
 
     Args:
-        base_r: orientation of frame F_0 in the world, shape (3, 3).
-        base_b: its position, shape (3,).
+        base_r: rotation of frame F_0 in the world, shape (3, 3).
+        base_b: position of frame F_0 in the world, shape (3,).
         rotations: configuration sets, shape (B, Kmax, 3, 3).
         translations: configuration sets, shape (B, Kmax, 3).
-        bodies: and the next two: see Clearance.
-        ball_table: the balls of Clearance.
+        bodies: see Clearance.
+        ball_table: see `balls` of Clearance.
         lines: see Clearance.
-        kinds: and the next three: see Regions.
-        axes: see Regions.
-        centres: see Regions.
-        sizes: see Regions.
-        margin: how near to a region is too near.
-        apart: how near to each other, if they are not neighbours; less than 0 where that does not matter.
+        kinds: see Obstacles.
+        axes: see Obstacles.
+        centres: see Obstacles.
+        sizes: see Obstacles.
+        margin: distance from an obstacle that counts as touching.
+        apart: distance between modules that counts as touching; negative without self-collision.
         configurations: shape (n, B).
     """
     n, modules = configurations.shape
@@ -115,9 +115,9 @@ def first_collisions(
         for i in range(modules):
             state = configurations[c, i]
             ball, body = ball_table[i, state], bodies[i, state, : lines[i]]
-            region = first_obstacle(r, b, body, ball, kinds, axes, centres, sizes, margin)
-            if region >= 0:
-                result[c, 0], result[c, 1] = i, region
+            obstacle = first_obstacle(r, b, body, ball, kinds, axes, centres, sizes, margin)
+            if obstacle >= 0:
+                result[c, 0], result[c, 1] = i, obstacle
                 break
             if apart >= 0:
                 for line in range(lines[i]):

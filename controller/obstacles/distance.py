@@ -1,9 +1,9 @@
-"""How far points, line segments and bodies are from a region, see Regions.
+"""Distances of points, line segments and bodies from an obstacle, see Obstacles.
 
-Signed distances, negative inside, change by no more than the point moves; so a ball that is far enough from a region by
-its centre is far enough with all that it holds. How far a straight line segment is from a region is in closed form:
-the squared distance from a box along the segment is a convex chain of parabolas, joined where the segment crosses the
-planes of the box's faces.
+A signed distance is negative inside. It changes by at most the distance that the point moves. So a ball is clear of an
+obstacle if its centre is farther away than its radius. The distance of a line segment from an obstacle is a closed
+form. The squared distance from a box along the segment is a convex, piecewise quadratic function. Its pieces meet where
+the segment crosses the planes of the box's faces.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ SPHERE, BOX, HALF_SPACE = 0, 1, 2
 
 @njit("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", cache=True, nogil=True, error_model="numpy")
 def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float, y: float, z: float) -> float:
-    """Returns the signed distance of a point from a region, negative inside."""
+    """Returns the signed distance of a point from an obstacle, negative inside."""
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
     if kind == SPHERE:
         return float(np.sqrt(x * x + y * y + z * z) - size[0])
@@ -34,7 +34,7 @@ def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float
 
 @njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8)", cache=True, nogil=True, inline="always")
 def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: float) -> float:
-    """Returns half the derivative of the squared distance from a box along a line, seen from the box."""
+    """Returns half the derivative of the squared distance from a box along a line, in the frame of the box."""
     total = 0.0
     for a in range(3):
         at = start[a] + t * way[a]
@@ -47,7 +47,7 @@ def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: floa
 
 @njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))", cache=True, nogil=True, error_model="numpy")
 def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]) -> float:
-    """Returns where along a segment the distance from a box is least, 0 at its start, 1 at its end."""
+    """Returns the place on a segment that is nearest to a box, from 0 at its start to 1 at its end."""
     low, high = 0.0, 1.0
     falling, rising = slope(half, start, way, low), slope(half, start, way, high)
     if falling >= 0:
@@ -66,7 +66,7 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
                         high, rising = t, at
                     else:
                         low, falling = t, at
-    # No face is crossed between: the slope is linear.
+    # Between these places the segment crosses no face, so the slope is linear.
     return float(low - (high - low) * falling / (rising - falling))
 
 
@@ -79,7 +79,7 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
 def segment_distance(
     kind: int, axes: Array, centre: Array, size: Array, start: tuple[float, ...], end: tuple[float, ...]
 ) -> float:
-    """Returns the distance between a line segment and a region, 0 where they meet."""
+    """Returns the distance between a line segment and an obstacle, 0 if they meet."""
     x, y, z = start[0] - centre[0], start[1] - centre[1], start[2] - centre[2]
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     if kind == HALF_SPACE:
@@ -136,18 +136,18 @@ def first_obstacle(
     sizes: Array,
     radius: float,
 ) -> int:
-    """Returns the first region that a body touches, -1 if none: a point of it is no farther than `radius` away.
+    """Returns the first obstacle at most `radius` away from a body, -1 if there is none.
 
     Args:
-        r: orientation of the frame that the body is in, shape (3, 3).
-        b: its position in the world, shape (3,).
-        body: line segments in that frame, shape (L, 2, 3).
-        ball: centre and radius of a ball in that frame that holds them, shape (4,).
-        kinds: and the next three: those of Regions.
-        axes: see Regions.
-        centres: see Regions.
-        sizes: see Regions.
-        radius: that the body is thickened by.
+        r: rotation of the body's frame in the world, shape (3, 3).
+        b: position of the body's frame in the world, shape (3,).
+        body: line segments in the body's frame, shape (L, 2, 3).
+        ball: centre and radius of a ball around them in the body's frame, shape (4,).
+        kinds: see Obstacles.
+        axes: see Obstacles.
+        centres: see Obstacles.
+        sizes: see Obstacles.
+        radius: radius of the body, or a greater distance to keep.
     """
     if len(kinds) == 0:
         return -1

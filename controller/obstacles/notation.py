@@ -1,40 +1,40 @@
-"""Regions as an arm's file and messages write them, and every fault in them by the path of the field."""
+"""Parses the obstacles of an arm's file or a message; each fault names the path of its field."""
 
 import math
 from collections.abc import Sequence
 
 from controller.manipulator import frames
-from controller.obstacles.regions import Regions, box, half_space, sphere, together
-from controller.settings import MOST_REGIONS, BoxSettings, HalfSettings, RegionSettings, RoundSettings
-from controller.settings import RegionList as RegionList  # with `build_regions`, for messages that carry regions
+from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
+from controller.settings import MOST_OBSTACLES, BoxSettings, HalfSettings, ObstacleSettings, RoundSettings
+from controller.settings import ObstacleList as ObstacleList  # messages with obstacles use it
 from controller.strict import UNIT
 
-MOST = MOST_REGIONS
+MOST = MOST_OBSTACLES
 PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
 
 
-def build_regions(listed: Sequence[RegionSettings], dimension: int, path: str, faults: list[str]) -> Regions:
-    """Returns the regions of a list, those that are wrong replaced by faults.
+def parse_obstacles(listed: Sequence[ObstacleSettings], dimension: int, path: str, faults: list[str]) -> Obstacles:
+    """Returns the valid obstacles of a list.
 
     Args:
-        listed: as written.
+        listed: the entries of the list.
         dimension: of the arm, 2 or 3.
-        path: of the list, such as "obstacles".
-        faults: appended to.
+        path: path of the list, such as "obstacles".
+        faults: a sentence is appended for each invalid entry.
     """
-    parts = list[Regions]()
+    parts = list[Obstacles]()
     for k, entry in enumerate(listed):
         where = f"{path}[{k}]"
         names = [other.name for other in listed[:k]]
         if entry.name is not None and entry.name in names:
             faults.append(f"{where}.name: {entry.name!r} is {path}[{names.index(entry.name)}]'s already")
-        if (part := build_region(entry, dimension, where, faults)) is not None:
+        if (part := parse_obstacle(entry, dimension, where, faults)) is not None:
             parts.append(part)
     return together(parts)
 
 
-def build_region(entry: RegionSettings, dimension: int, path: str, faults: list[str]) -> Regions | None:
-    """Returns a single region, or None and a fault."""
+def parse_obstacle(entry: ObstacleSettings, dimension: int, path: str, faults: list[str]) -> Obstacles | None:
+    """Returns one obstacle; appends a fault and returns None if the entry is invalid."""
     kinds = PLANAR if dimension == 2 else SPATIAL
     arm = "planar" if dimension == 2 else "spatial"
     given = [kind for kind in dict.fromkeys(PLANAR + SPATIAL) if getattr(entry, kind) is not None]
@@ -51,19 +51,19 @@ def build_region(entry: RegionSettings, dimension: int, path: str, faults: list[
     name = f"{kind.replace('_', '-')} {repr(entry.name) if entry.name else path}"
     match settings:
         case RoundSettings():
-            region = None if len(faults) > before else sphere(name, settings.centre, settings.radius)
+            obstacle = None if len(faults) > before else sphere(name, settings.centre, settings.radius)
         case HalfSettings():
             if math.hypot(*settings.normal) < 1e-9:
                 faults.append(f"{path}.{kind}.normal: a direction is needed, got {settings.normal}")
-            region = None if len(faults) > before else half_space(name, settings.point, settings.normal)
+            obstacle = None if len(faults) > before else half_space(name, settings.point, settings.normal)
         case BoxSettings():
             rotation = build_rotation(settings, dimension, f"{path}.{kind}", faults)
-            region = None if len(faults) > before else box(name, settings.centre, settings.size, rotation)
-    return region
+            obstacle = None if len(faults) > before else box(name, settings.centre, settings.size, rotation)
+    return obstacle
 
 
 def build_rotation(settings: BoxSettings, dimension: int, path: str, faults: list[str]) -> frames.Frame:
-    """Returns how a box is turned (3, 3)."""
+    """Returns the rotation (3, 3) of a box."""
     if dimension == 2:
         if settings.orientation is not None:
             faults.append(f"{path}.orientation: a box of the plane is turned by an `angle`, got a quaternion")

@@ -1,6 +1,6 @@
-"""Obstacles as the search's kernels take them: bodies are checked as modules are set, or when a match would do.
+"""Collision checks inside the search's kernels: module by module in a descent, or whole configurations.
 
-Kernels are compiled with a scene and without, so that an arm with nothing to avoid does not pay for it.
+Each kernel is compiled with and without a scene, so that a search without obstacles runs at full speed.
 """
 
 from collections.abc import Callable
@@ -19,32 +19,32 @@ from controller.obstacles.distance import first_obstacle, placed
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# numba's names of arrays, by kind and dimensions, C-contiguous.
+# numba's types of C-contiguous arrays: F2 is float64 with two dimensions, I1 is int64 with one.
 F2, F3, F4, F5 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1]
 I1 = int64[::1]
 
 
 class Scene(NamedTuple):
-    """An arm among obstacles, with room for one configuration: one search at a time may use it.
+    """An arm among obstacles, with scratch arrays for one configuration. Only one search at a time may use it.
 
     Attributes:
         rotations: configuration sets, shape (B, Kmax, 3, 3).
         translations: configuration sets, shape (B, Kmax, 3).
-        bodies: and the next two: see Clearance.
+        bodies: see Clearance.
         balls: see Clearance.
         lines: see Clearance.
-        kinds: and the next three: see Regions.
-        axes: see Regions.
-        centres: see Regions.
-        sizes: see Regions.
-        margin: how near to an obstacle is too near.
-        apart: how near modules may not come to each other; less than 0 if they may.
-        states: room: the configuration, shape (B,).
-        turns: room: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3).
-        places: room: their positions, shape (B + 1, 3).
-        ends: room: bodies in the world, shape (B, Lmax, 2, 3).
-        middles: room: balls in the world, shape (B, 4).
-        checks: room: how many more configurations may be checked, shape (1,).
+        kinds: see Obstacles.
+        axes: see Obstacles.
+        centres: see Obstacles.
+        sizes: see Obstacles.
+        margin: distance from an obstacle that counts as touching.
+        apart: distance between modules that counts as touching; negative without self-collision.
+        states: scratch: the configuration, shape (B,).
+        frame_rotations: scratch: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3).
+        positions: scratch: positions of frames F_0 to F_B in the world, shape (B + 1, 3).
+        ends: scratch: bodies in the world, shape (B, Lmax, 2, 3).
+        middles: scratch: balls in the world, shape (B, 4).
+        checks: scratch: number of configurations that may still be checked, shape (1,).
     """
 
     rotations: Array
@@ -59,8 +59,8 @@ class Scene(NamedTuple):
     margin: float
     apart: float
     states: Integers
-    turns: Array
-    places: Array
+    frame_rotations: Array
+    positions: Array
     ends: Array
     middles: Array
     checks: Integers
@@ -76,27 +76,27 @@ def for_scenes(signature: Callable[[Any], Any]) -> list[Any]:
 
 
 def scene_of(manipulator: Manipulator, clearance: Clearance | None) -> Scene | None:
-    """Returns the scene of an arm, None if there is nothing to avoid."""
+    """Returns the scene of an arm, or None if it has nothing to avoid."""
     if clearance is None or clearance.free:
         return None
-    modules, regions = len(manipulator.modules), clearance.regions
-    turns, places = np.empty((modules + 1, 3, 3)), np.empty((modules + 1, 3))
-    turns[0], places[0] = manipulator.base[:3, :3], manipulator.base[:3, 3]
+    modules, obstacles = len(manipulator.modules), clearance.obstacles
+    rotations, positions = np.empty((modules + 1, 3, 3)), np.empty((modules + 1, 3))
+    rotations[0], positions[0] = manipulator.base[:3, :3], manipulator.base[:3, 3]
     return Scene(
         manipulator.rotations,
         manipulator.translations,
         clearance.bodies,
         clearance.balls,
         clearance.lines,
-        regions.kinds,
-        regions.axes,
-        regions.centres,
-        regions.sizes,
+        obstacles.kinds,
+        obstacles.axes,
+        obstacles.centres,
+        obstacles.sizes,
         float(clearance.margin),
         float(clearance.apart),
         np.zeros(modules, dtype=np.int64),
-        turns,
-        places,
+        rotations,
+        positions,
         np.empty((modules, *clearance.bodies.shape[2:])),
         np.empty((modules, 4)),
         np.zeros(1, dtype=np.int64),
@@ -107,9 +107,9 @@ def scene_of(manipulator: Manipulator, clearance: Clearance | None) -> Scene | N
 def module_collides(scene: Scene, i: int) -> bool:
     """Returns whether module i, in its state and on the frame below it, touches an obstacle or a module below.
 
-    With self-collision, call it for all modules below first.
+    With self-collision, call in order, base to tip.
     """
-    r, b, ball = scene.turns[i], scene.places[i], scene.balls[i, scene.states[i]]
+    r, b, ball = scene.frame_rotations[i], scene.positions[i], scene.balls[i, scene.states[i]]
     body = scene.bodies[i, scene.states[i], : scene.lines[i]]
     if first_obstacle(r, b, body, ball, scene.kinds, scene.axes, scene.centres, scene.sizes, scene.margin) >= 0:
         return True
@@ -126,14 +126,15 @@ def module_collides(scene: Scene, i: int) -> bool:
 
 @njit(types.void(SCENE, int64), cache=True, nogil=True)
 def carry(scene: Scene, i: int) -> None:
-    """Writes the frame above module i, in its state."""
+    """Writes the frame above module i for its state."""
     s, t = scene.rotations[i, scene.states[i]], scene.translations[i, scene.states[i]]
-    compose(scene.turns[i], scene.places[i], s, t, scene.turns[i + 1], scene.places[i + 1])
+    r, b = scene.frame_rotations, scene.positions
+    compose(r[i], b[i], s, t, r[i + 1], b[i + 1])
 
 
 @njit(types.boolean(SCENE, int64, int64), cache=True, nogil=True)
 def segment_collides(scene: Scene, first: int, last: int) -> bool:
-    """Returns whether any of modules first+1 to last touches, in their states, on the frame below them."""
+    """Returns whether any of modules first+1 to last collides, in their states, on the frame below them."""
     for i in range(first, last):
         if module_collides(scene, i):
             return True
@@ -143,7 +144,7 @@ def segment_collides(scene: Scene, first: int, last: int) -> bool:
 
 @njit(types.boolean(SCENE, I1), cache=True, nogil=True)
 def collides(scene: Scene, configuration: Configuration) -> bool:
-    """Returns whether the arm touches anything in a configuration (B,)."""
+    """Returns whether the arm collides in a configuration (B,)."""
     for i in range(len(configuration)):
         scene.states[i] = configuration[i]
     return bool(segment_collides(scene, 0, len(configuration)))
@@ -151,8 +152,8 @@ def collides(scene: Scene, configuration: Configuration) -> bool:
 
 @njit(types.void(SCENE, int64, int64), cache=True, nogil=True)
 def stand(scene: Scene, i: int, state: int) -> None:
-    """Sets a state of module i that is known to be clear, and the frame above it."""
+    """Sets a state of module i that is known to be clear, and writes the frame above it."""
     scene.states[i] = state
     if scene.apart >= 0:
-        module_collides(scene, i)  # writes its body in the world
+        module_collides(scene, i)  # for its side effect: it writes the body in the world
     carry(scene, i)

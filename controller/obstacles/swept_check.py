@@ -1,10 +1,10 @@
-"""What may be touched while strokes go on, by bounds: the kernel.
+"""Proves by bounds that a transition is clear: the kernel.
 
-Strokes are looked at in boxes, in which each goes from one part of its way to another. Seen from a box's middle, a
-module turns and moves all that it carries, each point by no more than it moves the frame above, and turns it, times the
-point's distance from there. Such bounds of all modules below add up, for each is taken where those above are in the
-middle of the box, and those below move rigidly whatever they do. So a module that in the middle of the box is farther
-from a region than its bounds touches nothing in all of it.
+The displacements of the moving actuators form a box, which is checked in parts. In a part of the box, a moving module
+translates and rotates all modules above it. A point of theirs moves by at most the translation plus the rotation times
+the point's distance from the module's top frame. The bounds of all modules below a body add up: each bound holds with
+the modules above in the middle of the box, and the modules below only move the whole rigidly. A body that is farther
+from an obstacle than the sum of its bounds, in the middle of the box, is clear in the whole box.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from controller.manipulator.frames import compose
 from controller.obstacles.collision import lines_distance
 from controller.obstacles.distance import Array, Index, first_obstacle, placed
 
-CLEAR, TOUCHED = -1, -2
+CLEAR, COLLIDING = -1, -2
 
 
 @njit("f8(f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,:,::1])", cache=True, nogil=True)
@@ -51,7 +51,7 @@ def swept_check(
     lines: Index,
     owners: Index,
     rates: Array,
-    halves: Array,
+    half_widths: Array,
     kinds: Index,
     axes: Array,
     centres: Array,
@@ -61,25 +61,25 @@ def swept_check(
     suspects: Array,
     reports: Index,
 ) -> Index:
-    """Returns for each box of strokes whether it is CLEAR or TOUCHED in its middle, else which stroke to halve.
+    """Returns for each box of displacements CLEAR, COLLIDING (in its middle), or the actuator along which to cut it.
 
     Args:
         rotations: of the base and of every module in the middle of each box, shape (n, B + 1, 3, 3).
         translations: likewise, shape (n, B + 1, 3).
-        bodies: likewise of every module, shape (n, B, Lmax, 2, 3).
+        bodies: line segments of every module there, shape (n, B, Lmax, 2, 3).
         balls: centres and radii of balls around them, shape (n, B, 4).
         lines: number of line segments of each module, shape (B,).
         owners: module of each actuator that switches, shape (k,).
-        rates: see Strokes.rates, shape (k, 3).
-        halves: half of the share of its stroke that each box has, shape (n, k).
-        kinds: and the next three: see Regions.
-        axes: see Regions.
-        centres: see Regions.
-        sizes: see Regions.
+        rates: see Displacements.rates, shape (k, 3).
+        half_widths: half the width of each box along each displacement, shape (n, k).
+        kinds: see Obstacles.
+        axes: see Obstacles.
+        centres: see Obstacles.
+        sizes: see Obstacles.
         margin: see Clearance.
-        apart: how near modules may not come to each other; less than 0 where that does not matter.
-        suspects: modules to look at, shape (n, B); those found clear are struck out.
-        reports: module, region and other module that touch, or may, are written there, shape (n, 3).
+        apart: see Clearance.
+        suspects: modules to check, shape (n, B); the kernel clears those that it proves clear.
+        reports: written: module, obstacle and other module of a possible collision, shape (n, 3).
     """
     n, modules, k = len(bodies), bodies.shape[1], len(owners)
     result = np.full(n, CLEAR)
@@ -88,9 +88,9 @@ def swept_check(
     for box in range(n):
         moves[:], turns[:], swells[:] = 0.0, 0.0, 0.0
         for a in range(k):
-            moves[owners[a]] += halves[box, a] * rates[a, 0]
-            turns[owners[a]] += halves[box, a] * rates[a, 1]
-            swells[owners[a]] += halves[box, a] * rates[a, 2]
+            moves[owners[a]] += half_widths[box, a] * rates[a, 0]
+            turns[owners[a]] += half_widths[box, a] * rates[a, 1]
+            swells[owners[a]] += half_widths[box, a] * rates[a, 2]
         r[0], b[0] = rotations[box, 0], translations[box, 0]
         for i in range(modules):
             compose(r[i], b[i], rotations[box, i + 1], translations[box, i + 1], r[i + 1], b[i + 1])
@@ -100,13 +100,15 @@ def swept_check(
                 continue
             body, ball = bodies[box, j, : lines[j]], balls[box, j]
             x, y, z = placed(r[j], b[j], ball[:3])
-            region, other, swept, low = -1, -1, swells[j], 0
+            obstacle, other, swept, low = -1, -1, swells[j], 0
             for i in range(j):
                 if turns[i] > 0 or moves[i] > 0:
                     swept += moves[i] + turns[i] * (away(x, y, z, b[i + 1]) + ball[3])
-            region = first_obstacle(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin + swept)
-            touched = region >= 0 and first_obstacle(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin) >= 0
-            if apart >= 0 and region < 0:
+            obstacle = first_obstacle(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin + swept)
+            collided = (
+                obstacle >= 0 and first_obstacle(r[j], b[j], body, ball, kinds, axes, centres, sizes, margin) >= 0
+            )
+            if apart >= 0 and obstacle < 0:
                 swept = swells[j]
                 for i in range(j - 1, -1, -1):
                     if turns[i] > 0 or moves[i] > 0:
@@ -117,19 +119,19 @@ def swept_check(
                     if i < j - 1 and away(x, y, z, point) <= ball[3] + balls[box, i, 3] + near:
                         gap = body_distance(r[j], b[j], body, r[i], b[i], bodies[box, i, : lines[i]])
                         if gap <= near:
-                            other, low, touched = i, i, gap <= apart
+                            other, low, collided = i, i, gap <= apart
                             swept += swells[i]
                             break
-            suspects[box, j] = region >= 0 or other >= 0
+            suspects[box, j] = obstacle >= 0 or other >= 0
             if not suspects[box, j]:
                 continue
-            if touched or swept > greatest:
+            if collided or swept > greatest:
                 greatest, worst, lowest = swept, j, low
-                reports[box, 0], reports[box, 1], reports[box, 2] = j, region, other
-            if touched:
-                result[box] = TOUCHED
+                reports[box, 0], reports[box, 1], reports[box, 2] = j, obstacle, other
+            if collided:
+                result[box] = COLLIDING
                 break
-        if worst < 0 or result[box] == TOUCHED:
+        if worst < 0 or result[box] == COLLIDING:
             continue
         x, y, z = placed(r[worst], b[worst], balls[box, worst, :3])
         most = -1.0
@@ -140,6 +142,6 @@ def swept_check(
             share = rates[a, 2] if i == worst or (i == lowest and lowest > 0) else 0.0
             if i < worst:
                 share += rates[a, 0] + rates[a, 1] * (away(x, y, z, b[i + 1]) + balls[box, worst, 3])
-            if halves[box, a] * share > most:
-                most, result[box] = halves[box, a] * share, a
+            if half_widths[box, a] * share > most:
+                most, result[box] = half_widths[box, a] * share, a
     return result

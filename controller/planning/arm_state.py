@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.held import Held, free
+from controller.manipulator.locked import LockedStates, none_locked
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.pacing import Pace
 from controller.motion.program import pack_states, unpack_states
@@ -95,9 +95,9 @@ class ArmState:
         return None
 
     @property
-    def locked_states(self) -> Held:
+    def locked_states(self) -> LockedStates:
         """The state in which each actuator is locked, -1 if it is free or not known, shape (A,)."""
-        return np.where(self.locked, self.measured, free(self.manipulator)).astype(np.int8)
+        return np.where(self.locked, self.measured, none_locked(self.manipulator)).astype(np.int8)
 
     def pack(self, stages: States) -> list[bytes]:
         """Returns stages (k, A) packed for the executor; the executor sets those of locked actuators itself."""

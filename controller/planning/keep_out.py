@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from controller.config import Arm
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import NONE, Regions
+from controller.obstacles.obstacles import NONE, Obstacles
 from controller.obstacles.sweep import sweep_of
 from controller.planning.arm_state import Measured
 from controller.search.solver import Solver
@@ -39,7 +39,7 @@ class KeepOutSet:
 
     generation: int
     clearance: Clearance
-    sent: Regions = NONE
+    sent: Obstacles = NONE
     _known: dict[bytes, str | None] = field(init=False, default_factory=dict)
 
     @property
@@ -79,7 +79,7 @@ class KeepOutSet:
 
     def sentence(self, measured: Measured | None) -> str:
         """Returns how many obstacles there are, and what the arm touches where it stands (A,)."""
-        count = len(self.clearance.regions)
+        count = len(self.clearance.obstacles)
         said = f"keeping out of {count} {'region' if count == 1 else 'regions'}, {len(self.sent)} of them sent"
         words = None if measured is None else self.where(measured)
         return said if words is None else f"{said}; {words} where the arm stands"
@@ -90,8 +90,8 @@ class KeepOutSet:
             return known
         try:
             sweep = sweep_of(self.clearance)
-            touch = sweep.touch(states.astype(np.uint8), np.flatnonzero(states != stage))
-            words = None if touch is None else sweep.words(touch)
+            touch = sweep.first_collision(states.astype(np.uint8), np.flatnonzero(states != stage))
+            words = None if touch is None else sweep.describe(touch)
         except Exception as error:
             log.exception("a stage cannot be checked for collisions")
             words = f"a collision check failed: {error!r}"
@@ -115,7 +115,7 @@ class KeepOut:
         self._arm, self._lock = arm, threading.Lock()
         self.current = KeepOutSet(0, arm.clearance())
 
-    def change(self, sent: Regions) -> bool:
+    def change(self, sent: Obstacles) -> bool:
         """Takes other obstacles in place of those sent before; returns whether their content differs."""
         with self._lock:
             before = self.current
@@ -155,7 +155,7 @@ class CollisionAwareSolver:
         return current.clearance if same_arm else self._arm.clearance(manipulator, current.sent)
 
 
-def same(first: Regions, second: Regions) -> bool:
+def same(first: Obstacles, second: Obstacles) -> bool:
     """Returns whether two sets of obstacles have the same content."""
     arrays = ("kinds", "axes", "centres", "sizes")
     return first.names == second.names and all(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.held import STATES, Held, hold
+from controller.manipulator.locked import STATES, LockedStates, lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.degrade import DegradeMessage
 from controller.planning.arm_state import ArmState, Measured
@@ -33,7 +33,11 @@ class LockedActuators:
     """
 
     def __init__(
-        self, manipulator: Manipulator, declared: Held, rebuild: Callable[[Held], None], changed: Callable[[], None]
+        self,
+        manipulator: Manipulator,
+        declared: LockedStates,
+        rebuild: Callable[[LockedStates], None],
+        changed: Callable[[], None],
     ) -> None:
         self._manipulator, self._rebuild, self._changed = manipulator, rebuild, changed
         self.states = declared.copy()
@@ -78,7 +82,7 @@ class LockedActuators:
             return f"state: the end-stop of {wish.actuator} reads {STATES[measured[k]]}"
         states = changed(self._manipulator, self.states, wish)
         try:
-            hold(self._manipulator, states)
+            lock_actuators(self._manipulator, states)
             if (measured >= 0).all():
                 self._manipulator.configuration(np.where((states >= 0) & ~sensed, states, measured))
         except ValueError as error:
@@ -94,7 +98,7 @@ class LockedActuators:
         if self.problem is not None:
             yield Fault("internal-error", "daemon", self.problem)
 
-    def sentence(self, states: Held | None = None) -> str:
+    def sentence(self, states: LockedStates | None = None) -> str:
         """Returns the locked actuators in words, as "held: 5.left (contracted)", or that there are none."""
         shown, labels = self.states if states is None else states, self._manipulator.actuators
         held = [f"{labels[k]} ({STATES[shown[k]]})" for k in np.flatnonzero(shown >= 0)]
@@ -109,7 +113,7 @@ class LockedActuators:
             states = self.states.copy()
         threading.Thread(target=self._work, args=(states,), name="rebuild", daemon=True).start()
 
-    def _work(self, states: Held) -> None:
+    def _work(self, states: LockedStates) -> None:
         problem = None
         try:
             if not np.array_equal(states, self._built):
@@ -127,7 +131,7 @@ class LockedActuators:
         self._go_on()
 
 
-def changed(manipulator: Manipulator, states: Held, wish: DegradeMessage) -> Held:
+def changed(manipulator: Manipulator, states: LockedStates, wish: DegradeMessage) -> LockedStates:
     """Returns locked states (A,) as a request changes them."""
     result = states.copy()
     result[manipulator.actuators.index(wish.actuator)] = -1 if wish.state is None else wish.state

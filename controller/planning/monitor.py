@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from controller.manipulator.held import carried
+from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.pacing import Pace
@@ -140,7 +140,7 @@ class ArmMonitor:
             mode, reason = self.mode()
             raise Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}")
         try:
-            return carried(configuration, self.manipulator, reduced)
+            return transferred(configuration, self.manipulator, reduced)
         except ValueError:  # other actuators are locked now, and the tables do not know it yet
             mode, reason = self.mode()
             raise Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}; which actuators are held changes now") from None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.config import Arm
-from controller.manipulator.held import Held, hold
+from controller.manipulator.locked import LockedStates, lock_actuators
 from controller.motion import degrade, obstacles
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
 from controller.motion.pacing import pace_of
@@ -81,10 +81,10 @@ class Planning:
         self._weights = arm.weights(dict(zip(manipulator.actuators, ledger.known(), strict=False)))
         self._keep_out, self._admission, numbers = KeepOut(arm), Admission(), ProgramNumbers()
         self._solvers = [
-            CollisionAwareSolver(arm, solver, self._keep_out) for solver in self._tables(arm.held, densities)
+            CollisionAwareSolver(arm, solver, self._keep_out) for solver in self._tables(arm.locked, densities)
         ]
         self._monitor = ArmMonitor(manipulator, link, arm.travel_time, pace_of(arm.settings))
-        self._locked = LockedActuators(manipulator, arm.held, self._rebuild, on_change)
+        self._locked = LockedActuators(manipulator, arm.locked, self._rebuild, on_change)
         self._monitor.go_by(self._locked)
         self._tip_bias = TipBiasWorker(self._monitor, arm.settings.tracker) if arm.settings.tracker else None
         self._goals = RunningGoals(
@@ -246,18 +246,18 @@ class Planning:
 
     # --- changes
 
-    def _tables(self, held: Held, densities: Densities | None = None) -> list[Solver]:
+    def _tables(self, held: LockedStates, densities: Densities | None = None) -> list[Solver]:
         """Returns the solvers for goals, plan queries and set-points of the arm reduced by locked states (A,)."""
-        reduced = hold(self._arm.manipulator, held)
+        reduced = lock_actuators(self._arm.manipulator, held)
         if densities is None:
             densities = map_densities(reduced, self._arm.pixel, self._arm.level_pixels)
         else:
-            reduced = self._arm.left
+            reduced = self._arm.reduced
         for_goals = Solver(reduced, densities, self._weights)
         for_goals.prepare()
         return [for_goals, for_goals.another(), for_goals.another()]
 
-    def _rebuild(self, held: Held) -> None:
+    def _rebuild(self, held: LockedStates) -> None:
         """Has all searches go by other locked states (A,)."""
         for part, solver in zip(self._solvers, self._tables(held), strict=True):
             part.use(solver)

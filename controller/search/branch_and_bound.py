@@ -104,7 +104,7 @@ class BranchAndBound:
         self._walk = None
 
     def run(self, target: Target, seed: Configuration, costs: Array, incumbent: Incumbent, until: float) -> None:
-        """Raises the bound until the incumbent is settled, or until `time.perf_counter()` says `until`.
+        """Raises the bound until the incumbent is proven, or until `time.perf_counter()` says `until`.
 
         Goes on where it was interrupted, if it has begun with this goal.
         """
@@ -114,7 +114,7 @@ class BranchAndBound:
         if self._walk is None:
             self._walk = start(target.position, seed, incumbent.bound)
         walk = self._walk
-        while not incumbent.settled and time.perf_counter() < until:
+        while not incumbent.proven and time.perf_counter() < until:
             walk.bounds[2] = incumbent.cost
             if search(tree, maps, target.query, target.scene, walk, AT_ONCE):
                 configuration = walk.configuration.copy()

@@ -1,9 +1,8 @@
-"""A spatial index: configurations of one segment, sorted into cells by the position, or the pose, of their frames.
+"""A spatial index: the rows of a segment, sorted into cells by the position, or the pose, of their frames.
 
-Poses stand in cells of position and rotation together, so that few of them are compared. The axis of a rotation times
-the sine of its angle, half the vector of R - R^T, moves by no more than the chord between two rotations. Times a weight
-that makes the chord's limit as long as the distance's, the axis stands beside the position as more coordinates of one
-point: the sine of the angle in the plane, three elsewhere.
+For poses the cells have rotation coordinates beside the position. Half the vector of R - R^T is the rotation axis times
+the sine of the angle. It changes by at most the chord between two rotations. A scale makes the greatest chord as long
+as the greatest distance. In the plane the coordinate is the sine of the angle; in space there are three.
 """
 
 from typing import NamedTuple
@@ -18,28 +17,28 @@ Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
 
 CELLS = 1 << 17
-POINTS_A_CELL = 0.5  # at least, on the average
-LEAST_SIDE = 1e-300  # one over it is finite still
-NOTHING = 255  # level where there are no points
-ROOM = 1 + 1e-6  # of the cells' side: rounding must not put two near points more than one cell apart
+POINTS_A_CELL = 0.5  # least mean number of points in a cell
+LEAST_SIDE = 1e-300  # its inverse is finite
+NOTHING = 255  # cost level of cells without points
+MARGIN = 1 + 1e-6  # factor of the side: rounding must not put two near points more than one cell apart
 
 
 class Index(NamedTuple):
-    """Points in the order of the cells that they lie in.
+    """Points in the order of their cells.
 
     Attributes:
         points: shape (n, size).
-        costs: of the points, shape (n,).
-        starts: where each cell's points begin, shape (cells + 1,). Around all points there is a border of empty cells.
-        order: number of each point in the side, shape (n,).
-        near: the least level of the points in a cell and in those after it along each coordinate, of which a match
-            looks at all; NOTHING if there are none; of no meaning for six coordinates.
-        bounds: cost that each level has at least, shape (256,).
+        costs: costs of the points, shape (n,).
+        starts: first point of each cell, shape (cells + 1,). A border of empty cells surrounds all points.
+        order: row of each point in the side, shape (n,).
+        near: least cost level of the cells that a match compares: a cell and the next one along each coordinate;
+            NOTHING if they are empty. Not used for six coordinates.
+        bounds: least cost of each level, shape (256,).
         origin: least corner of the points, shape (6,).
-        shape: cells along each coordinate, but for one, shape (6,).
-        strides: how many cells farther the next one is along each coordinate, shape (6,).
+        shape: number of cells along each coordinate, less one, shape (6,).
+        strides: difference of the numbers of adjacent cells along each coordinate, shape (6,).
         per: cells per unit of length.
-        turns: length that a rotation's axis stands for; 0 if the cells are of positions only.
+        rotation_scale: length of a rotation axis of unit size; 0 for cells of positions only.
         least: least cost.
         side: the configurations.
     """
@@ -54,7 +53,7 @@ class Index(NamedTuple):
     shape: Array
     strides: NDArray[np.int64]
     per: float
-    turns: float
+    rotation_scale: float
     least: float
     side: Side
 
@@ -63,12 +62,12 @@ INDEX = named(Index, F2, F1, int32[::1], int32[::1], uint8[::1], F1, F1, F1, I1,
 
 
 class Cells:
-    """Memory for an index, used again and again: fresh pages would cost more time than what is written to them.
+    """Memory for an index. It is reused, as page faults of fresh memory would take longer than the writes.
 
     Args:
-        most: room for so many points.
+        most: greatest number of points.
         size: coordinates of a position, 2 or 3.
-        cells: room for so many cells.
+        cells: greatest number of cells.
     """
 
     def __init__(self, most: int, size: int, cells: int = CELLS) -> None:
@@ -79,7 +78,7 @@ class Cells:
         self._points, self._unsorted = np.empty(most * self._whole), np.empty(most * self._whole)
 
     def claim(self, most: int | None = None) -> None:
-        """Has the system hand out the memory for so many positions, or for all, now, not in the middle of a search."""
+        """Touches the memory for `most` positions, or for all, so that no search waits for page faults."""
         self._starts.fill(0)
         self._near.fill(0)
         for array in (self._cells, self._order, self._costs):
@@ -87,19 +86,19 @@ class Cells:
         self._points[: most and most * self._size].fill(0)
 
     def fill(self, side: Side, radius: float, chord: float = np.inf, cells: int | None = None) -> Index:
-        """Returns the index of a side, which must stay as it is.
+        """Returns the index of a side. The side must not change while the index is in use.
 
         Args:
             side: n configurations.
-            radius: of the distances to be asked for.
-            chord: greatest squared chord to be asked for, see Target; infinite if any orientation will do.
-            cells: use about so many cells if the radius allows; absent: in proportion to the points.
+            radius: greatest distance of a match.
+            chord: greatest squared chord of a match, see Target; infinite without orientation.
+            cells: number of cells to aim at; None: in proportion to the points.
         """
-        n, size, turns, points = len(side.costs), self._size, 0.0, side.frames
+        n, size, scale, points = len(side.costs), self._size, 0.0, side.frames
         if chord < np.inf:
-            size, turns = self._whole, radius / np.sqrt(chord)
+            size, scale = self._whole, radius / np.sqrt(chord)
             points = self._unsorted[: n * size].reshape(n, size)
-            write_points(side.frames, turns, points)
+            write_points(side.frames, scale, points)
         own, costs = self._points[: n * size].reshape(n, size), self._costs[:n]
         grid, strides = np.empty(13), np.empty(6, dtype=np.int64)
         most = n / POINTS_A_CELL + 64 if cells is None else cells
@@ -113,27 +112,27 @@ class Cells:
         count = sort_into_cells(*given, self._cells, *table, self._order, own, costs)
         starts, order = self._starts[: count + 2], self._order[:n]
         return Index(
-            own, costs, starts, order, near, bounds, grid[:6], grid[6:12], strides, float(grid[12]), turns, least, side
+            own, costs, starts, order, near, bounds, grid[:6], grid[6:12], strides, float(grid[12]), scale, least, side
         )
 
 
 @njit("void(f8[:,::1], i8, f8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
-def write_point(frames: Array, n: int, turns: float, points: Array, k: int) -> None:
-    """Writes the point of position and rotation of frames[n] to points[k], of three coordinates in the plane or six."""
+def write_point(frames: Array, n: int, scale: float, points: Array, k: int) -> None:
+    """Writes position and scaled rotation axis of frames[n] to points[k]: 3 coordinates in the plane, 6 in space."""
     if frames.shape[1] == 4:
-        points[k, 0], points[k, 1], points[k, 2] = frames[n, 0], frames[n, 1], turns * frames[n, 3]
+        points[k, 0], points[k, 1], points[k, 2] = frames[n, 0], frames[n, 1], scale * frames[n, 3]
     else:
         points[k, 0], points[k, 1], points[k, 2] = frames[n, 0], frames[n, 1], frames[n, 2]
-        points[k, 3] = 0.5 * turns * (frames[n, 10] - frames[n, 8])
-        points[k, 4] = 0.5 * turns * (frames[n, 5] - frames[n, 9])
-        points[k, 5] = 0.5 * turns * (frames[n, 6] - frames[n, 4])
+        points[k, 3] = 0.5 * scale * (frames[n, 10] - frames[n, 8])
+        points[k, 4] = 0.5 * scale * (frames[n, 5] - frames[n, 9])
+        points[k, 5] = 0.5 * scale * (frames[n, 6] - frames[n, 4])
 
 
 @njit("void(f8[:,::1], f8, f8[:,::1])", cache=True, nogil=True)
-def write_points(frames: Array, turns: float, points: Array) -> None:
-    """Writes the points (n, 3 or 6) of frames (n, 4 or 12)."""
+def write_points(frames: Array, scale: float, points: Array) -> None:
+    """Writes the points (n, 3 or 6) of frames (n, 4 or 12), see write_point."""
     for n in range(len(frames)):
-        write_point(frames, n, turns, points, n)
+        write_point(frames, n, scale, points, n)
 
 
 @njit(
@@ -162,20 +161,20 @@ def sort_into_cells(
     """Sorts points into cells at least two radii wide; returns the number of cells.
 
     Args:
-        rows: each begins with a point's coordinates, shape (n, ...).
-        costs: of the points, shape (n,).
-        size: how many coordinates a point has, at most 6.
-        radius: of the distances to be asked for.
-        most: most cells.
-        bounds: of the levels, see Index.
-        cells: room, shape (n,).
-        starts: written, shape (cells + 2,); this and the rest: see Index.
-        near: written unless of shape (1,).
-        grid: written: origin (6,), shape (6,), per.
-        strides: written.
-        order: written.
-        points: written.
-        prices: costs, written.
+        rows: rows that begin with the coordinates of a point, shape (n, ...).
+        costs: costs of the points, shape (n,).
+        size: number of coordinates of a point, at most 6.
+        radius: greatest distance of a match.
+        most: greatest number of cells.
+        bounds: see Index.
+        cells: scratch, shape (n,).
+        starts: written, see Index, shape (cells + 2,).
+        near: written, see Index; skipped if the shape is (1,).
+        grid: written: origin (6,), shape (6,), per, see Index.
+        strides: written, see Index.
+        order: written, see Index.
+        points: written, see Index.
+        prices: written, see `costs` of Index.
     """
     low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
     for a in range(size):
@@ -184,7 +183,7 @@ def sort_into_cells(
         for a in range(size):
             low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
     most = min(most, len(starts) - 2)
-    side = max(2.0 * radius * ROOM, LEAST_SIDE)
+    side = max(2.0 * radius * MARGIN, LEAST_SIDE)
     while True:
         product, finest = 1.0, 0.0
         for a in range(size):
@@ -209,7 +208,7 @@ def sort_into_cells(
     for n in range(len(rows)):
         c = 0
         for a in range(size):
-            # Rounding may put the outermost just outside.
+            # Rounding may put the outermost points just outside.
             c += strides[a] * min(1 + int((rows[n, a] - low[a]) * per), int(shape[a]) - 2)
         cells[n] = c
         starts[c] += 1

@@ -1,4 +1,4 @@
-"""The descent of the configuration tree, from base to tip: POP and IPOP (section 3.2), and a beam search."""
+"""Descents of the configuration tree, from base to tip: POP and IPOP (section 3.2), and a beam search."""
 
 from typing import Any
 
@@ -26,33 +26,33 @@ def descend(
     goal: Array,
     arm: Tables,
     levels: Levels,
-    penalties: Array,
+    stage_costs: Array,
     thresholds: Array,
     depth: int,
     configuration: Index,
     scene: Scene | None,
 ) -> tuple[float, float, float]:
-    """Fixes modules 1 to `depth`; writes their states to `configuration`, returns the goal in frame F_depth.
+    """Decides modules 1 to `depth`; writes their states to `configuration`, returns the goal in frame F_depth.
 
-    Of a module's states whose measure is at least the level's threshold, the one with the least penalty is taken (the
-    secondary criterion), ties broken by the greater measure; if no state reaches the threshold, the one with the
-    greatest measure. POP is the case of thresholds that nothing reaches. States in which the module touches an
-    obstacle are skipped; if no other is left, the descent ends, and the goal returned is not a number.
+    Of a module's states whose measure is at least the threshold of the level, the one with the least cost is taken.
+    Ties are broken by the greater measure. If no state reaches the threshold, the one with the greatest measure is
+    taken. POP has infinite thresholds. States in which the module collides are skipped. If no state remains, the
+    descent ends and returns NaN.
 
     Args:
         goal: position in frame F_0, shape (3,).
         arm: configuration sets.
         levels: densities.
-        penalties: the secondary criterion, for each module's states, shape (B, Kmax).
-        thresholds: on the primary criterion, for each level, shape (B+1,).
-        depth: number of modules to fix.
+        stage_costs: the secondary criterion, shape (B, Kmax).
+        thresholds: thresholds of the primary criterion, by level, shape (B+1,).
+        depth: number of modules to decide.
         configuration: written, shape (B,).
         scene: obstacles, None if there are none.
     """
     rotations, translations, states = arm
     x, y, z = goal[0], goal[1], goal[2]
     for i in range(depth):
-        best, best_measure, best_penalty, best_passes = -1, 0.0, 0.0, False
+        best, best_measure, best_cost, best_passes = -1, 0.0, 0.0, False
         bx, by, bz = 0.0, 0.0, 0.0
         for j in range(states[i]):
             r, b = rotations[i, j], translations[i, j]
@@ -66,15 +66,15 @@ def descend(
                 better = True
             elif passes != best_passes:
                 better = False
-            elif passes and penalties[i, j] != best_penalty:
-                better = penalties[i, j] < best_penalty
+            elif passes and stage_costs[i, j] != best_cost:
+                better = stage_costs[i, j] < best_cost
             else:
                 better = m > best_measure
             if scene is not None and better:
                 scene.states[i] = j
                 better = not module_collides(scene, i)
             if better:
-                best, best_measure, best_penalty, best_passes = j, m, penalties[i, j], passes
+                best, best_measure, best_cost, best_passes = j, m, stage_costs[i, j], passes
                 bx, by, bz = qx, qy, qz
         if scene is not None:
             if best < 0:
@@ -103,19 +103,19 @@ def beam_search(
     prices: Array,
     scene: Scene | None,
 ) -> int:
-    """Fixes modules 1 to `depth` of many configurations at once: a beam search of the configuration tree.
+    """Decides modules 1 to `depth` of up to W configurations at once: a beam search of the configuration tree.
 
-    Of all children of the nodes of one level that touch nothing, those of least cost less `worth` times their measure
-    are kept, as many as there is room for. Writes their states to `configurations` (W, B), the goal in frame F_depth to
-    `wanted` (W, 3) and the costs so far to `prices` (W,), the best first; returns the number of those within reach.
+    The score of a node is its cost less `worth` times its measure. Of all clear children of a level, the W with the
+    least scores survive. Writes their states to `configurations` (W, B), the goal in frame F_depth to `wanted` (W, 3),
+    and the costs so far to `prices` (W,), the best first. Returns the number of configurations that can reach the goal.
 
     Args:
         goal: position in frame F_0, shape (3,).
         arm: configuration sets.
         levels: densities.
-        costs: of every module's states, shape (B, Kmax).
-        worth: cost that one more unit of the measure makes up for.
-        depth: number of modules to fix.
+        costs: cost of each module's states, shape (B, Kmax).
+        worth: cost that one unit of the measure is worth.
+        depth: number of modules to decide.
         configurations: written.
         wanted: written.
         prices: written.
@@ -125,7 +125,7 @@ def beam_search(
     width, most = len(prices), len(prices) * states.max()
     parents, choices = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     scores, points, totals = np.empty(most), np.empty((most, 3)), np.empty(most)
-    kept = np.empty_like(configurations)
+    survivors = np.empty_like(configurations)
     wanted[0], prices[0], count = goal, 0.0, 1
     for i in range(depth):
         born = 0
@@ -147,21 +147,21 @@ def beam_search(
                 p = points[born]
                 m = measure(levels, i + 1, p[0], p[1], p[2])
                 parents[born], choices[born], totals[born] = n, j, prices[n] + costs[i, j]
-                # Out of reach by any distance counts as worse than any cost.
+                # A node that cannot reach the goal is worse than any node that can.
                 scores[born] = totals[born] - worth * m if m >= 0 else 1e12 - m
                 born += 1
         order = np.argsort(scores[:born])
         count = min(born, width)
-        if i == depth - 1:  # what is out of reach by the last measure need not be finished
+        if i == depth - 1:  # drop configurations that cannot reach the goal
             while count > 0 and scores[order[count - 1]] >= 1e12:
                 count -= 1
         for n in range(count):
             k = order[n]
             for j in range(i):
-                kept[n, j] = configurations[parents[k], j]
-            kept[n, i] = choices[k]
+                survivors[n, j] = configurations[parents[k], j]
+            survivors[n, i] = choices[k]
             wanted[n], prices[n] = points[k], totals[k]
         for n in range(count):
             for j in range(i + 1):
-                configurations[n, j] = kept[n, j]
+                configurations[n, j] = survivors[n, j]
     return count

@@ -1,4 +1,4 @@
-"""The last modules of a configuration: an exact table of all their tips, for what pixels are too coarse to decide."""
+"""The distal table: all tips of the last modules, exactly, as pixels are too coarse to decide on them."""
 
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -17,30 +17,30 @@ Index = NDArray[np.int64]
 
 MOST_POINTS = 1 << 16
 MOST_BRANCHES = 64
-POINTS_A_CELL = 2
-MOST_CHECKS = 1 << 12  # collision checks of a branch: enough unless nearly all configurations touch
+POINTS_A_CELL = 2  # mean number of points in a cell
+MOST_CHECKS = 1 << 12  # most collision checks of a branch
 
 
 class DistalTable(NamedTuple):
-    """All tips of modules depth+1 to B in frame F_depth, sorted into cells for search by distance.
+    """All tips of modules depth+1 to B in frame F_depth, sorted into cells.
 
     Attributes:
-        root: number of modules that the densities decide; those from root+1 to depth are all tried over the table.
+        root: number of modules that the densities decide; all states of modules root+1 to depth are tried.
         depth: number of modules below the table.
-        points: tips, in the order of the mixed-radix number that their states spell, first module most significant,
-            shape (n, 3).
-        turns: their rotations, likewise, shape (n, 3, 3).
+        points: positions of the tips, shape (n, 3). A row's number has the module states as mixed-radix digits, the
+            first module most significant.
+        rotations: rotations of the tips, shape (n, 3, 3).
         cell: side of a cell.
-        corner: least corner of the cells' box, shape (3,).
-        shape: cells along x, y, z, shape (3,).
-        starts: where each cell's points start in `order`, shape (cells + 1,).
-        order: indices into `points`, shape (n,).
+        corner: least corner of all cells, shape (3,).
+        shape: number of cells along x, y, z, shape (3,).
+        starts: first point of each cell in `order`, shape (cells + 1,).
+        order: rows of `points`, cell by cell, shape (n,).
     """
 
     root: int
     depth: int
     points: Array
-    turns: Array
+    rotations: Array
     cell: float
     corner: Array
     shape: Index
@@ -49,13 +49,13 @@ class DistalTable(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What the table is asked for.
+    """Rotation and tolerances of a goal.
 
     Attributes:
-        rotation: of the goal, shape (3, 3).
-        tolerance: of the distance.
+        rotation: shape (3, 3).
+        tolerance: greatest distance.
         chord: greatest squared chord of the rotations.
-        weight: of rotations, see Target.
+        weight: weight of rotations, see Target.
     """
 
     rotation: Array
@@ -70,22 +70,22 @@ PAIR: Any = types.Tuple((float64, boolean))  # type: ignore[no-untyped-call]
 WANTED = named(Wanted, F2, float64, float64, float64)
 
 
-@lru_cache(maxsize=2)  # planning and following share it
+@lru_cache(maxsize=2)  # shared by the solvers of goals and of set-points
 def build_distal_table(manipulator: Manipulator) -> DistalTable:
-    """Returns the table of as many of the last modules as have at most MOST_POINTS configurations, at least of one.
+    """Returns the table of the last modules: as many as have at most MOST_POINTS configurations, at least one.
 
-    The modules before them that have together at most MOST_BRANCHES configurations are tried one and all.
+    Below the table, all configurations of as many modules as have at most MOST_BRANCHES configurations are tried.
     """
     depth = lowest(manipulator.states, len(manipulator.modules) - 1, MOST_POINTS)
-    points, turns = np.zeros((1, 3)), np.eye(3)[None]
+    points, rotations = np.zeros((1, 3)), np.eye(3)[None]
     for i in reversed(range(depth, len(manipulator.modules))):
         k = manipulator.states[i]
         turned = np.einsum("jab,nb->jna", manipulator.rotations[i, :k], points)
         points = (turned + manipulator.translations[i, :k, None]).reshape(-1, 3)
-        turns = (manipulator.rotations[i, :k, None] @ turns).reshape(-1, 3, 3)
+        rotations = (manipulator.rotations[i, :k, None] @ rotations).reshape(-1, 3, 3)
     points = np.ascontiguousarray(points)
     low, size = points.min(axis=0), np.ptp(points, axis=0)
-    # The greatest of what a line, a plane and a space of points ask, so that flat and thin boxes have few cells too.
+    # The cell side is the greatest for a line, a plane and a volume of points, so that flat boxes have few cells, too.
     extents = np.sort(size)[::-1]
     cell = max(float(np.prod(extents[:n]) / len(points) * POINTS_A_CELL) ** (1 / n) for n in (1, 2, 3)) or 1.0
     shape = (size / cell).astype(np.int64) + 1
@@ -97,7 +97,7 @@ def build_distal_table(manipulator: Manipulator) -> DistalTable:
         root,
         depth,
         points,
-        np.ascontiguousarray(turns),
+        np.ascontiguousarray(rotations),
         cell,
         low,
         shape,
@@ -124,22 +124,21 @@ def lowest(states: Index, top: int, most: int) -> int:
 def nearest(
     position: Array,
     wanted: Wanted,
-    best_penalty: float,
+    best_cost: float,
     best_square: float,
     table: DistalTable,
-    penalties: Array,
+    stage_costs: Array,
     states: Index,
     scene: Scene | None,
 ) -> tuple[int, float, float]:
-    """Finds the row of the table that brings the tip to a position (3,), if it is better than the best so far.
+    """Returns row, cost and squared error of the best row of the table for a position (3,); row -1 if none is better.
 
-    Within the tolerances less penalty is better, ties broken by distance; outside, where the penalty counts as
-    infinite, the nearer. Configurations that touch something are skipped; the scene stands at the table's frame.
-    Returns the row in the table (-1 if none is better), penalty and squared miss of the best.
+    Within the tolerances the least cost is the best; ties are broken by distance. Outside, the cost is infinite, and
+    the nearest row is the best. Configurations that collide are skipped; the scene must be set up to the table's frame.
     """
     x, y, z, rotation = position[0], position[1], position[2], wanted.rotation
-    tolerance, limit, weight, depth = wanted.tolerance, wanted.chord, wanted.weight, table.depth
-    points, turns, cell, corner, shape = table.points, table.turns, table.cell, table.corner, table.shape
+    tolerance, chord, weight, depth = wanted.tolerance, wanted.chord, wanted.weight, table.depth
+    points, rotations, cell, corner, shape = table.points, table.rotations, table.cell, table.corner, table.shape
     starts, order = table.starts, table.order
     oriented = weight > 0.0
     cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
@@ -151,9 +150,9 @@ def nearest(
     outside = ox * ox + oy * oy + oz * oz
     best = -1
     for ring in range(max(shape[0], shape[1], shape[2]) + 1):
-        # Cells of this ring are this far away at the least: go on until neither penalty nor distance can improve.
+        # `square` bounds the distance of the cells of this ring. Stop if neither cost nor distance can improve.
         square = outside + (max(ring - 1, 0) * cell) ** 2
-        if square > tolerance * tolerance and (best_penalty < np.inf or square > best_square):
+        if square > tolerance * tolerance and (best_cost < np.inf or square > best_square):
             break
         for iz in range(max(cz - ring, 0), min(cz + ring, shape[2] - 1) + 1):
             for iy in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
@@ -166,20 +165,20 @@ def nearest(
                         n = order[k]
                         dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                         square = dx * dx + dy * dy + dz * dz
-                        penalty, within = np.inf, square <= tolerance * tolerance
+                        cost, within = np.inf, square <= tolerance * tolerance
                         if oriented:
                             apart = 0.0
                             for a in range(3):
                                 for b in range(3):
-                                    apart += 0.5 * (turns[n, a, b] - rotation[a, b]) ** 2
+                                    apart += 0.5 * (rotations[n, a, b] - rotation[a, b]) ** 2
                             square += weight * weight * apart
-                            within = within and apart <= limit
+                            within = within and apart <= chord
                         if within:
-                            penalty, rest = 0.0, n
+                            cost, rest = 0.0, n
                             for i in range(len(states) - 1, depth - 1, -1):
-                                penalty += penalties[i, rest % states[i]]
+                                cost += stage_costs[i, rest % states[i]]
                                 rest //= states[i]
-                        if penalty < best_penalty or (penalty == best_penalty and square < best_square):
+                        if cost < best_cost or (cost == best_cost and square < best_square):
                             if scene is not None:
                                 if scene.checks[0] == 0:
                                     continue
@@ -190,13 +189,13 @@ def nearest(
                                     rest //= states[i]
                                 if segment_collides(scene, depth, len(states)):
                                     continue
-                            best, best_penalty, best_square = n, penalty, square
-    return best, best_penalty, best_square
+                            best, best_cost, best_square = n, cost, square
+    return best, best_cost, best_square
 
 
 @njit("f8[:,::1](f8[:,:], f8[:,::1])", cache=True, nogil=True)
 def carried_back(rotation: Array, other: Array) -> Array:
-    """Returns R^T R' (3, 3)."""
+    """Returns the product R^T R' (3, 3) of rotations R and R' (3, 3)."""
     result = np.zeros((3, 3))
     for a in range(3):
         for b in range(3):
@@ -216,29 +215,28 @@ def finish(
     wanted: Wanted,
     most: float,
     table: DistalTable,
-    penalties: Array,
+    stage_costs: Array,
     arm: Tables,
     configuration: Configuration,
     scene: Scene | None,
 ) -> tuple[float, bool]:
-    """Fixes modules root+1 to B; writes their states to `configuration`.
+    """Decides modules root+1 to B; writes their states to `configuration`.
 
-    Of all their configurations whose tip is within the tolerances of the goal, the one with the least sum of penalties
-    is taken, ties broken by distance; if there is none, the nearest of all. Among obstacles only MOST_CHECKS of each
-    branch are checked.
+    Of the configurations within the tolerances of the goal, the one with the least cost is taken; ties are broken by
+    distance. If there is none, the nearest is taken. With obstacles at most MOST_CHECKS of each branch are checked.
 
     Args:
-        position: of the goal in frame F_root, shape (3,).
+        position: position of the goal in frame F_root, shape (3,).
         wanted: rotation of the goal in frame F_0, and tolerances.
-        most: nothing is found, and nothing written, if all squared misses are as great.
-        table: of the last modules.
-        penalties: the secondary criterion, shape (B, Kmax).
+        most: squared error that a configuration must be below; otherwise nothing is found, and nothing written.
+        table: the distal table.
+        stage_costs: the secondary criterion, shape (B, Kmax).
         arm: configuration sets.
-        configuration: written, shape (B,); its first `root` modules are those that the goal was carried through.
+        configuration: written, shape (B,); its first `root` states are decided.
         scene: obstacles, None if there are none; the first `root` modules are clear.
 
     Returns:
-        the squared miss, see Target, `most` if nothing is found, and whether it is within.
+        the squared error, see Target, `most` if nothing is found; and whether it is within the tolerances.
     """
     rotations, translations, states = arm
     root, depth, weight, seen = table.root, table.depth, wanted.weight, wanted.rotation
@@ -251,7 +249,7 @@ def finish(
     if scene is not None:
         for i in range(root):
             stand(scene, i, configuration[i])
-    best_row, best_branch, best_penalty, best_square = -1, -1, np.inf, most
+    best_row, best_branch, best_cost, best_square = -1, -1, np.inf, most
     for branch in range(branches):
         if scene is not None:
             rest = branch
@@ -270,14 +268,14 @@ def finish(
             qx = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
             qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
             qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-            base += penalties[i, j]
+            base += stage_costs[i, j]
             if weight > 0.0:
                 turned = carried_back(r, turned)
         goal[0], goal[1], goal[2] = qx, qy, qz
         here = Wanted(turned, wanted.tolerance, wanted.chord, weight)
-        row, penalty, square = nearest(goal, here, best_penalty - base, best_square, table, penalties, states, scene)
+        row, cost, square = nearest(goal, here, best_cost - base, best_square, table, stage_costs, states, scene)
         if row >= 0:
-            best_row, best_branch, best_penalty, best_square = row, branch, penalty + base, square
+            best_row, best_branch, best_cost, best_square = row, branch, cost + base, square
     if best_row < 0:
         return best_square, False
     for i in range(root, depth):
@@ -286,4 +284,4 @@ def finish(
     for i in range(len(states) - 1, depth - 1, -1):
         configuration[i] = best_row % states[i]
         best_row //= states[i]
-    return best_square, best_penalty < np.inf
+    return best_square, best_cost < np.inf

@@ -1,10 +1,10 @@
-"""Four lists: the pairs that two lists leave out are proven to be no better, or found.
+"""Four lists: finds the pairs that two lists leave out, or proves that they are no better.
 
-A pair left out has one half that costs more than was listed. Its other half costs little if the pair is better than the
-incumbent. Each half is cut in two again, into quarters that are listed whole or nearly so. The dear half is streamed as
+One half of such a pair costs more than was listed. Its other half is cheap if the pair is better than the incumbent.
+Each half is cut again into two quarters, which are listed completely or nearly so. The expensive half is streamed as
 pairs of its quarters, in layers of rising cost (Schroeppel and Shamir 1981, "A T = O(2^(n/2)), S = O(2^(n/4)) algorithm
-for certain NP-complete problems"). Each pair is looked up among the cheap rows of the other half. If these rows are
-few, each of them is looked up instead: the dear half's quarters meet.
+for certain NP-complete problems"). Each pair is looked up among the cheap rows of the other half. If the cheap rows are
+few, each of them is looked up among the pairs instead.
 """
 
 from dataclasses import dataclass
@@ -24,28 +24,28 @@ from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, row
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-ROWS = 1 << 14  # of a quarter
-BINS = 512  # of costs, for the sizes of layers
-AT_ONCE = 1 << 17  # pairs between two looks at the clock
-LAYER = 1 << 14  # pairs of a layer, at least, if it is not the last
-FEWER = 4  # an index is built anew when this many times fewer rows are of interest
-LOOKUP = 3  # how much longer it takes to look up a pair in a full index than in one of few rows
+ROWS = 1 << 14  # most rows of a quarter
+BINS = 512  # bins of costs, for the sizes of layers
+AT_ONCE = 1 << 17  # pairs between two checks of the deadline
+LAYER = 1 << 14  # fewest pairs of a layer, unless it is the last
+FEWER = 4  # rebuild an index if it has this many times more rows than needed
+LOOKUP = 3  # time to look up a pair in a full index, relative to an index of few rows
 
 
 class FourList:
-    """Memory for the rows of all quarters, used again for each seed.
+    """The rows of all quarters, in memory that is reused for each seed.
 
     Attributes:
-        limit: least cost of a configuration of either half that the quarters' lists leave out.
+        unexplored: least cost of a configuration of the lower and of the upper half that the quarters do not list.
         unit: width of a layer.
-        layers: number of configurations of lower and upper half by cost in units, nearly, shape (2, BINS).
+        layers: approximate number of configurations of lower and upper half by cost in units, shape (2, BINS).
 
     Args:
         manipulator: the arm.
-        cut: modules in the lower half.
+        cut: number of modules in the lower half.
     """
 
-    limit: tuple[float, float]
+    unexplored: tuple[float, float]
     unit: float
     layers: tuple[Array, Array]
 
@@ -58,14 +58,14 @@ class FourList:
         self._above, self.below = (Cells(len(self._rows[k].costs), size) for k in (3, 0))
         self._key: tuple[NDArray[np.generic], ...] = ()
         self._sorted: tuple[float, ...] = ()
-        self.a: Side  # of the first quarter; frames lead back
-        self.b: tuple[Side, Side]  # frames lead on, and back
+        self.a: Side  # first quarter, inverse frames
+        self.b: tuple[Side, Side]  # frames, and inverse frames
         self.c: tuple[Side, Side]
         self.d: Side
         self._index: Index
 
     def claim(self) -> None:
-        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+        """Touches all memory, so that no search waits for page faults."""
         for quarter in self._rows:
             quarter.claim()
         self._above.claim()
@@ -73,11 +73,11 @@ class FourList:
         self._key = self._sorted = ()
 
     def list(self, seed: Configuration, costs: Array) -> None:
-        """Lists the cheapest configurations of the quarters; does nothing if they are listed already.
+        """Lists the cheapest configurations of the quarters; returns at once if they are listed already.
 
         Args:
-            seed: the configuration that costs nothing, shape (B,).
-            costs: of each module's states, shape (B, Kmax).
+            seed: the configuration of cost 0, shape (B,).
+            costs: cost of each module's states, shape (B, Kmax).
         """
         if self._key and all(map(np.array_equal, (seed, costs), self._key)):
             return
@@ -86,9 +86,10 @@ class FourList:
             build_segment(Sets(self._motions, self._states, seed, costs, costs), quarter, *ends)
             for quarter, ends in zip(self._rows, self._ends, strict=True)
         ]
-        a, b, c, self.d = (by_cost(part) for part in parts)
-        self.a, self.b, self.c = back(a), (b, back(b)), (c, back(c))
-        self.limit = min(parts[0].beyond, parts[1].beyond), min(parts[2].beyond, parts[3].beyond)
+        a, b, c, self.d = (part.side(rows=np.argsort(part.costs)) for part in parts)
+        self.a, self.b, self.c = inverse(a), (b, inverse(b)), (c, inverse(c))
+        own = [part.unexplored for part in parts]
+        self.unexplored = min(own[0], own[1]), min(own[2], own[3])
         least = step(costs, self._states, 0, len(self._states))
         most = max(float(low.costs[-1] + high.costs[-1]) for low, high in ((a, b), (c, self.d)))
         self.unit = max(least if least < np.inf else 1.0, most / (BINS - 2), 1e-300)
@@ -96,7 +97,7 @@ class FourList:
         self._key = (seed.copy(), costs.copy())
 
     def index(self, radius: float, chord: float) -> Index:
-        """Returns the index of the uppermost quarter, see Cells.fill; the same as before if nothing has changed."""
+        """Returns the index of the uppermost quarter, see Cells.fill; cached until the rows change."""
         if self._sorted != (radius, chord):
             self._sorted = ()
             self._index = self._above.fill(self.d, radius, chord)
@@ -111,25 +112,15 @@ class FourList:
         return np.convolve(first, second)
 
 
-def by_cost(part: Segment) -> Side:
-    """Returns the rows of a segment in the order of their costs."""
-    return part.side(rows=np.argsort(part.costs))
-
-
-def first_rows(side: Side, count: int) -> Side:
-    """Returns the first rows of a side."""
-    return side._replace(frames=side.frames[:count], costs=side.costs[:count], rows=side.rows[:count])
-
-
-def back(side: Side) -> Side:
-    """Returns a side whose frames lead back."""
+def inverse(side: Side) -> Side:
+    """Returns a side with inverse frames."""
     frames = side.frames.copy()
     invert_all(frames)
     return side._replace(frames=frames)
 
 
 def seen(frame: Array, side: Side) -> Side:
-    """Returns a side with what each of its frames makes of a frame (4,) or (12,)."""
+    """Returns a side with the products of its frames and a frame (4,) or (12,)."""
     frames = np.empty_like(side.frames)
     compose_all(side.frames, frame[None], frames)
     return side._replace(frames=frames)
@@ -137,15 +128,15 @@ def seen(frame: Array, side: Side) -> Side:
 
 @dataclass(eq=False)
 class Stream:
-    """Configurations of one half, in layers of rising cost, against cheap ones of the other half.
+    """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band).
 
     Attributes:
         upper: whether the upper half is streamed.
-        band: rows of the other half, in the order of their costs; the goal as seen from them, or their tips.
+        band: rows of the other half in the order of their costs, with the goal in their frames, or with their tips.
         floor: least cost of the band.
-        done: streamed up to this cost.
+        done: cost up to which the half was streamed.
         cells: memory for the index of the band.
-        index: of the band, once it is needed.
+        index: index of the band; None until it is needed.
     """
 
     upper: bool
@@ -157,20 +148,20 @@ class Stream:
 
     @property
     def bound(self) -> float:
-        """Least cost of a pair that is left."""
+        """Least cost of a pair that the stream has not compared."""
         return self.done + self.floor
 
 
 class Proof:
-    """Streams for one goal; the one that leaves the lowest bound is continued first.
+    """The streams for one goal. The stream with the lowest bound continues first.
 
     Attributes:
-        rest: least cost of a pair that no stream comes to.
+        rest: least cost of a pair that is in no stream.
 
     Args:
-        four: listed for the seed.
+        four: the quarters, listed for the seed.
         target: the goal.
-        seed: the configuration that costs nothing, shape (B,).
+        seed: the configuration of cost 0, shape (B,).
     """
 
     def __init__(self, four: FourList, target: Target, seed: Configuration) -> None:
@@ -188,24 +179,24 @@ class Proof:
         """Adds streams of both halves against the rows of two lists.
 
         Args:
-            two: lists of both halves.
-            floors: cost of lower and upper rows from which on the streams of the other half have not met them.
-            starts: cost of lower and upper half from which on they are to be streamed.
-            most: pairs that cost as much are of no interest.
+            two: rows of both halves.
+            floors: least cost of the lower and upper rows that earlier streams have not compared.
+            starts: cost at which the streams of the lower and upper half start.
+            most: cost of the incumbent; pairs must be cheaper.
         """
         lower, upper = two.lower, two.upper
         self._inner = seen(self._target.row, self._four.a)
         for of_upper, half, floor, start in ((False, upper, floors[1], starts[0]), (True, lower, floors[0], starts[1])):
             cells = two.bands[of_upper]
             self._streams.append(Stream(of_upper, self._band(half, floor, most - start), floor, start, cells))
-        self.rest = lower.beyond + upper.beyond
+        self.rest = lower.unexplored + upper.unexplored
 
     def run(self, incumbent: Incumbent) -> None:
-        """Streams until the incumbent is settled, the time is over, or what no stream comes to is the cheapest left."""
+        """Streams until there is a proof, the deadline passes, or the cheapest remaining pair is in no stream."""
         while True:
             stream = min(self._streams, key=lambda s: s.bound)
             incumbent.prove(min(stream.bound, self.rest))
-            limit = self._four.limit[stream.upper]
+            limit = self._four.unexplored[stream.upper]
             if incumbent.over or stream.bound >= self.rest or stream.done >= limit:
                 return
             if not self._advance(stream, incumbent, limit):
@@ -219,7 +210,7 @@ class Proof:
         return seen(self._target.row, side) if half.first == 0 else side
 
     def _advance(self, stream: Stream, incumbent: Incumbent, limit: float) -> bool:
-        """Streams one layer, or looks up the band; returns whether there was time for all of it."""
+        """Streams one layer, or looks up the band. Returns whether it finished in time."""
         four, band, target = self._four, stream.band, self._target
         count = int(np.searchsorted(band.costs, incumbent.cost - stream.done))
         layers, first = four.layers[stream.upper], int(stream.done / four.unit + 1e-6)
@@ -231,7 +222,8 @@ class Proof:
         if count * len(outer.costs) * LOOKUP <= size:
             return self._look_up(stream, count, incumbent, limit)
         if stream.index is None or FEWER * count < len(stream.index.side.costs):
-            stream.index = stream.cells.fill(first_rows(band, count), target.radius, target.chord, BAND_CELLS)
+            cheap = band._replace(frames=band.frames[:count], costs=band.costs[:count], rows=band.rows[:count])
+            stream.index = stream.cells.fill(cheap, target.radius, target.chord, BAND_CELLS)
         low, high = stream.done - 1e-9 * four.unit, min(last * four.unit, limit) if last < len(layers) else limit
         at_once = max(int(len(outer.costs) * AT_ONCE / max(size, 1.0)), 1)
         for start in range(0, len(outer.costs), at_once):
@@ -243,7 +235,7 @@ class Proof:
         return True
 
     def _look_up(self, stream: Stream, count: int, incumbent: Incumbent, limit: float) -> bool:
-        """Looks up the cheapest rows of the band, all those that a better pair may have."""
+        """Looks up all rows of the band that a better pair may have. Returns whether it finished in time."""
         four, target, band, done = self._four, self._target, stream.band, stream.done
         if stream.upper:
             outer, index = four.c[1], four.index(target.radius, target.chord)
@@ -254,7 +246,7 @@ class Proof:
             if band.costs[start] + done >= incumbent.cost:
                 break
             if incumbent.late:
-                # A pair that is left has a row of the band from here on, or a half beyond the limit.
+                # A remaining pair has a row of the band from `start` on, or a half that the quarters do not list.
                 stream.done = min(done + float(band.costs[start]) - stream.floor, limit)
                 incumbent.prove(min(self.rest, *(s.bound for s in self._streams)))
                 return False

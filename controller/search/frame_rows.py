@@ -1,4 +1,4 @@
-"""Frames as rows of numbers: (x, y, cos, sin) while the arm stays in the plane, (x, y, z, R row by row) elsewhere."""
+"""Frames as rows of numbers: (x, y, cos, sin) for planar arms, (x, y, z, R row by row) for spatial arms."""
 
 from typing import Any, NamedTuple
 
@@ -11,28 +11,28 @@ from controller.manipulator.manipulator import Manipulator
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
 
-# numba's names of arrays, by kind and dimensions, C-contiguous.
+# numba's types of C-contiguous arrays: F2 is float64 with two dimensions, I1 is int64 with one.
 F1, F2, F3, F4, F5 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1]
 I1, I2 = int64[::1], int64[:, ::1]
 
 
 def named(kind: type, *parts: Any) -> Any:
-    """Returns numba's type of a NamedTuple with fields of these types."""
+    """Returns the numba type of a NamedTuple from the types of its fields."""
     return types.NamedTuple(parts, kind)  # type: ignore[no-untyped-call]
 
 
 class Side(NamedTuple):
-    """Configurations of one segment of the arm, modules first+1 to last, as kernels take them.
+    """Configurations of one segment of the arm, modules first+1 to last, for kernels.
 
     Attributes:
-        frames: what is compared of each, shape (n, 4) or (n, 12).
+        frames: frames to compare, shape (n, 4) or (n, 12).
         costs: shape (n,).
-        rows: their rows in the segment, shape (n,).
-        first: modules below the segment.
-        last: modules up to its end.
-        parents: of the segment, see Segment.
-        modules: of the segment.
-        choices: of the segment.
+        rows: row of each configuration in the segment, shape (n,).
+        first: number of modules below the segment.
+        last: number of modules up to its end.
+        parents: see Segment.
+        modules: see Segment.
+        choices: see Segment.
     """
 
     frames: Array
@@ -50,26 +50,26 @@ NO_ROWS = np.zeros(1, dtype=np.int32)
 
 
 def fixed(frame: Array) -> Side:
-    """Returns the side that is a frame (4,) or (12,) and no part of the arm, such as the goal."""
+    """Returns the side of a single frame (4,) or (12,) without modules, such as the goal."""
     return Side(frame[None].copy(), np.zeros(1), np.zeros(1, dtype=np.int64), 0, 0, NO_ROWS, NO_ROWS, NO_ROWS)
 
 
 def motions(manipulator: Manipulator) -> Array:
-    """Returns the frames of every module's states as rows, module by module, shape (B * Kmax, 4) or (B * Kmax, 12)."""
+    """Returns the frames of all states as rows, module by module, shape (B * Kmax, 4) or (B * Kmax, 12)."""
     r, b = manipulator.rotations.reshape(-1, 3, 3), manipulator.translations.reshape(-1, 3)
     parts = (b[:, :2], r[:, :2, 0]) if manipulator.planar else (b, r.reshape(-1, 9))
     return np.concatenate(parts, axis=1)
 
 
 def coordinates(frames: Array) -> int:
-    """Returns how many coordinates a position has where frames are such rows (..., 4 or 12)."""
+    """Returns the number of coordinates of a position for frames as rows (..., 4 or 12)."""
     return 2 if frames.shape[-1] == 4 else 3
 
 
-# Rows are named by array and number in the two kernels that follow: slices would be counted references.
+# The next two kernels take array and row number: numba would count references of slices.
 @njit("void(f8[:,::1], i8, f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
 def compose(a: Array, i: int, b: Array, j: int, out: Array, k: int) -> None:
-    """Writes frame b[j] carried by frame a[i] to out[k], which is neither."""
+    """Writes the product of frames a[i] and b[j] to out[k], which must be another row."""
     if out.shape[1] == 4:
         x, y, c, s = a[i, 0], a[i, 1], a[i, 2], a[i, 3]
         out[k, 0] = x + c * b[j, 0] - s * b[j, 1]
@@ -86,7 +86,7 @@ def compose(a: Array, i: int, b: Array, j: int, out: Array, k: int) -> None:
 
 @njit("void(f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
 def invert(a: Array, i: int, out: Array, k: int) -> None:
-    """Writes the frame that leads back from a[i] to out[k], another."""
+    """Writes the inverse of frame a[i] to out[k], which must be another row."""
     if out.shape[1] == 4:
         x, y, c, s = a[i, 0], a[i, 1], a[i, 2], a[i, 3]
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = -c * x - s * y, s * x - c * y, c, -s
@@ -99,14 +99,14 @@ def invert(a: Array, i: int, out: Array, k: int) -> None:
 
 @njit("void(f8[:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
 def compose_all(frames: Array, frame: Array, out: Array) -> None:
-    """Writes frame[0] carried by each of the frames (n, ...) to `out` (n, ...)."""
+    """Writes the products of frames (n, 4 or 12) and frame[0] to `out`."""
     for n in range(len(frames)):
         compose(frames, n, frame, 0, out, n)
 
 
 @njit("void(f8[:,::1])", cache=True, nogil=True)
 def invert_all(frames: Array) -> None:
-    """Replaces frames (n, ...) by those that lead back."""
+    """Replaces frames (n, 4 or 12) by their inverses."""
     other = np.empty((1, frames.shape[1]))
     for n in range(len(frames)):
         invert(frames, n, other, 0)

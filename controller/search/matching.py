@@ -1,9 +1,9 @@
-"""Matching: which configurations of the arm's segments come together at the goal, within the tolerances.
+"""Matching: finds the configurations of the arm's segments that meet at the goal, within the tolerances.
 
-Rigid motions keep distances. So the arm may be cut anywhere, and the tip of a configuration is as far from the goal as
-one side of the cut, carried to a common frame, is from the other. A match compares frames compose(outer, inner) with
-the frames of an index, all of its cells that are near: outer and inner are configurations of two segments, or one of
-them is the goal itself. There is one cell walk for positions and poses, compiled for each case.
+Rigid motions preserve distances. So the arm may be cut anywhere: the tip is as far from the goal as the frames on both
+sides of the cut are from each other. A match compares the frames compose(outer, inner) with the frames of an index, in
+all cells that are near. Outer and inner are configurations of two segments, or one of them is the goal. There is one
+cell walk for positions and poses, compiled for each case.
 """
 
 from collections.abc import Callable
@@ -25,12 +25,12 @@ Integers = NDArray[np.int64]
 
 
 class Found(NamedTuple):
-    """The cheapest matches so far.
+    """The cheapest matches found so far.
 
     Attributes:
-        rows: numbers in outer, inner and index, shape (n, 3).
-        costs: shape (n,); infinite where there is room.
-        squares: squared misses, shape (n,).
+        rows: rows in outer, inner and index, shape (n, 3).
+        costs: shape (n,); infinite for an empty place.
+        squares: squared errors, shape (n,).
     """
 
     rows: Integers
@@ -42,15 +42,15 @@ FOUND = named(Found, I2, F1, F1)
 
 
 class Span(NamedTuple):
-    """The part of outer and inner to match; inner is in the order of its costs.
+    """The part of outer and inner to match. The rows of inner must be in the order of their costs.
 
     Attributes:
         outer: first row of outer.
-        outer_end: row after the last.
+        outer_end: row after the last of outer.
         inner: first row of inner.
-        inner_end: row after the last.
-        low: least cost of an outer and an inner row together.
-        high: they cost less than this together.
+        inner_end: row after the last of inner.
+        low: least sum of the costs of an outer and an inner row.
+        high: the sum must be less.
     """
 
     outer: int
@@ -66,7 +66,7 @@ SPAN = named(Span, int64, int64, int64, int64, float64, float64)
 
 @njit(types.void(I1, I1, SIDE, int64), cache=True, nogil=True)
 def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
-    """Puts the states of a side's row `n` among those of the arm (B,); the side continues the seed (B,)."""
+    """Writes the states of a side's row `n` to `states` (B,), for all modules of the side; see Segment."""
     for i in range(side.first, side.last):
         states[i] = seed[i]
     row = side.rows[n]
@@ -77,7 +77,7 @@ def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
 
 @njit(float64(F2, int64, F2, int64), cache=True, nogil=True, inline="always")
 def chord(a: Array, i: int, b: Array, j: int) -> float:
-    """Returns the squared chord between the rotations of frames a[i] and b[j]: half the sum of squared differences."""
+    """Returns the squared chord between the rotations of frames a[i] and b[j]."""
     total = 0.0
     if a.shape[1] == 4:
         total = (a[i, 2] - b[j, 2]) ** 2 + (a[i, 3] - b[j, 3]) ** 2
@@ -90,9 +90,9 @@ def chord(a: Array, i: int, b: Array, j: int) -> float:
 def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
 
-    Its arguments are outer and inner Side, Index, Span, Query, seed (B,), scene, and Found, which it writes: pairs that
-    are cheaper than the dearest found so far, within the tolerances, and clear. With room for one only, a pair of equal
-    cost that is nearer is taken, too.
+    The kernel writes to Found the pairs that are within the tolerances, clear, and cheaper than the dearest found. If
+    Found has one place, ties of the cost are broken by distance. A pair is collision-checked only if it would improve
+    Found.
     """
     place = 2 if planar else 3
     size = (3 if planar else 6) if posed else place
@@ -120,9 +120,9 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
         worst = found.costs.max()
         ceiling = worst * (1 + EPSILON) if room == 1 else worst
         frame, point, states = np.empty((1, width)), np.empty((1, 6)), np.empty(len(seed), np.int64)
-        least, per, turns, origin, strides = index.least, index.per, index.turns, index.origin, index.strides
+        least, per, scale, origin, strides = index.least, index.per, index.rotation_scale, index.origin, index.strides
         x0, y0, z0, nx, ny, nz = origin[0], origin[1], origin[2], index.shape[0], index.shape[1], index.shape[2]
-        # The cells next to a point are two along each coordinate; along the first, their points follow each other.
+        # A match compares two cells along each coordinate. Along the first coordinate their points are contiguous.
         corners = np.zeros(1 << (size - 1), np.int64)
         for corner in range(len(corners)):
             for d in range(1, size):
@@ -148,10 +148,10 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
                     x = a[o, 0] + c * b[i, 0] - s * b[i, 1]
                     y = a[o, 1] + s * b[i, 0] + c * b[i, 1]
                     if posed:
-                        z = turns * (s * b[i, 2] + c * b[i, 3])
+                        z = scale * (s * b[i, 2] + c * b[i, 3])
                 elif posed:
                     compose(a, o, b, i, frame, 0)
-                    write_point(frame, 0, turns, point, 0)
+                    write_point(frame, 0, scale, point, 0)
                     x, y, z = point[0, 0], point[0, 1], point[0, 2]
                 else:
                     x = a[o, 0] + a[o, 3] * b[i, 0] + a[o, 4] * b[i, 1] + a[o, 5] * b[i, 2]
@@ -224,5 +224,5 @@ KERNELS: dict[tuple[bool, bool], Any] = {
 
 
 def match(outer: Side, inner: Side, index: Index, *rest: Any) -> None:
-    """Calls the kernel for these sides; the index decides between positions and poses."""
-    KERNELS[outer.frames.shape[1] == 4, index.turns > 0.0](outer, inner, index, *rest)
+    """Calls the kernel for these sides, for positions or poses by the index."""
+    KERNELS[outer.frames.shape[1] == 4, index.rotation_scale > 0.0](outer, inner, index, *rest)

@@ -18,6 +18,7 @@ from controller.obstacles.scene import collides
 from controller.search.branch_and_bound import BranchAndBound
 from controller.search.four_list import FourList, Proof
 from controller.search.frame_rows import motions
+from controller.search.matching import put
 from controller.search.method import distances
 from controller.search.paths import Paths
 from controller.search.segment import Sets, build_segment, room
@@ -101,7 +102,7 @@ class MinimumSwitch:
                 yield
 
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Runs the stages until the incumbent is settled or its time is over."""
+        """Runs the stages until the incumbent is proven or its time is over."""
         stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
             self._two_lists,
             self._outside,
@@ -119,19 +120,19 @@ class MinimumSwitch:
         if self._tree is not None:
             self._tree.begin()
         for stage in stages:
-            if not incumbent.settled:
+            if not incumbent.proven:
                 stage(problem, incumbent)
-        if incumbent.cost == np.inf and not incumbent.settled and problem.patience > incumbent.until:
+        if incumbent.cost == np.inf and not incumbent.proven and problem.patience > incumbent.until:
             incumbent.until = problem.patience
             for stage in (self._approach, self._around, self._branch_and_bound, self._four_lists, self._beams):
-                if not incumbent.settled:
+                if not incumbent.proven:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:
             if incumbent.square == np.inf:
                 self._ipop(problem, incumbent)
             self._nearest.improve(problem.target, incumbent)
 
-    def reach(self, target: Target, incumbent: Incumbent) -> None:
+    def repair(self, target: Target, incumbent: Incumbent) -> None:
         """Offers a configuration within the tolerances near the incumbent's, or else the nearest found."""
         free = np.zeros(self._m.bits.shape[:2])
         problem = Problem(target, incumbent.configuration, free, incumbent.until)
@@ -175,10 +176,10 @@ class MinimumSwitch:
         if tree is None or problem.hopeless or incumbent.late:
             return
         waiting = tree.map_time(problem.target, problem.costs)
-        if waiting > 0.0 and incumbent.cost <= EASY * min(self._near.lower.beyond, self._near.upper.beyond):
+        if waiting > 0.0 and incumbent.cost <= EASY * min(self._near.lower.unexplored, self._near.upper.unexplored):
             self._four_lists(problem, incumbent)
-        left = incumbent.left()
-        if not incumbent.settled and left > waiting:
+        left = incumbent.remaining()
+        if not incumbent.proven and left > waiting:
             until = incumbent.until - (0.0 if tree.begun else left / 2)
             tree.run(problem.target, problem.seed, problem.costs, incumbent, until)
 
@@ -190,7 +191,7 @@ class MinimumSwitch:
         proof, near, wide = self._proof, self._near, self._wide
         if proof is None or incumbent.over:
             return
-        starts = near.lower.beyond, near.upper.beyond
+        starts = near.lower.unexplored, near.upper.unexplored
         if not proof.begun:
             self._four.list(problem.seed, problem.costs)
             proof.add(near, (0.0, 0.0), starts, incumbent.cost)
@@ -198,7 +199,7 @@ class MinimumSwitch:
         if not incumbent.over and proof.rest == sum(starts) and incumbent.bound >= proof.rest:
             most = WIDE if incumbent.cost <= FAR[1] * proof.rest else LADDER[-1]
             self._list(problem.seed, problem.costs, problem.costs, most)
-            proof.add(wide, starts, (starts[0], wide.upper.beyond), incumbent.cost)
+            proof.add(wide, starts, (starts[0], wide.upper.unexplored), incumbent.cost)
             proof.run(incumbent)
 
     def _far(self, problem: Problem, incumbent: Incumbent) -> None:
@@ -206,7 +207,7 @@ class MinimumSwitch:
         if incumbent.late:
             return
         for width, share in zip(BEAMS, FAR, strict=False):
-            most = share * (self._near.lower.beyond + self._near.upper.beyond)
+            most = share * (self._near.lower.unexplored + self._near.upper.unexplored)
             if most < incumbent.cost < np.inf and not incumbent.late:
                 self._paths.widen(problem.target, problem.costs, width, incumbent)
                 self._wander(problem, incumbent, NEAR)
@@ -228,7 +229,7 @@ class MinimumSwitch:
         """Offers what wider beam searches find, and halves around it."""
         seconds = 0.0
         for width in BEAMS[1:]:
-            if incumbent.settled or incumbent.left() < seconds:
+            if incumbent.proven or incumbent.remaining() < seconds:
                 break
             began = time.perf_counter()
             self._paths.widen(problem.target, problem.costs, width, incumbent)
@@ -237,7 +238,7 @@ class MinimumSwitch:
 
     def _release(self) -> None:
         """Ends a proof that goes by the wide lists, which are about to be overwritten."""
-        if self._proof is not None and self._proof.rest > self._near.lower.beyond + self._near.upper.beyond:
+        if self._proof is not None and self._proof.rest > self._near.lower.unexplored + self._near.upper.unexplored:
             self._proof = None
 
     def _list(self, seed: Configuration, distances: Array, costs: Array, most: int) -> None:
@@ -250,7 +251,7 @@ class MinimumSwitch:
     def _wander(self, problem: Problem, incumbent: Incumbent, most: int) -> None:
         """Matches halves around the incumbent again and again, until it is the best near itself."""
         self._release()
-        while incumbent.left() > most * self._row_time:
+        while incumbent.remaining() > most * self._row_time:
             seed, cost = incumbent.configuration, incumbent.cost
             self._list(seed, distances(self._m, seed), problem.costs, most)
             self._wide.match(problem.target, incumbent)
@@ -278,7 +279,7 @@ class Nearest:
     def improve(self, target: Target, incumbent: Incumbent) -> None:
         """Offers nearer configurations to an incumbent of infinite cost until its time is over, nearly."""
         seconds = 0.0
-        while incumbent.left() > 1.5 * seconds:
+        while incumbent.remaining() > 1.5 * seconds:
             began, before = time.perf_counter(), incumbent.square
             self._change(target, incumbent)
             self._pair(target, incumbent)
@@ -293,11 +294,11 @@ class Nearest:
         count = len(self._m.modules)
         sets = Sets(self._motions, self._m.states, seed, away, self._free)
         segment = build_segment(sets, self._rows, 0, count)
-        squares = target.squares(segment.frames)
+        squares, side = target.squares(segment.frames), segment.side()
         nearer = np.flatnonzero(squares < incumbent.square)
         for row in nearer[np.argsort(squares[nearer])].tolist():
             configuration = seed.copy()
-            segment.write(row, configuration)
+            put(configuration, seed, side, row)
             if target.scene is None or not collides(target.scene, configuration):
                 incumbent.offer(configuration, np.inf, float(squares[row]))
                 return
@@ -312,5 +313,5 @@ class Nearest:
             return
         near = Incumbent(incumbent.configuration, incumbent.until)
         near.offer(incumbent.configuration, 0.0, incumbent.square)
-        two.match(replace(target, tolerance=within, turn=math.inf), near)
+        two.match(replace(target, tolerance=within, angle_tolerance=math.inf), near)
         incumbent.offer(near.configuration, np.inf, near.square)

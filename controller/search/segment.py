@@ -1,4 +1,4 @@
-"""Configurations of one segment of the arm near a given one, the nearest first to be counted in, with their frames."""
+"""Lists of a segment's configurations with their frames: breadth-first from a seed, up to a budget of distance."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,19 +19,19 @@ BINS = 512
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """All configurations of modules first+1 to last that are within a distance of the seed.
+    """All configurations of modules first+1 to last within some distance of the seed.
 
-    A row differs from its parent row in one module, higher than all that differ in the parent; row 0 is the seed.
+    Row 0 is the seed. Each other row changes one module of its parent row, above all modules changed there.
 
     Attributes:
-        first: modules below the segment.
-        last: modules up to its end.
-        parents: row that this one continues, shape (n,).
-        modules: module in which it differs from its parent, counted from 0, shape (n,).
-        choices: that module's state, shape (n,).
-        costs: sum over the segment's modules of what their states cost, shape (n,).
+        first: number of modules below the segment.
+        last: number of modules up to its end.
+        parents: parent row, shape (n,).
+        modules: the changed module, counted from 0, shape (n,).
+        choices: the new state of this module, shape (n,).
+        costs: sum of the costs of the segment's states, shape (n,).
         frames: F_last in F_first, see frame_rows, shape (n, 4) or (n, 12).
-        beyond: least distance of a configuration that is left out; infinite if none is.
+        unexplored: least distance of a configuration that is not listed; infinite if all are.
     """
 
     first: int
@@ -41,32 +41,26 @@ class Segment:
     choices: Index32
     costs: Array
     frames: Array
-    beyond: float
+    unexplored: float
 
     def side(self, rows: Index | None = None) -> Side:
-        """Returns the segment, or some of its rows (n,), as kernels take it."""
+        """Returns the segment, or some of its rows (n,), for kernels."""
         segment = self.first, self.last, self.parents, self.modules, self.choices
         if rows is None:
             return Side(self.frames, self.costs, np.arange(len(self.costs)), *segment)
         return Side(self.frames.take(rows, axis=0), self.costs.take(rows), rows, *segment)
 
-    def write(self, row: int, configuration: Configuration) -> None:
-        """Puts a row's states in a configuration (B,) that has the seed's."""
-        while row > 0:
-            configuration[self.modules[row]] = self.choices[row]
-            row = int(self.parents[row])
-
 
 class Rows(NamedTuple):
-    """Memory for a segment's rows, used again for each: fresh pages would cost more time than what is written to them.
+    """Memory for the rows of a segment. It is reused, as page faults of fresh memory would take longer than the writes.
 
     Attributes:
-        parents: and the next four: see Segment, shape (n,).
+        parents: see Segment.
         modules: see Segment.
         choices: see Segment.
         lengths: distances from the seed, shape (n,).
         costs: see Segment.
-        frames: see Segment, shape (n, 4) or (n, 12).
+        frames: see Segment.
     """
 
     parents: Index32
@@ -77,20 +71,20 @@ class Rows(NamedTuple):
     frames: Array
 
     def claim(self, rows: int | None = None) -> None:
-        """Has the system hand out the memory of so many rows, or of all, now, not in the middle of a search."""
+        """Touches the memory of `rows` rows, or of all, so that no search waits for page faults."""
         for array in self:
             array[:rows].fill(0)
 
 
 class Sets(NamedTuple):
-    """What the rows are made from.
+    """The input of a segment.
 
     Attributes:
-        motions: frames of every module's states as rows, shape (B * Kmax, 4) or (B * Kmax, 12).
+        motions: frames of all states as rows, shape (B * Kmax, 4) or (B * Kmax, 12).
         states: K_i, shape (B,).
         seed: configuration, shape (B,).
-        distances: of each module's states from the seed's, which is at 0; shape (B, Kmax).
-        costs: of each module's states, shape (B, Kmax).
+        distances: distance of each module's states from the seed's state, shape (B, Kmax).
+        costs: cost of each module's states, shape (B, Kmax).
     """
 
     motions: Array
@@ -106,37 +100,37 @@ GROWN: Any = types.Tuple((int64, float64))  # type: ignore[no-untyped-call]
 
 
 def room(rows: int, width: int) -> Rows:
-    """Returns memory for so many rows with frames of 4 or 12 numbers."""
+    """Returns memory for a number of rows whose frames have 4 or 12 numbers."""
     parents, modules, choices = (np.empty(rows, dtype=np.int32) for _ in range(3))
     return Rows(parents, modules, choices, np.empty(rows), np.empty(rows), np.empty((rows, width)))
 
 
 def build_segment(sets: Sets, rows: Rows, first: int, last: int, most: int | None = None) -> Segment:
-    """Returns the configurations nearest to the seed, whole distances at a time.
+    """Returns the configurations nearest to the seed; all configurations of one distance, or none of them.
 
     Args:
-        sets: what they are made from.
-        rows: overwritten; the segment lives in them.
-        first: modules below the segment.
-        last: modules up to its end.
-        most: configurations besides the seed, at most; as many as there is room for if absent.
+        sets: modules, seed, distances and costs.
+        rows: overwritten; the segment refers to this memory.
+        first: number of modules below the segment.
+        last: number of modules up to its end.
+        most: most configurations besides the seed; None: as many as fit.
     """
     size = len(rows.costs) if most is None else min(most + 1, len(rows.costs))
-    # Distances are counted in eighths of the least, which serves equal weights exactly and others well.
+    # Distances are counted in eighths of the least: exact for equal weights, nearly exact for others.
     unit = min(step(sets.distances, sets.states, first, last), 1e300) / 8
-    budget = reach(sets.distances, sets.states, first, last, unit, size - 1)
+    budget = largest_budget(sets.distances, sets.states, first, last, unit, size - 1)
     while True:
-        count, beyond = grow(sets, first, last, budget + 1e-9 * unit, size, rows)
+        count, unexplored = grow(sets, first, last, budget + 1e-9 * unit, size, rows)
         if count < size:
             break
-        budget -= unit  # distances that are no multiples of the unit were counted too low
+        budget -= unit  # the counts were too low: distances were rounded down to units
     parents, modules, choices = rows.parents[:count], rows.modules[:count], rows.choices[:count]
-    return Segment(first, last, parents, modules, choices, rows.costs[:count], rows.frames[:count], beyond)
+    return Segment(first, last, parents, modules, choices, rows.costs[:count], rows.frames[:count], unexplored)
 
 
 @njit("f8(f8[:,::1], i8[::1], i8, i8)", cache=True, nogil=True)
 def step(distances: Array, states: Index, first: int, last: int) -> float:
-    """Returns the least positive distance of a single module's state."""
+    """Returns the least positive distance of a state of modules first+1 to last."""
     least = np.inf
     for i in range(first, last):
         for j in range(states[i]):
@@ -146,8 +140,8 @@ def step(distances: Array, states: Index, first: int, last: int) -> float:
 
 
 @njit("f8(f8[:,::1], i8[::1], i8, i8, f8, i8)", cache=True, nogil=True)
-def reach(distances: Array, states: Index, first: int, last: int, unit: float, most: int) -> float:
-    """Returns the greatest distance, in whole units, within which there are about `most` configurations or fewer."""
+def largest_budget(distances: Array, states: Index, first: int, last: int, unit: float, most: int) -> float:
+    """Returns the greatest distance, a multiple of `unit`, within which lie about `most` configurations or fewer."""
     counts = np.zeros(BINS)
     counts[0] = 1.0
     for i in range(first, last):
@@ -173,20 +167,20 @@ def reach(distances: Array, states: Index, first: int, last: int, unit: float, m
     fastmath={"contract"},
 )
 def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows: Rows) -> tuple[int, float]:
-    """Fills the rows; returns their number (all that fit if there are more) and the least distance left out."""
+    """Lists the configurations within a budget breadth-first; returns their number and the unexplored distance."""
     motions, states, seed, distances, costs = sets
     parents, modules, choices, lengths, prices, frames = rows
     size, most, width = last - first, distances.shape[1], frames.shape[1]
-    # From each module's bottom to the segment's end and back, while the modules between stay at the seed.
+    # Frames from each module's bottom to the segment's end and back, with all modules between at the seed.
     rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
     if width == 4:
         rest[size, 2] = 1.0
     else:
         rest[size, 3] = rest[size, 7] = rest[size, 11] = 1.0
-    # Each module's states but the seed's, the nearest first: how far, what more they cost, and on to the end.
+    # Each module's other states, nearest first: distance, additional cost, and frame up to the segment's end.
     ranked, away = np.empty((size, most), dtype=np.int32), np.full((size, most), np.inf)
     dearer, via = np.empty((size, most)), np.empty((size * most, width))
-    nearest = np.full(size + 1, np.inf)  # least distance of a change in this module or one after it
+    nearest = np.full(size + 1, np.inf)  # least distance of a change of this module or a later one
     price = 0.0
     for k in range(size - 1, -1, -1):
         i, count = first + k, 0
@@ -212,11 +206,11 @@ def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows:
     for a in range(width):
         frames[0, a] = rest[0, a]
     run, now = np.empty((2, width)), 0
-    count, row, beyond = 1, 0, np.inf
+    count, row, unexplored = 1, 0, np.inf
     while row < count:
         length, begin = lengths[row], modules[row] + 1 - first
         if length + nearest[begin] > budget:
-            beyond = min(beyond, length + nearest[begin])
+            unexplored = min(unexplored, length + nearest[begin])
             row += 1
             continue
         compose(frames, row, back, begin, run, now)
@@ -225,7 +219,7 @@ def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows:
             for a in range(states[i] - 1):
                 total = length + away[k, a]
                 if total > budget:
-                    beyond = min(beyond, total)
+                    unexplored = min(unexplored, total)
                     break
                 if count == most_rows:
                     return count, 0.0
@@ -236,4 +230,4 @@ def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows:
             compose(run, now, motions, i * most + seed[i], run, 1 - now)
             now = 1 - now
         row += 1
-    return count, beyond
+    return count, unexplored

@@ -1,4 +1,4 @@
-"""The incumbent of a search, the solution that it answers, and what is proven of it."""
+"""The incumbent of a search with its lower bound and deadline; the solution of a goal and its certificate."""
 
 import time
 from dataclasses import dataclass
@@ -11,24 +11,24 @@ from controller.manipulator.manipulator import Configuration
 
 Certificate = Literal["optimal", "bound", "unreachable", "unknown"]
 
-# Sums of the same weights differ by rounding: costs that differ by less than this part of them are equal.
+# Sums of the same weights differ by rounding. Costs that differ by a smaller share count as equal.
 EPSILON = 1e-9
 
 
 def proves(bound: float, cost: float) -> bool:
-    """Returns whether a lower bound proves that a cost is the least."""
+    """Returns whether a lower bound proves that a cost is optimal."""
     return bound >= cost * (1 - EPSILON)
 
 
 class Incumbent:
-    """The best configuration found for a goal. One search's.
+    """The best configuration that one search has found, its proof, and its deadline.
 
     Attributes:
         configuration: shape (B,).
-        cost: weighted switches; infinite while no configuration within the tolerances is known.
-        square: its squared miss, see Target.
-        bound: no configuration within the tolerances costs less; it never falls.
-        until: `time.perf_counter()` at which the search ends, nearly.
+        cost: cost of its switches; infinite if no configuration within the tolerances is known.
+        square: squared error, see Target.
+        bound: lower bound of the cost of all configurations within the tolerances; it never falls.
+        until: deadline, by `time.perf_counter()`. The stages of the search check it between parts of their work.
     """
 
     def __init__(self, configuration: Configuration, until: float) -> None:
@@ -36,53 +36,52 @@ class Incumbent:
         self.cost, self.square, self.bound = np.inf, np.inf, 0.0
 
     @property
-    def settled(self) -> bool:
-        """Whether nothing better can be found."""
+    def proven(self) -> bool:
+        """Whether the bound proves that no cheaper configuration exists."""
         return proves(self.bound, self.cost)
 
     @property
     def late(self) -> bool:
-        """Whether the time is over."""
+        """Whether the deadline has passed."""
         return time.perf_counter() > self.until
 
     @property
     def over(self) -> bool:
-        """Whether to stop."""
-        return self.settled or self.late
+        """Whether the search should stop: it has a proof, or the deadline has passed."""
+        return self.proven or self.late
 
-    def left(self) -> float:
-        """Returns how much time is left [s]."""
+    def remaining(self) -> float:
+        """Returns the time until the deadline [s]."""
         return self.until - time.perf_counter()
 
     def offer(self, configuration: Configuration, cost: float, square: float) -> bool:
-        """Takes a configuration if it is cheaper, or as cheap and nearer; returns whether it was taken."""
+        """Accepts a configuration if it is cheaper, or as cheap and nearer. Returns whether it was accepted."""
         if (cost, square) < (self.cost, self.square):
             self.configuration, self.cost, self.square = configuration, cost, square
             return True
         return False
 
     def prove(self, bound: float) -> None:
-        """Raises the bound, if it is below."""
+        """Raises the bound to `bound` if it is lower."""
         self.bound = max(self.bound, bound)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a search found for one goal.
+    """The answer of a search for one goal.
 
     Attributes:
         configuration: module states, base first, shape (B,).
-        tip: the frame it brings the tip to, in the world, shape (4, 4).
+        tip: frame of the tip in the world, shape (4, 4).
         error: distance of the tip from the goal.
-        switches: actuators that differ from the previous configuration; those switched, if the path is roundabout.
-        within_tolerance: whether error and angle are within the tolerances, and the arm touches nothing that it is to
-            keep clear of.
-        seconds: time the search took.
+        switches: number of actuators that differ from the previous configuration, or of all switches on a detour.
+        within_tolerance: whether error and angle are within the tolerances, and the configuration is clear.
+        seconds: time of the search [s].
         cost: weighted number of switches.
-        bound: proven: no clear configuration within the tolerances costs less; infinite if there is none at all; 0 if
-            nothing is proven.
-        angle: between the tip's orientation and the goal's [rad]; 0 if any will do.
-        clear: whether the arm touches nothing that it is to keep clear of; if not, nothing clear was found at all.
+        bound: proven lower bound of the cost of all clear configurations within the tolerances; infinite if there are
+            none, 0 if nothing is proven.
+        angle: angle between the orientations of tip and goal [rad]; 0 for a goal without orientation.
+        clear: whether the arm collides with nothing. If not, the search has found no clear configuration.
     """
 
     configuration: Configuration
@@ -98,27 +97,27 @@ class Solution:
 
     @property
     def certificate(self) -> Certificate:
-        """What is proven: the cost is the least; it is at least `bound`; no configuration serves; or nothing."""
+        """What is proven: the cost is optimal, it has a lower bound, the goal is unreachable, or nothing."""
         return certificate(self.within_tolerance, self.bound, self.cost)
 
     @property
     def optimal(self) -> bool | None:
-        """Whether it is proven that no clear configuration within the tolerances costs less; None if unknown."""
+        """Whether the cost is proven optimal; None if nothing is proven."""
         return None if self.certificate == "unknown" else self.certificate == "optimal"
 
     @property
     def lower_bound(self) -> float | None:
-        """The bound, infinite if the goal is unreachable; None if nothing is proven."""
+        """The bound, infinite for an unreachable goal; None if nothing is proven."""
         return None if self.certificate == "unknown" else self.bound
 
     def proof(self) -> dict[str, str | bool | float | None]:
-        """Returns what is proven as fields for JSON."""
+        """Returns the certificate as fields for JSON."""
         return proof(self.certificate, self.bound)
 
 
-def certificate(served: bool, bound: float, cost: float) -> Certificate:
-    """Returns what a lower bound proves of a cost; `served`: the cost is that of something that serves."""
-    if served and proves(bound, cost):
+def certificate(feasible: bool, bound: float, cost: float) -> Certificate:
+    """Returns the certificate of a cost; `feasible`: its configuration is clear and within the tolerances."""
+    if feasible and proves(bound, cost):
         return "optimal"
     if bound == np.inf:
         return "unreachable"

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one goal, by any method."""
+"""Inverse kinematics of one goal by any method: the entry of the search."""
 
 import math
 import time
@@ -26,19 +26,19 @@ from controller.workspace.hull import build_hull
 Vector = NDArray[np.float64]
 
 DEADLINE = 0.05  # [s]
-PATIENCE = 0.5  # [s] for an orientation that is not found sooner
+PATIENCE = 0.5  # [s] for a goal with orientation, or among obstacles, that is not reached within the deadline
 
 
 class Solver:
-    """Searches configurations of one manipulator; holds its tables, so that a goal costs microseconds.
+    """Finds configurations of one manipulator; holds its tables and the memory of its searches.
 
     Attributes:
         manipulator: the arm.
-        densities: of its intermediate workspaces.
-        weights: of the actuators' switches, by module, shape (B, Amax).
-        least_weight: of any actuator's switches.
+        densities: densities of its intermediate workspaces.
+        weights: cost of a switch of each actuator, by module, shape (B, Amax).
+        least_weight: the least of them.
         whole_weights: whether all weights are multiples of the least.
-        clearance: what configurations keep clear of; None if nothing.
+        clearance: obstacles of this arm; None if it has nothing to avoid.
     """
 
     def __init__(
@@ -48,13 +48,13 @@ class Solver:
         weights: ArrayLike | None = None,
         clearance: Clearance | None = None,
     ) -> None:
-        """Builds the tables of the paths.
+        """Builds the tables.
 
         Args:
             manipulator: the arm.
-            densities: of its intermediate workspaces.
-            weights: of the actuators' switches, positive, shape (A,); all 1 if absent.
-            clearance: of this arm; configurations found keep clear, wherever the arm stands before.
+            densities: densities of its intermediate workspaces.
+            weights: cost of a switch of each actuator, positive, shape (A,); None: all 1.
+            clearance: obstacles of this arm. The answers are clear even if the previous configuration is not.
         """
         self.manipulator = manipulator
         self.clearance, self._scene = clearance, scene_of(manipulator, clearance)
@@ -69,31 +69,31 @@ class Solver:
         self._candidates: tuple[int, Candidates] | None = None
 
     def avoiding(self, clearance: Clearance | None) -> "Solver":
-        """Returns a solver that keeps clear of something else, or of nothing.
+        """Returns a solver with other obstacles.
 
-        It shares the tables and the memory of this one: only one of them may search at a time.
+        It shares tables and memory with this solver, so only one of the two may search at a time.
         """
         other = copy(self)
         other.clearance, other._scene = clearance, scene_of(self.manipulator, clearance)
         return other
 
     def another(self) -> "Solver":
-        """Returns a solver with the same tables and memory of its own: both may search at the same time."""
+        """Returns a solver with the same tables but its own memory. Both may search at the same time."""
         other = copy(self)
         vars(other).pop("_minimum", None)
         other._candidates, other._scene = None, scene_of(self.manipulator, self.clearance)
         return other
 
     def prepare(self) -> None:
-        """Claims the memory of the search for fewest switches, which the first searches would else wait for."""
+        """Allocates the memory of minimum-switch searches, so that the first searches do not wait for it."""
         self._minimum.claim()
 
     def expect(self, previous: ArrayLike, tolerance: float) -> Iterator[None]:
-        """Prepares the search for fewest switches from a configuration, step by step, before its goal is known.
+        """Prepares a minimum-switch search from a configuration, step by step, before its goal is known.
 
         Args:
-            previous: shape (B,).
-            tolerance: that the goal is likely to have.
+            previous: configuration before the goal, shape (B,).
+            tolerance: expected tolerance of the goal.
         """
         seed = np.asarray(previous, dtype=np.int64)
         costs = switching(self.manipulator, seed, self.weights)
@@ -106,37 +106,39 @@ class Solver:
         tolerance: float,
         method: Method = "minimum-switch",
         deadline: float = DEADLINE,
-        turn: float = math.inf,
+        angle_tolerance: float = math.inf,
         patience: float = PATIENCE,
     ) -> Solution:
-        """Returns the configuration that a method takes for a goal.
+        """Returns the solution of a goal.
 
         Args:
-            goal: tip position in the world, shape (2,) or (3,), or the tip's frame, shape (4, 4).
-            previous: configuration to stay close to, and to count switches from, shape (B,).
-            tolerance: distance from the goal that is good enough.
-            method: fewest switches, or the algorithm of section 3.2 and for IPOP the secondary criterion.
-            deadline: time that the search for fewest switches may take [s]; it is never worse than IPOP.
-            turn: angle from the goal's orientation that is good enough [rad]; infinite where any will do.
-            patience: time in all for a goal with orientation, or among regions, that is not reached within the
-                deadline [s].
+            goal: position of the tip in the world, shape (2,) or (3,), or its frame, shape (4, 4).
+            previous: configuration before, from which switches are counted, shape (B,).
+            tolerance: greatest distance of the tip from the goal.
+            method: `minimum-switch`, or POP or IPOP (section 3.2) with its secondary criterion.
+            deadline: time of a minimum-switch search [s].
+            angle_tolerance: greatest angle between the orientations [rad]; infinite without orientation.
+            patience: time for a goal with orientation, or among obstacles, that is not reached by the deadline [s].
+
+        Raises:
+            ValueError: the goal has the wrong number of coordinates, or leaves the plane of a planar arm.
         """
         began = time.perf_counter()
         seed = np.asarray(previous, dtype=np.int64)
-        target = self.target(goal, tolerance, turn)
+        target = self.target(goal, tolerance, angle_tolerance)
         incumbent = Incumbent(seed, began + deadline)
-        if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self._served(target, seed):
+        if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self._feasible(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == "minimum-switch":
             costs = switching(self.manipulator, seed, self.weights)
             patience = began + (max(deadline, patience) if target.hard else deadline)
-            self._minimum.improve(Problem(target, seed, costs, patience, self._hopeless(target)), incumbent)
+            self._minimum.improve(Problem(target, seed, costs, patience, self._unreachable(target)), incumbent)
         else:
             best = self._paths.follow(target, seed, method)
-            if target.hard and not self._served(target, best) and not self._hopeless(target):
-                incumbent.until = began + patience  # densities know positions only
+            if target.hard and not self._feasible(target, best) and not self._unreachable(target):
+                incumbent.until = began + patience  # densities have no orientations
                 incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
-                self._minimum.reach(target, incumbent)
+                self._minimum.repair(target, incumbent)
                 best = incumbent.configuration
             incumbent = Incumbent(best, incumbent.until)
         return self._described(incumbent.configuration, target, seed, time.perf_counter() - began, incumbent.bound)
@@ -147,22 +149,29 @@ class Solver:
         goal: ArrayLike,
         previous: Configuration,
         tolerance: float,
-        turn: float = math.inf,
+        angle_tolerance: float = math.inf,
     ) -> Solution:
-        """Returns a configuration (B,) as the solution for a goal, whoever chose it."""
-        return self._described(configuration, self.target(goal, tolerance, turn), previous)
+        """Returns a given configuration (B,) as the solution of a goal; for the arguments see solve."""
+        return self._described(configuration, self.target(goal, tolerance, angle_tolerance), previous)
 
     def candidates(
-        self, goal: ArrayLike, previous: Configuration, tolerance: float, most: int, turn: float = math.inf
+        self,
+        goal: ArrayLike,
+        previous: Configuration,
+        tolerance: float,
+        most: int,
+        angle_tolerance: float = math.inf,
     ) -> tuple[NDArray[np.int64], Vector]:
         """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
 
-        Only those that switch little are looked at; there may be none.
+        The search is limited to configurations near `previous`; it may find none.
         """
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
         costs = switching(self.manipulator, previous, self.weights)
-        return self._candidates[1].find(self.target(goal, tolerance, turn), np.asarray(previous, dtype=np.int64), costs)
+        return self._candidates[1].find(
+            self.target(goal, tolerance, angle_tolerance), np.asarray(previous, dtype=np.int64), costs
+        )
 
     def _described(
         self,
@@ -174,36 +183,36 @@ class Solver:
     ) -> Solution:
         tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
         cost = float(self.cost(configuration, previous))
-        served = clear and target.met(configuration)
+        feasible = clear and target.met(configuration)
         return Solution(
             configuration=configuration,
             tip=tip,
             error=float(distance(tip, target.goal)),
             switches=self.manipulator.switches(configuration, previous),
-            within_tolerance=served,
+            within_tolerance=feasible,
             seconds=seconds,
             cost=cost,
-            bound=min(bound, cost) if served else bound,
+            bound=min(bound, cost) if feasible else bound,
             angle=target.angle(tip),
             clear=clear,
         )
 
-    def _served(self, target: Target, configuration: Configuration) -> bool:
-        """Returns whether a configuration is within the tolerances, and clear."""
+    def _feasible(self, target: Target, configuration: Configuration) -> bool:
+        """Returns whether a configuration (B,) is within the tolerances and clear."""
         return target.met(configuration) and self._clear(configuration)
 
-    def _hopeless(self, target: Target) -> bool:
-        """Returns whether the goal lies so deep in obstacles that no clear tip can come within the tolerance."""
+    def _unreachable(self, target: Target) -> bool:
+        """Returns whether the goal is so deep inside an obstacle that no clear tip is within the tolerance."""
         return self.clearance is not None and self.clearance.buried(target.goal[:3, 3], target.tolerance)
 
     def _clear(self, configuration: Configuration) -> bool:
         return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
 
-    def target(self, goal: ArrayLike, tolerance: float, turn: float) -> Target:
-        """Returns what a goal asks for; see solve.
+    def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float) -> Target:
+        """Returns the target of a goal; for the arguments see solve.
 
         Raises:
-            ValueError: the goal has a wrong number of coordinates, or the arm is planar and the goal is not.
+            ValueError: the goal has the wrong number of coordinates, or leaves the plane of a planar arm.
         """
         given, frame = np.asarray(goal, dtype=float), np.eye(4)
         arm = "planar" if self.manipulator.planar else "spatial"
@@ -218,12 +227,12 @@ class Solver:
             raise ValueError(
                 f"a goal of a {arm} arm is a position ({size},) or a frame (4, 4), got shape {given.shape}"
             )
-        weight = tolerance / turn if turn < math.pi else 0.0  # so that both tolerances count alike
+        weight = tolerance / angle_tolerance if angle_tolerance < math.pi else 0.0  # both tolerances count alike
         local = self._to_base @ frame
-        return Target(local, frame, self.manipulator, tolerance, turn, weight, self._scene)
+        return Target(local, frame, self.manipulator, tolerance, angle_tolerance, weight, self._scene)
 
     def cost(self, configurations: ArrayLike, previous: ArrayLike) -> Any:
-        """Returns the weighted number of switches between configurations, both of shape (..., B), shape (...)."""
+        """Returns the cost of the switches (...) between configurations, both (..., B)."""
         bits, modules = self.manipulator.bits, np.arange(len(self.manipulator.modules))
         differ = bits[modules, np.asarray(previous)] != bits[modules, np.asarray(configurations)]
         return (differ * self.weights).sum(axis=(-2, -1))

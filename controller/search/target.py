@@ -1,4 +1,4 @@
-"""What is asked of the tip, and the one definition of "within tolerance"."""
+"""The goal of a search, and the one definition of "within tolerance"."""
 
 import math
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ from controller.search.frame_rows import F2, F4, I1, named
 
 Array = NDArray[np.float64]
 
-# The search's arithmetic differs from that of `within` by rounding. So the search looks a little farther, and `within`
-# decides. It looks farther by this part of the lengths involved, and by this much of a squared chord.
+# Kernels round differently from `within`. They search with a slightly larger tolerance, and `within` decides. SLACK is
+# the increase relative to the lengths involved, and the increase of the squared chord.
 SLACK = 1e-11
 
 
 class Query(NamedTuple):
-    """A goal as kernels take it.
+    """A goal for kernels.
 
     Attributes:
         base: frame F_0 in the world, shape (4, 4).
         frames: configuration sets, shape (B, Kmax, 4, 4).
         goal: frame in the world, shape (4, 4).
-        tolerance: of the distance.
-        angle_tolerance: of the orientation [rad]; infinite if any orientation will do.
-        radius: of the search, a little more than the tolerance.
-        chord: greatest squared chord of the search, a little more than that of the angle tolerance.
-        weight: of rotations, see Target.
+        tolerance: greatest distance.
+        angle_tolerance: greatest angle [rad]; infinite without orientation.
+        radius: search radius, slightly more than the tolerance.
+        chord: greatest squared chord of the search, slightly more than that of the angle tolerance.
+        weight: weight of rotations, see Target.
     """
 
     base: Array
@@ -51,18 +51,18 @@ QUERY = named(Query, F2, F4, F2, float64, float64, float64, float64, float64)
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A frame that the tip is to come to.
+    """The goal frame of a search, with its tolerances.
 
-    The miss of a tip is sqrt(|b - b'|^2 + (weight * chord)^2). The chord of the angle between the rotations is
+    The error of a tip is sqrt(|b - b'|^2 + (weight * chord)^2). The chord of the angle between two rotations is
     2 sin(angle / 2).
 
     Attributes:
-        frame: in frame F_0, shape (4, 4); its rotation has no meaning if any orientation will do.
-        goal: the same frame in the world, shape (4, 4).
+        frame: goal in frame F_0, shape (4, 4); its rotation has no meaning without orientation.
+        goal: goal in the world, shape (4, 4).
         manipulator: the arm.
-        tolerance: of the tip's distance.
-        turn: of the angle between its orientation and the frame's [rad]; infinite if any orientation will do.
-        weight: of rotations, a length; 0 if any orientation will do.
+        tolerance: greatest distance of the tip.
+        angle_tolerance: greatest angle between the orientations of tip and goal [rad]; infinite without orientation.
+        weight: weight of rotations, a length; 0 without orientation.
         scene: obstacles, None if there are none.
     """
 
@@ -70,68 +70,68 @@ class Target:
     goal: Frame
     manipulator: Manipulator
     tolerance: float
-    turn: float = math.inf
+    angle_tolerance: float = math.inf
     weight: float = 0.0
     scene: Scene | None = None
 
     @property
     def oriented(self) -> bool:
-        """Whether the rotation counts."""
+        """Whether the goal has an orientation."""
         return self.weight > 0
 
     @property
     def hard(self) -> bool:
-        """Whether more is asked than a position, so that a configuration near the seed is less likely to serve."""
+        """Whether the goal has an orientation or obstacles; a configuration near the seed is then less likely."""
         return self.oriented or self.scene is not None
 
     @cached_property
     def row(self) -> Array:
-        """The frame as a row of numbers, see frame_rows, shape (4,) or (12,)."""
+        """The goal in frame F_0 as a row, see frame_rows, shape (4,) or (12,)."""
         planar = self.manipulator.planar
         rotation = self.frame[:2, 0] if planar else self.frame[:3, :3].ravel()
         return np.concatenate((self.frame[: self.manipulator.dimension, 3], rotation))
 
     @property
     def position(self) -> Array:
-        """In frame F_0, shape (3,)."""
+        """Position in frame F_0, shape (3,)."""
         return np.ascontiguousarray(self.frame[:3, 3])
 
     @property
     def rotation(self) -> Array:
-        """In frame F_0, shape (3, 3)."""
+        """Rotation in frame F_0, shape (3, 3)."""
         return np.ascontiguousarray(self.frame[:3, :3])
 
     @property
     def share(self) -> float:
-        """Which part of all orientations is within the tolerance."""
-        angle = min(self.turn, math.pi)
+        """Share of all orientations that are within the tolerance."""
+        angle = min(self.angle_tolerance, math.pi)
         return angle / math.pi if self.manipulator.planar else (angle - math.sin(angle)) / math.pi
 
     @property
     def exact_chord(self) -> float:
-        """Greatest squared chord of the rotations, infinite if any orientation will do."""
-        return math.inf if self.turn >= math.pi else (2 * math.sin(self.turn / 2)) ** 2
+        """Squared chord of the angle tolerance; infinite without orientation."""
+        return math.inf if self.angle_tolerance >= math.pi else (2 * math.sin(self.angle_tolerance / 2)) ** 2
 
     @property
     def chord(self) -> float:
-        """Greatest squared chord of the rotations that the search looks at."""
+        """Greatest squared chord of the search."""
         return self.exact_chord + SLACK
 
     @property
     def radius(self) -> float:
-        """Greatest distance that the search looks at."""
+        """Greatest distance of the search."""
         return search_radius(self.manipulator, self.tolerance)
 
     @cached_property
     def query(self) -> Query:
-        """The target as kernels take it."""
+        """The target for kernels."""
         m, goal = self.manipulator, np.ascontiguousarray(self.goal)
-        turn = self.turn if self.oriented else math.inf
+        angle = float(self.angle_tolerance) if self.oriented else math.inf
         tolerance, weight = float(self.tolerance), float(self.weight)
-        return Query(m.base, m.frames, goal, tolerance, float(turn), float(self.radius), float(self.chord), weight)
+        return Query(m.base, m.frames, goal, tolerance, angle, float(self.radius), float(self.chord), weight)
 
     def squares(self, rows: Array) -> Array:
-        """Returns the squared misses (n,) of tips, rows (n, 4 or 12) in frame F_0."""
+        """Returns the squared errors (n,) of tips, given as rows (n, 4 or 12) in frame F_0."""
         size = self.manipulator.dimension
         squares: Array = ((rows[:, :size] - self.row[:size]) ** 2).sum(axis=1)
         if self.oriented:
@@ -140,43 +140,43 @@ class Target:
         return squares
 
     def square(self, tip: Frame) -> float:
-        """Returns the squared miss of a tip (4, 4) in the world."""
+        """Returns the squared error of a tip (4, 4) in the world."""
         square = distance(tip, self.goal) ** 2
         if self.oriented:
             square += self.weight**2 * 0.5 * float(((tip[:3, :3] - self.goal[:3, :3]) ** 2).sum())
         return square
 
     def angle(self, tip: Frame) -> float:
-        """Returns the angle [rad] of a tip (4, 4) in the world from the goal's orientation; 0 if any will do."""
+        """Returns the angle [rad] between the orientations of a tip (4, 4) and the goal; 0 without orientation."""
         return float(angle_between(tip, self.goal)) if self.oriented else 0.0
 
     def met(self, configuration: Configuration) -> bool:
-        """Returns whether a configuration (B,) brings the tip within both tolerances."""
+        """Returns whether the tip of a configuration (B,) is within both tolerances."""
         return bool(reaches(self.query, np.ascontiguousarray(configuration, dtype=np.int64)))
 
 
 def search_radius(manipulator: Manipulator, tolerance: float) -> float:
-    """Returns the distance from a goal within which to look for tips that may be within a tolerance."""
+    """Returns the search radius for a tolerance: slightly more, to cover rounding."""
     lengths = 2 * manipulator.length + float(np.abs(manipulator.base[:3, 3]).max())
     return tolerance + SLACK * (tolerance + lengths)
 
 
 @njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)
 def distance(tip: Frame, goal: Frame) -> float:
-    """Returns the distance of two frames' (4, 4) positions."""
+    """Returns the distance between the positions of two frames (4, 4)."""
     x, y, z = tip[0, 3] - goal[0, 3], tip[1, 3] - goal[1, 3], tip[2, 3] - goal[2, 3]
     return math.sqrt(x * x + y * y + z * z)
 
 
 @njit("b1(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)
 def within(tip: Frame, goal: Frame, tolerance: float, angle_tolerance: float) -> bool:
-    """Returns whether a tip (4, 4) is within the tolerances of a goal (4, 4): the definition for search and answers.
+    """Returns whether a tip (4, 4) is within the tolerances of a goal (4, 4): the one definition.
 
     Args:
-        tip: frame in the world, as Manipulator.tip computes it.
+        tip: frame in the world, from Manipulator.tip.
         goal: frame in the world.
-        tolerance: of the distance.
-        angle_tolerance: of the orientation [rad]; infinite if any orientation will do.
+        tolerance: greatest distance.
+        angle_tolerance: greatest angle between the orientations [rad]; infinite without orientation.
     """
     if distance(tip, goal) > tolerance:
         return False
@@ -185,6 +185,6 @@ def within(tip: Frame, goal: Frame, tolerance: float, angle_tolerance: float) ->
 
 @njit(types.boolean(QUERY, I1), cache=True, nogil=True)
 def reaches(query: Query, configuration: Configuration) -> bool:
-    """Returns whether a configuration (B,) brings the tip within the tolerances of a query."""
+    """Returns whether the tip of a configuration (B,) is within the tolerances of a query."""
     tip = tip_of(query.base, query.frames, configuration)
     return bool(within(tip, query.goal, query.tolerance, query.angle_tolerance))

@@ -1,4 +1,4 @@
-"""Meet in the middle: both halves of the arm, each listed near a seed, are matched for one goal after another."""
+"""Two lists (meet in the middle): both halves of the arm are listed near a seed and matched for each goal."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,30 +6,30 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells, Index
 from controller.search.frame_rows import Side, coordinates, fixed, invert_all, motions
-from controller.search.matching import Found, Span, match
+from controller.search.matching import Found, Span, match, put
 from controller.search.segment import Segment, Sets, build_segment, room
 from controller.search.solution import Incumbent
 from controller.search.target import Target
 
 Array = NDArray[np.float64]
 
-CANDIDATE_ROWS = 1 << 12  # of each half, for those who choose among many configurations
-BAND_CELLS = 1 << 16  # of an index of few rows that many others are looked up in
-AT_ONCE = 1 << 15  # lower rows matched between two looks at the clock
+CANDIDATE_ROWS = 1 << 12  # rows of each half for Candidates
+BAND_CELLS = 1 << 16  # cells of an index of few rows, in which many others are looked up
+AT_ONCE = 1 << 15  # lower rows matched between two checks of the deadline
 
 
 class TwoList:
-    """Memory for the rows of both halves, used again for each seed.
+    """The rows of both halves, in memory that is reused for each seed.
 
     Attributes:
-        cut: modules in the lower half.
-        lower: rows of the modules below the cut; their frames lead back, F_0 in F_cut.
-        upper: rows of those above; frames F_B in F_cut.
-        bands: memory for an index of upper rows, and of lower ones, see four_list.
+        cut: number of modules in the lower half.
+        lower: rows of the modules below the cut, with inverse frames: F_0 in F_cut.
+        upper: rows of the modules above the cut, with frames F_B in F_cut.
+        bands: memory for an index of upper rows, and of lower rows, see four_list.
 
     Args:
         manipulator: the arm.
-        most: rows of a half, at most.
+        most: greatest number of rows of a half.
     """
 
     lower: Segment
@@ -49,7 +49,7 @@ class TwoList:
         self._index: Index
 
     def claim(self, most: int | None = None) -> None:
-        """Has the system hand out the memory of so many rows, or of all, before a search with a deadline."""
+        """Touches the memory of `most` rows, or of all, so that no search waits for page faults."""
         for half in self._rows:
             half.claim(most)
         for cells in (self._cells, *self.bands):
@@ -57,13 +57,13 @@ class TwoList:
         self._key = self._sorted = ()
 
     def list(self, seed: Configuration, distances: Array, costs: Array, most: int | None = None) -> None:
-        """Lists the configurations nearest to the seed; does nothing if they are listed already.
+        """Lists the configurations nearest to the seed; returns at once if they are listed already.
 
         Args:
             seed: shape (B,).
-            distances: of each module's states from the seed's, shape (B, Kmax).
-            costs: of each module's states, shape (B, Kmax).
-            most: rows of a half, at most; absent: as many as there is room for.
+            distances: distance of each module's states from the seed's state, shape (B, Kmax).
+            costs: cost of each module's states, shape (B, Kmax).
+            most: greatest number of rows of a half; None: as many as fit.
         """
         key = (seed, distances, costs, np.array([0 if most is None else most]))
         if self._key and all(map(np.array_equal, key, self._key)):
@@ -77,7 +77,7 @@ class TwoList:
         self._key = tuple(np.array(part) for part in key)
 
     def index(self, radius: float, chord: float) -> Index:
-        """Returns the index of the upper rows, see Cells.fill; the same as before if nothing has changed."""
+        """Returns the index of the upper rows, see Cells.fill; cached until the rows change."""
         if self._sorted != (radius, chord):
             self._sorted = ()
             self._index = self._cells.fill(self.upper.side(), radius, chord)
@@ -85,20 +85,18 @@ class TwoList:
         return self._index
 
     def match(self, target: Target, incumbent: Incumbent) -> tuple[bool, float]:
-        """Offers the cheapest pair to the incumbent.
+        """Offers the cheapest pair to the incumbent; ties are broken by distance.
 
-        Returns whether there was time for all pairs, and the least cost of a configuration left out.
-
-        The nearest pair is offered of those that cost the same.
+        Returns whether all pairs were compared before the deadline, and the least cost of an unexplored configuration.
         """
         index, lower, goal = self.index(target.radius, target.chord), self.lower.side(), fixed(target.row)
-        beyond = min(self.lower.beyond, self.upper.beyond)
+        unexplored = min(self.lower.unexplored, self.upper.unexplored)
         for start in range(0, len(lower.costs), AT_ONCE):
             if start > 0 and incumbent.late:
-                return False, min(beyond, float(lower.costs[start:].min()))
+                return False, min(unexplored, float(lower.costs[start:].min()))
             span = Span(start, min(start + AT_ONCE, len(lower.costs)), 0, 1, -np.inf, np.inf)
             improve(incumbent, (lower, goal, index), span, target, self._key[0].astype(np.int64))
-        return True, beyond
+        return True, unexplored
 
 
 def improve(
@@ -113,12 +111,12 @@ def improve(
     """Offers the cheapest match of a span to the incumbent.
 
     Args:
-        incumbent: as good as what is looked for, or not as good.
+        incumbent: a match must be better.
         sides: outer, inner and index.
-        span: of outer and inner.
+        span: rows of outer and inner to match.
         target: the goal.
-        seed: that all sides continue, shape (B,).
-        nearer: whether a match of equal cost that is nearer to the goal is better.
+        seed: seed of all sides, shape (B,).
+        nearer: whether ties of the cost are broken by distance.
     """
     square = incumbent.square if nearer else -np.inf
     found = Found(np.full((1, 3), -1), np.array([incumbent.cost]), np.array([square]))
@@ -127,58 +125,50 @@ def improve(
         outer, inner, index = sides
         configuration = seed.copy()
         for side, row in zip((outer, inner, index.side), found.rows[0].tolist(), strict=True):
-            write(side, row, configuration)
+            put(configuration, seed, side, row)
         incumbent.offer(configuration, float(found.costs[0]), float(found.squares[0]))
 
 
-def write(side: Side, n: int, configuration: Configuration) -> None:
-    """Puts the states of a side's row `n` in a configuration (B,) that has the seed's."""
-    row = int(side.rows[n])
-    while row > 0:
-        configuration[side.modules[row]] = side.choices[row]
-        row = int(side.parents[row])
-
-
 class Candidates:
-    """The cheapest configurations near a given one, with the memory to find them.
+    """Finds the cheapest configurations near a seed; holds the memory for them.
 
     Args:
         manipulator: the arm.
-        most: how many to find at most.
+        most: greatest number of configurations.
     """
 
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._two, self._most = TwoList(manipulator, CANDIDATE_ROWS), most
 
     def find(self, target: Target, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
-        """Returns configurations (n, B) whose tips are within the tolerances and clear, and what they cost (n,).
+        """Returns clear configurations (n, B) within the tolerances, and their costs (n,).
 
         Args:
-            target: in frame F_0.
-            seed: the configuration that costs nothing, shape (B,).
-            costs: of every state of every module, shape (B, Kmax).
+            target: the goal.
+            seed: the configuration of cost 0, shape (B,).
+            costs: cost of each module's states, shape (B, Kmax).
         """
         two = self._two
         two.list(seed, costs, costs)
         lower, goal, index = two.lower.side(), fixed(target.row), two.index(target.radius, target.chord)
-        room = self._most
-        found = Found(np.full((room, 3), -1), np.full(room, np.inf), np.full(room, np.inf))
+        most = self._most
+        found = Found(np.full((most, 3), -1), np.full(most, np.inf), np.full(most, np.inf))
         span = Span(0, len(lower.costs), 0, 1, -np.inf, np.inf)
         match(lower, goal, index, span, target.query, seed, target.scene, found)
         chosen = np.flatnonzero(found.rows[:, 0] >= 0)
         configurations = np.tile(seed, (len(chosen), 1))
         for configuration, row in zip(configurations, found.rows[chosen].tolist(), strict=True):
             for side, n in zip((lower, goal, index.side), row, strict=True):
-                write(side, n, configuration)
+                put(configuration, seed, side, n)
         return configurations, found.costs[chosen]
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:
-    """Returns the module at which modules first+1 to last are cut into like numbers of configurations."""
+    """Returns the cut of modules first+1 to last into two parts with nearly equal numbers of configurations."""
     sizes = np.concatenate([[0.0], np.cumsum(np.log2(manipulator.states[first:last]))])
     return first + int(np.argmin(np.abs(sizes - sizes[-1] / 2)))
 
 
 def rows(manipulator: Manipulator, first: int, last: int, most: int) -> int:
-    """Returns how many rows modules first+1 to last need: for `most` configurations, or for all if they are fewer."""
+    """Returns the number of rows for `most` configurations of modules first+1 to last, or for all if they are fewer."""
     return int(min(most, np.prod(manipulator.states[first:last].astype(float)))) + 1

@@ -1,4 +1,4 @@
-"""Densities kept on disk, so that a daemon that restarts is ready at once."""
+"""A cache of densities on disk, so that a daemon is ready immediately after a restart."""
 
 import hashlib
 import logging
@@ -14,12 +14,12 @@ from controller.workspace.mapping import map_densities
 
 log = logging.getLogger(__name__)
 
-# Part of every key: raise it when mapping or the meaning of the stored arrays changes.
+# Part of each key: increase it when the mapping or the format of the stored arrays changes.
 FORMAT = 1
 
 
 def default_directory() -> Path:
-    """Returns where caches go: systemd's CacheDirectory, else the user's cache folder."""
+    """Returns the folder of the cache: systemd's CacheDirectory, otherwise in the user's cache folder."""
     if "CACHE_DIRECTORY" in os.environ:
         return Path(os.environ["CACHE_DIRECTORY"]) / "densities"
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -27,7 +27,7 @@ def default_directory() -> Path:
 
 
 def key(manipulator: Manipulator, pixel: float, level_pixels: int) -> str:
-    """Returns a digest of all that the densities depend on: geometry and pixels, not the base frame."""
+    """Returns a digest of the input of the mapping: geometry and pixels, not the base frame."""
     digest = hashlib.sha256(f"{FORMAT} {pixel!r} {level_pixels} {manipulator.dimension}".encode())
     for array in (manipulator.states, manipulator.rotations, manipulator.translations):
         digest.update(repr(array.shape).encode() + array.tobytes())
@@ -41,16 +41,16 @@ def load_or_map(
     directory: Path,
     progress: Callable[[int], None] = lambda levels: None,
 ) -> Densities:
-    """Returns the densities from the cache, or maps them and puts them there.
+    """Returns the densities from the cache, or maps and stores them.
 
-    A file that is damaged or holds other densities is rebuilt; a folder that cannot be written is only warned of.
+    A damaged or wrong file is replaced. If the folder cannot be written, a warning is logged.
 
     Args:
         manipulator: the arm.
         pixel: see map_densities.
         level_pixels: see map_densities.
-        directory: the cache's folder, made if need be.
-        progress: see map_densities; not called when the cache serves.
+        directory: folder of the cache; it is created if needed.
+        progress: see map_densities; not called if the densities are in the cache.
     """
     wanted = key(manipulator, pixel, level_pixels)
     path = directory / f"{wanted[:24]}.npz"
@@ -65,7 +65,7 @@ def load_or_map(
 
 
 def load(path: Path, wanted: str) -> Densities | None:
-    """Returns the densities in a file, or None if there are none, or others than those of the key `wanted`."""
+    """Returns the densities in a file, or None if it is missing, damaged, or has another key than `wanted`."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             if (member := archive.zip.testzip()) is not None:
@@ -75,14 +75,14 @@ def load(path: Path, wanted: str) -> Densities | None:
             densities = Densities(**{name: archive[name] for name in Densities.__dataclass_fields__})
     except FileNotFoundError:
         return None
-    except Exception as error:  # damage can surface as nearly anything, and is no more than lost time
+    except Exception as error:  # damage can raise nearly anything; mapping again is safe
         log.warning("densities in %s are built anew: %s", path, error)
         return None
     return densities
 
 
 def store(path: Path, wanted: str, densities: Densities) -> None:
-    """Writes densities and their key so that a crash leaves the old file or the new one, never half of one.
+    """Writes densities and their key atomically: a crash leaves the old file or the new one.
 
     Raises:
         OSError: the file cannot be written.

@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Densities:
-    """Intermediate workspaces W_0 (whole arm) to W_B (its tip alone), each an array of pixels with a box of its own.
+    """The densities of intermediate workspaces W_0 (whole arm) to W_B (tip alone), each an array of pixels.
 
-    Pixel (z, y, x) of level i is centred at `references[i] + pixels[i] * (x, y, z)` in frame i. Its value is the
-    natural logarithm of the number of points in it where that number is positive (so never negative), and minus the
-    distance to the nearest such pixel elsewhere: one number that says how well, or else how far off.
+    Pixel (z, y, x) of level i has its centre at `references[i] + pixels[i] * (x, y, z)` in frame i. Its value is the
+    natural logarithm of the number of points in it, at least 0. An empty pixel has minus the distance to the nearest
+    pixel with points.
 
     Attributes:
-        values: all levels' pixels one after the other, base level first, float32.
-        offsets: where each level starts in `values`, shape (B+2,).
-        shapes: pixels along z, y, x, shape (B+1, 3).
-        references: centre of each level's first pixel, x, y, z, shape (B+1, 3).
-        pixels: side of each level's pixels, shape (B+1,).
+        values: pixels of all levels, level 0 first, float32.
+        offsets: first pixel of each level in `values`, shape (B+2,).
+        shapes: number of pixels along z, y, x, shape (B+1, 3).
+        references: centre (x, y, z) of the first pixel of each level, shape (B+1, 3).
+        pixels: side of the pixels of each level, shape (B+1,).
     """
 
     values: NDArray[np.float32]
@@ -33,7 +33,7 @@ class Densities:
         return self.values[self.offsets[i] : self.offsets[i + 1]].reshape(self.shapes[i])
 
     def box(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns the least and greatest corner (x, y, z) of level i, outer edges of its pixels."""
+        """Returns the least and greatest corner (x, y, z) of level i, at the outer edges of its pixels."""
         half = self.pixels[i] / 2
         last = self.references[i] + self.pixels[i] * (self.shapes[i, ::-1] - 1)
         return self.references[i] - half, last + half
@@ -43,7 +43,7 @@ class Densities:
         return float(self.pixels[i] ** (2 if planar else 3))
 
     def edge(self) -> NDArray[np.float64]:
-        """Returns the centres (n, 3) of the pixels of W_0 that have points but not all around."""
+        """Returns the centres (n, 3) of the pixels on the boundary of W_0."""
         some = np.pad(self.level(0) >= 0, 1)
         inside = some.copy()
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""The hull of all tips, beyond which nothing is reached."""
+"""The hull of all tips: no configuration reaches a goal outside it."""
 
 from functools import lru_cache
 
@@ -9,20 +9,19 @@ from controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 
-SAMPLES = {2: 513, 3: 25}  # along an edge of the square or cube on whose surface the directions lie
+SAMPLES = {2: 513, 3: 25}  # directions along an edge of the square or cube, by dimension
 
 
 class Hull:
-    """A hull that surely holds every tip, in frame F_0, so that a goal outside it needs no search.
+    """A convex hull that contains all tips, in frame F_0.
 
-    The support h(u), the farthest that any tip comes along u, obeys the recursion of the workspaces: where q is a tip
-    in the frame of module i, the tip in the frame below is b + R q, so h(u) is the greatest of u b + h'(R^T u) over the
-    module's states. Supports are convex and homogeneous: between the directions sampled they are at most what
-    interpolation gives, so that the hull only ever comes out too large.
+    The support function h(u) is the greatest coordinate of a tip along u. It obeys the recursion of the workspaces. If
+    q is a tip in the frame above module i, the tip in the frame below is b + R q. So h(u) is the maximum of
+    u b + h'(R^T u) over the states of the module. Support functions are convex and homogeneous: interpolation between
+    sampled directions is an upper bound. So the hull may be too large, but never too small.
 
     Attributes:
-        boxes: least and greatest x, least and greatest y, and so on, of the tips in frames F_0 to F_B, shape
-            (B + 1, 2 * size).
+        boxes: least and greatest x, least and greatest y, ... of the tips in frames F_0 to F_B, shape (B+1, 2 * size).
 
     Args:
         manipulator: the arm.
@@ -44,20 +43,20 @@ class Hull:
             self.boxes[i] = self._support(along) * np.tile((-1.0, 1.0), size)
 
     def excludes(self, goal: Array, tolerance: float) -> bool:
-        """Returns whether surely no tip comes within the tolerance of a goal (3,) in frame F_0."""
+        """Returns whether provably no tip is within the tolerance of a goal (3,) in frame F_0."""
         lengths = np.linalg.norm(self._directions, axis=1)
-        beyond = self._directions @ goal[: self._size] - self._supports
-        return bool(np.any(beyond > lengths * (tolerance + 1e-9 * (1 + np.abs(goal).max()))))
+        excess = self._directions @ goal[: self._size] - self._supports
+        return bool(np.any(excess > lengths * (tolerance + 1e-9 * (1 + np.abs(goal).max()))))
 
     def _surface(self) -> Array:
-        """Returns the directions (n, size), face by face: -x, +x, -y, ..., the first other coordinate slowest."""
+        """Returns directions (n, size) on the faces -x, +x, -y, ... of a cube, the first other coordinate slowest."""
         others = np.stack(np.meshgrid(*[self._edge] * (self._size - 1), indexing="ij"), axis=-1)
         others = others.reshape(-1, self._size - 1)
         faces = [np.insert(others, a, sign, axis=1) for a in range(self._size) for sign in (-1.0, 1.0)]
         return np.concatenate(faces)
 
     def _support(self, directions: Array) -> Array:
-        """Returns the supports in any directions (n, size), or a little more."""
+        """Returns upper bounds of the support function (n,) in directions (n, size)."""
         rows, side = np.arange(len(directions)), len(self._edge)
         axis = np.abs(directions).argmax(axis=1)
         length = np.abs(directions[rows, axis])
@@ -76,7 +75,7 @@ class Hull:
         return np.asarray(length * total)
 
 
-@lru_cache(maxsize=2)  # planning and following share it
+@lru_cache(maxsize=2)  # shared by the solvers of goals and of set-points
 def build_hull(manipulator: Manipulator) -> Hull:
     """Returns the hull of an arm's tips."""
     return Hull(manipulator)

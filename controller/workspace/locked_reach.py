@@ -1,8 +1,7 @@
-"""Reach and redundancy of an arm in which some actuators are locked, by the Mapping Algorithm.
+"""Reach and redundancy of an arm with locked actuators, by the Mapping Algorithm.
 
-All arms are mapped with pixels of one side, parallel to the axes of the base and aligned with its origin, so that they
-can be compared pixel by pixel. Locking an actuator changes only the intermediate workspaces below its module; those
-above are mapped once for all choices.
+All arms are mapped with the same grid of pixels in the base frame, so that they compare pixel by pixel. A locked
+actuator changes only the intermediate workspaces below its module. The others are mapped once for all choices.
 """
 
 import math
@@ -13,47 +12,47 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.held import Held, free, hold
+from controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import Level, below, coarsened, tip_level
 
 Array = NDArray[np.float64]
 
-PIXELS = {2: 1 << 16, 3: 1 << 17}  # most pixels of the whole arm's box, by dimension
+PIXELS = {2: 1 << 16, 3: 1 << 17}  # most pixels of the box of W_0, by dimension
 
 
 class Reach(NamedTuple):
-    """Where the tip of an arm can come, and by how many configurations.
+    """Reach and redundancy of one arm.
 
     Attributes:
         locked: state in which each actuator is locked, -1 if it is free, shape (A,).
-        reach: area or volume of the pixels that hold at least one configuration's tip.
-        covered: area or volume of the pixels in which, on average, at least one configuration is within the tolerance
-            of a goal.
-        redundancy: log10 of the number of configurations within the tolerance of a goal, the median over the pixels
-            that the free arm covers; minus infinity if more than half of them are lost.
+        reach: area or volume of the pixels that contain a tip.
+        covered: area or volume of the pixels in which a goal has at least one configuration within the tolerance, on
+            average.
+        redundancy: log10 of the number of configurations within the tolerance of a goal: the median over the pixels
+            that the free arm covers; minus infinity if more than half of these pixels are lost.
     """
 
-    locked: Held
+    locked: LockedStates
     reach: float
     covered: float
     redundancy: float
 
 
 class LockedReach(NamedTuple):
-    """Reach of a free arm and of arms with locked actuators.
+    """Reach of the free arm and of the arm with each choice of locked actuators.
 
     Attributes:
-        free: of the free arm.
-        choices: of each choice of locked actuators and states.
-        every: whether `choices` are all choices, not a sample.
+        free: reach of the free arm.
+        choices: reach for each choice of locked actuators and states.
+        every: whether `choices` has all choices, not a sample.
         impossible: number of choices that leave a module without a state.
         pixel: side of the pixels.
-        reference: centre of the first pixel in the base frame, x, y, z.
-        free_counts: ln of the number of configurations of the free arm within the tolerance, by pixel; minus infinity
-            where there are none, shape (z, y, x).
-        least_counts: the least of all choices, likewise.
+        reference: centre (x, y, z) of the first pixel in the base frame.
+        free_counts: ln of the number of configurations of the free arm within the tolerance of each pixel; minus
+            infinity if there are none, shape (z, y, x).
+        least_counts: the least over all choices, shape (z, y, x).
     """
 
     free: Reach
@@ -87,15 +86,15 @@ def reach_when_locked(
 
     Args:
         manipulator: the arm.
-        densities: of the arm; they give the box of its workspace.
+        densities: densities of the arm, for the box of its workspace.
         locks: number of actuators to lock, at least 1.
         tolerance: greatest distance of the tip from a goal.
-        samples: most choices if more than one actuator is locked; a single lock tries all.
-        seed: of the random choices.
-        progress: called with the number of choices done, and of all.
+        samples: most choices if `locks` is more than 1; for 1 all choices are tried.
+        seed: seed of the random choices.
+        progress: called with the number of choices done and the number of all.
 
     Raises:
-        ValueError: there are not so many actuators that have two states.
+        ValueError: the arm has fewer actuators with two states.
     """
     low, high = densities.box(0)
     most = PIXELS[manipulator.dimension]
@@ -110,8 +109,8 @@ def reach_when_locked(
     within = log_counts(whole, whole) + math.log(measure / volume)
     covered = within >= 0
 
-    def reached(locked: Held, counts: Array) -> Reach:
-        """Returns the figures of one arm, from ln of its numbers of configurations within the tolerance."""
+    def reached(locked: LockedStates, counts: Array) -> Reach:
+        """Returns the reach of one arm from the ln of its numbers of configurations within the tolerance."""
         redundancy = float(np.median(counts[covered])) / math.log(10) if covered.any() else -math.inf
         return Reach(locked, float(np.isfinite(counts).sum() * volume), float((counts >= 0).sum() * volume), redundancy)
 
@@ -119,7 +118,7 @@ def reach_when_locked(
     found, least, impossible = list[Reach](), within.copy(), 0
     for number, locked in enumerate(chosen):
         try:
-            reduced = hold(manipulator, locked)
+            reduced = lock_actuators(manipulator, locked)
         except ValueError:
             impossible += 1
             continue
@@ -132,25 +131,25 @@ def reach_when_locked(
         progress(number + 1, len(chosen))
     if not found:
         raise ValueError(f"no choice of {locks} locked actuators leaves each module a state")
-    nobody = free(manipulator)
+    nobody = none_locked(manipulator)
     return LockedReach(
         reached(nobody, within), tuple(found), every, impossible, whole.pixel, whole.reference, within, least
     )
 
 
-def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[Held], bool]:
-    """Returns which actuators are locked in what states, each (A,), and whether these are all choices.
+def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[LockedStates], bool]:
+    """Returns choices of locked states, each (A,), and whether these are all choices.
 
     Raises:
-        ValueError: there are fewer actuators that have two states.
+        ValueError: the arm has fewer actuators with two states.
     """
     rows = [module.bits for module in manipulator.modules]
     moving = np.flatnonzero(np.concatenate([bits.min(axis=0) < bits.max(axis=0) for bits in rows])).tolist()
     if not 1 <= locks <= len(moving):
         raise ValueError(f"1 to {len(moving)} actuators can be locked, not {locks}")
 
-    def locked(actuators: tuple[int, ...], states: tuple[int, ...]) -> Held:
-        held = free(manipulator)
+    def locked(actuators: tuple[int, ...], states: tuple[int, ...]) -> LockedStates:
+        held = none_locked(manipulator)
         held[list(actuators)] = states
         return held
 
@@ -167,21 +166,21 @@ def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tu
 
 
 def random_choices(moving: list[int], locks: int, seed: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Yields random actuators, in order, with random states."""
+    """Yields random actuators in ascending order, with random states."""
     random = np.random.default_rng(seed)
     while True:
         actuators = np.sort(random.choice(moving, locks, replace=False))
         yield tuple(actuators.tolist()), tuple(random.integers(0, 2, locks).tolist())
 
 
-def last_locked(manipulator: Manipulator, locked: Held) -> int:
-    """Returns the module next to the tip that has a locked actuator."""
+def last_locked(manipulator: Manipulator, locked: LockedStates) -> int:
+    """Returns the last module with a locked actuator."""
     owners = np.repeat(np.arange(len(manipulator.modules)), [len(m.actuators) for m in manipulator.modules])
     return int(owners[locked >= 0].max())
 
 
 def log_counts(level: Level, whole: Level) -> Array:
-    """Returns ln of the counts of a level in the pixels of `whole`, minus infinity where there are none, (z, y, x)."""
+    """Returns ln of the counts of a level in the pixels (z, y, x) of `whole`; minus infinity for a count of 0."""
     result = np.full(whole.counts.shape, -math.inf)
     shift = np.round((level.reference - whole.reference) / whole.pixel).astype(int)[::-1]
     first, last = np.maximum(shift, 0), np.minimum(shift + level.counts.shape, result.shape)

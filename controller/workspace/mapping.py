@@ -1,12 +1,11 @@
 """The Mapping Algorithm (section 3.1.1): point densities of all intermediate workspaces, from the tip to the base.
 
-W_{i-1} is the superposition, over the configurations (R, b) of module i, of W_i moved by (R, b). Every level has as
-many pixels at most as the memory bound allows, so time and memory grow linearly with the number of modules.
+W_{i-1} is the superposition of W_i moved by each configuration (R, b) of module i. A bound on the pixels of a level
+makes time and memory linear in the number of modules.
 
-While mapping, each pixel also carries the centroid of its points, and it is the centroid that moves. Moved pixel
-centres would be rounded again at every module: an arm of many modules, whose pixels are larger than a module's step,
-would not reach its own goal. With centroids no point leaves the hull of the true workspace, and the error is of second
-order.
+Each pixel carries the centroid of its points, and the centroid is moved. Moved pixel centres would be rounded at each
+module. If pixels are larger than a module's step, a long arm would then not reach its own tips. With centroids no point
+leaves the hull of the true workspace, and the error is of second order.
 """
 
 import math
@@ -23,19 +22,19 @@ from controller.workspace.densities import Densities
 Counts = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-# Counts of one level are held as float64 times two to a common exponent. Past PEAK they are scaled down, and what would
-# vanish by that is kept at FLOOR, so that the edge of the workspace survives for any number of modules.
+# The counts of a level are float64 times two to a common exponent. Counts above PEAK are scaled down. Counts that would
+# underflow are set to FLOOR, so that the edge of the workspace survives any number of modules.
 PEAK, SHIFT, FLOOR = 2.0**960, 900, 2.0**-1000
 
 
 class Level(NamedTuple):
-    """One intermediate workspace while it is mapped.
+    """One intermediate workspace during the mapping.
 
     Attributes:
-        counts: number of configurations in each pixel, divided by two to `exponent`, shape (z, y, x).
+        counts: number of configurations in each pixel, divided by two to the power of `exponent`, shape (z, y, x).
         centroids: mean position of the points of each pixel, shape (z, y, x, 3).
         exponent: see `counts`.
-        reference: centre of the first pixel.
+        reference: centre of the first pixel, shape (3,).
         pixel: side of the pixels.
     """
 
@@ -52,13 +51,13 @@ def map_densities(
     level_pixels: int,
     progress: Callable[[int], None] = lambda levels: None,
 ) -> Densities:
-    """Returns the densities of all intermediate workspaces.
+    """Returns the densities of all intermediate workspaces (section 3.1.1).
 
     Args:
-        manipulator: the arm; its base frame plays no part.
+        manipulator: the arm; the base frame is not used.
         pixel: finest side of a pixel, in the arm's unit of length.
-        level_pixels: most pixels of one level; a level that needs more gets coarser pixels.
-        progress: called with the number of levels done so far, B+1 in all.
+        level_pixels: most pixels of one level; the pixels of larger levels are coarser.
+        progress: called with the number of levels done, at last B+1.
 
     Raises:
         ValueError: a bound is not positive.
@@ -88,7 +87,7 @@ def tip_level(pixel: float) -> Level:
 
 
 def below(level: Level, manipulator: Manipulator, i: int, level_pixels: int) -> Level:
-    """Returns the intermediate workspace next to the base: `level` moved by all states of module i (0 at the base)."""
+    """Returns the intermediate workspace below: `level` moved by all states of module i (0 at the base)."""
     rotations = manipulator.rotations[i, : manipulator.states[i]]
     translations = manipulator.translations[i, : manipulator.states[i]]
     low, high = extent(level.counts, level.reference, level.pixel, rotations, translations)
@@ -100,26 +99,26 @@ def below(level: Level, manipulator: Manipulator, i: int, level_pixels: int) -> 
 
 
 def packed(level: Level) -> tuple[NDArray[np.float32], Vector, float]:
-    """Returns values, reference and pixel of a level as Densities has them."""
+    """Returns values, reference and pixel of a level for Densities."""
     return logarithms(level.counts, level.exponent, level.pixel), level.reference, level.pixel
 
 
 def coarsened(pixel: float, low: Vector, high: Vector, level_pixels: int, dimension: int) -> float:
-    """Returns `pixel`, or nearly the least side above it that gives the box `low` to `high` at most `level_pixels`."""
+    """Returns a side of at least `pixel` for which the box `low` to `high` has at most `level_pixels` pixels."""
     while (excess := math.prod(grid(low, high, pixel)[0]) / level_pixels) > 1:
         pixel *= max(excess ** (1 / dimension), 1.01)
     return pixel
 
 
 def grid(low: Vector, high: Vector, pixel: float) -> tuple[tuple[int, int, int], Vector]:
-    """Returns shape (z, y, x) and reference of the pixels that hold all points from `low` to `high`."""
+    """Returns shape (z, y, x) and reference of the pixels that cover the box `low` to `high`."""
     first, last = np.round(low / pixel), np.round(high / pixel)
     nx, ny, nz = (last - first).astype(int) + 1
     return (nz, ny, nx), first * pixel
 
 
 def rescale(counts: Counts) -> int:
-    """Scales counts down in place when they come near overflow; returns the exponent of two taken out."""
+    """Scales counts down in place if they are near overflow; returns the exponent of two removed."""
     if counts.max() < PEAK:
         return 0
     reachable = counts > 0
@@ -129,14 +128,14 @@ def rescale(counts: Counts) -> int:
 
 
 def logarithms(counts: Counts, exponent: int, pixel: float) -> NDArray[np.float32]:
-    """Returns the values of one level: ln of the count, or minus the distance to the nearest pixel with one."""
+    """Returns the values of one level: ln of the count, or minus the distance to the nearest pixel with points."""
     from scipy.ndimage import (
-        distance_transform_edt,  # 5 MiB that a planner with its densities in the cache does not need
+        distance_transform_edt,  # imported here: a planner with cached densities saves 5 MiB
     )
 
     reachable = counts > 0
     values = -pixel * distance_transform_edt(~reachable)
-    # What rescale kept at FLOOR is a count of at least one, whatever its scaled value says.
+    # A count that rescale set to FLOOR is at least 1.
     values[reachable] = np.maximum(np.log(counts[reachable]) + exponent * math.log(2.0), 0.0)
     return np.asarray(values, dtype=np.float32)
 
@@ -145,7 +144,7 @@ def logarithms(counts: Counts, exponent: int, pixel: float) -> NDArray[np.float3
 def extent(
     counts: Counts, reference: Vector, pixel: float, rotations: Counts, translations: Counts
 ) -> tuple[Vector, Vector]:
-    """Returns a box of all points after every motion: from the rows' ends, whose hull is that of the whole."""
+    """Returns a box of all points after all motions. The ends of the rows suffice: their hull is the hull of all."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     depth, height, width = counts.shape
     for z in range(depth):
@@ -165,7 +164,7 @@ def extent(
                         p += rotations[j, a, 1] * (reference[1] + y * pixel)
                         p += rotations[j, a, 2] * (reference[2] + z * pixel)
                         low[a], high[a] = min(low[a], p), max(high[a], p)
-    for a in range(3):  # the points lie around the pixels' centres; a planar arm's have no room in z
+    for a in range(3):  # points are up to a pixel from the centres; planar arms have no extent in z
         if a < 2 or depth > 1 or low[a] != 0 or high[a] != 0:
             low[a] -= pixel
             high[a] += pixel
@@ -188,7 +187,7 @@ def superpose(
     reference: Vector,
     pixel: float,
 ) -> None:
-    """Fills `target` with the source's points moved by every (R, b), a pixel's points to where their centroid goes."""
+    """Adds the source, moved by each (R, b), to `target`. The points of a pixel move with their centroid."""
     depth, height, width = source.shape
     for j in range(len(rotations)):
         r, b = rotations[j], translations[j]

@@ -1,14 +1,14 @@
-"""The density of orientations at a point: with which orientations configurations bring the tip there, and how many do.
+"""The density of orientations at a point: orientations of the tip there, with their numbers of configurations.
 
-Configurations are drawn along paths of probability: from base to tip, each module takes a state with a probability
-proportional to the mapped density at the position that the modules above it must reach (section 3.1.2). The last
-modules are enumerated. A drawn configuration counts as the inverse of its probability (importance sampling, Kahn and
-Marshall 1953), so the expected count is the true number of configurations within a distance of the point, whatever the
-pixels are. The standard error is estimated from the draws. Short arms are enumerated, which is exact.
+Configurations are sampled from base to tip. Each module takes a state with a probability proportional to the mapped
+density at the position that the modules above it must reach (section 3.1.2). The last modules are enumerated. A sample
+counts as the inverse of its probability (importance sampling, Kahn and Marshall 1953). So the expected count is the
+true number of configurations within a distance of the point, for any pixels. The standard error is estimated from the
+samples. Short arms are enumerated, which is exact.
 
 Densities with orientation on a grid are coarser. On the paper's arm, with 262,144 pixels each, the Mapping Algorithm
 has pixels of 0.05 and convolution of 0.10. Their shares of 36 arcs are off by 16 to 31 % in total variation at four
-points. Draws resolve the tolerance of 0.002.
+points. Samples resolve the tolerance of 0.002.
 """
 
 import math
@@ -27,20 +27,20 @@ from controller.workspace.reachability import LEVELS, TABLES, Levels, Tables, le
 Array = NDArray[np.float64]
 
 ENUMERATED = 1 << 15  # most configurations of the last modules, and of the modules before them, to enumerate
-UNSURE = 0.02  # probability of a state that the densities do not choose, shared by all states of a module
-AT_ONCE = 2048  # draws
-ACCURACY = 0.02  # standard error of the count, as a share of it, at which no more are drawn
+UNSURE = 0.02  # probability of a uniform choice of state instead of one by density
+AT_ONCE = 2048  # samples drawn together
+ACCURACY = 0.02  # relative standard error of the count at which sampling stops
 
 
 class Orientations(NamedTuple):
     """Orientations of the tip at a point.
 
     Attributes:
-        rotations: orientations found, in the world, shape (n, 3, 3).
-        counts: number of configurations that each stands for, shape (n,).
+        rotations: orientations in the world, shape (n, 3, 3).
+        counts: number of configurations that each represents, shape (n,).
         total: estimated number of configurations within the radius, the sum of `counts`.
         deviation: standard error of `total`; 0 if all configurations were enumerated.
-        draws: number of configurations of the first modules that were drawn; 0 if all were enumerated.
+        draws: number of samples; 0 if all configurations were enumerated.
     """
 
     rotations: Array
@@ -51,7 +51,7 @@ class Orientations(NamedTuple):
 
     @property
     def mean(self) -> Array:
-        """Mean orientation, shape (3, 3): the rotation nearest to the mean matrix; at least one must be found."""
+        """Mean orientation, shape (3, 3): the rotation nearest to the mean matrix. `counts` must not be empty."""
         u, _, v = np.linalg.svd(np.tensordot(self.counts, self.rotations, 1))
         return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v)
 
@@ -71,15 +71,15 @@ def orientations_at(
     most: int = 100_000,
     seed: int = 0,
 ) -> Orientations:
-    """Returns the orientations with which configurations bring the tip to a point.
+    """Returns the orientations of the tip at a point.
 
     Args:
         manipulator: the arm.
-        densities: of its intermediate workspaces.
+        densities: densities of its intermediate workspaces.
         point: position in the world, shape (2,) or (3,).
         radius: greatest distance of the tip from the point.
-        most: greatest number of draws.
-        seed: of the random numbers.
+        most: greatest number of samples.
+        seed: seed of the random numbers.
     """
     goal, to_base = np.zeros(3), inverse(manipulator.base)
     goal[: manipulator.dimension] = point
@@ -89,7 +89,7 @@ def orientations_at(
     rotations, counts, sums = [np.empty((0, 3, 3))], [np.empty(0)], [np.empty(0)]
 
     def compare(turns: Array, points: Array, weights: Array) -> None:
-        """Looks up which ends (n, 4, 4) bring the tip near points seen from frames of these orientations."""
+        """Counts the ends (m, 4, 4) whose tip is near points (n, 3) in frames with rotations `turns` (n, 3, 3)."""
         near = tree.query_ball_point(points, radius)
         owners = np.repeat(np.arange(len(points)), [len(found) for found in near])
         found = np.concatenate([np.asarray(own, dtype=np.int64) for own in near])
@@ -127,7 +127,7 @@ def orientations_at(
 
 
 def last_modules(manipulator: Manipulator) -> tuple[int, Frame]:
-    """Returns the number of modules before those to enumerate, and the tips (n, 4, 4) of all states of the others."""
+    """Returns the number of modules before the enumerated ones, and all tips (n, 4, 4) of the enumerated ones."""
     depth, ends = len(manipulator.modules), np.eye(4)[None]
     while depth > 0 and len(ends) * len(manipulator.modules[depth - 1].frames) <= ENUMERATED:
         depth -= 1
@@ -144,17 +144,17 @@ def last_modules(manipulator: Manipulator) -> tuple[int, Frame]:
 def draw(
     goal: Array, arm: Tables, levels: Levels, depth: int, randoms: Array, turns: Array, points: Array, weights: Array
 ) -> None:
-    """Draws states of modules 1 to `depth`; writes the orientation of frame F_depth, the goal in it, and the weight.
+    """Samples states of modules 1 to `depth`; writes the rotation of frame F_depth, the goal in it, and the weight.
 
     Args:
         goal: position in frame F_0, shape (3,).
         arm: configuration sets.
         levels: densities.
-        depth: number of modules to draw.
+        depth: number of modules to sample.
         randoms: uniform random numbers from 0 to 1, shape (n, depth).
-        turns: written, shape (n, 3, 3).
-        points: written, shape (n, 3).
-        weights: written: the inverse of the probability of the states drawn, shape (n,).
+        turns: written: rotations, shape (n, 3, 3).
+        points: written: goals, shape (n, 3).
+        weights: written: inverse probability of the sampled states, shape (n,).
     """
     rotations, translations, states = arm
     most = states.max()
@@ -176,11 +176,11 @@ def draw(
             for j in range(count):
                 shares[j] = np.exp(shares[j] - greatest)
                 total += shares[j]
-            left, chosen = randoms[n, i], count - 1
+            remaining, chosen = randoms[n, i], count - 1
             for j in range(count):
                 shares[j] = (1.0 - UNSURE) * shares[j] / total + UNSURE / count
-                left -= shares[j]
-                if left < 0:
+                remaining -= shares[j]
+                if remaining < 0:
                     chosen = j
                     break
             log_weight -= np.log(shares[chosen])

@@ -1,4 +1,4 @@
-"""The measure of reachability (section 3.1.2): how many configurations bring the tip to a point, by the densities."""
+"""The measure of reachability of a point (section 3.1.2), by the densities."""
 
 from typing import Any, NamedTuple
 
@@ -59,8 +59,8 @@ def levels_of(densities: Densities) -> Levels:
 def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
     """Returns the measure of reachability of a point (x, y, z) in intermediate workspace i.
 
-    It is the value of the point's pixel (see Densities): ln of the number of configurations that end there, or minus
-    the distance to where any end. Outside the box, the distance to the box is taken off as well.
+    The measure is the value of the point's pixel (see Densities): ln of the number of configurations that end there, or
+    minus the distance to the nearest pixel with points. Outside the box the distance to the box is subtracted.
     """
     reference, pixel = levels.references[i], levels.pixels[i]
     nx, ny, nz = levels.shapes[i, 2], levels.shapes[i, 1], levels.shapes[i, 0]

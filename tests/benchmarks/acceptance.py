@@ -52,7 +52,7 @@ def check_of(clearance: Clearance, goal: Array, tolerance: float, turn: float) -
     Raises:
         ValueError: the arm is to avoid what cannot be checked here.
     """
-    m, regions = clearance.manipulator, clearance.regions
+    m, regions = clearance.manipulator, clearance.obstacles
     if clearance.self_collision or (not m.planar and (regions.kinds == BOX).any()):
         raise ValueError("self-collision, and boxes in space, are not checked here")
     most = max(module.body.shape[1] for module in m.modules)

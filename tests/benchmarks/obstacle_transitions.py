@@ -32,7 +32,7 @@ from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
 from tests.manipulator.test_platform import hexapod as joints
-from tests.obstacles.dense import Box, Disc, Region, regions
+from tests.obstacles.dense import Box, Disc, Shape, obstacles_of
 from tests.obstacles.moving import Part, arm, hexapod, hinge, motion, pair, room, truss
 
 LEAD, RADIUS = 0.06, 0.02
@@ -89,12 +89,12 @@ class Tally:
     alone: list[float] = field(default_factory=list)
 
 
-def scene(manipulator: Manipulator, rng: np.random.Generator) -> list[Region]:
+def scene(manipulator: Manipulator, rng: np.random.Generator) -> list[Shape]:
     """Two round regions and two boxes where the arm goes."""
     tips = manipulator.tips(rng.integers(0, manipulator.states, (4, len(manipulator.states))))
     size, length = manipulator.dimension, manipulator.length
     middles = tips[:, :size, 3] * rng.uniform(0.5, 1.1, (4, 1))
-    found: list[Region] = [Disc(tuple(m), length * rng.uniform(0.02, 0.07)) for m in middles[:2]]
+    found: list[Shape] = [Disc(tuple(m), length * rng.uniform(0.02, 0.07)) for m in middles[:2]]
     for tip, middle in zip(tips[2:], middles[2:], strict=True):
         tip[:size, 3] = middle
         found.append(Box(tip, tuple(length * rng.uniform(0.03, 0.14, size))))
@@ -109,7 +109,7 @@ def measured(run: Run, count: int, minutes: float) -> Tally:
     until = time.monotonic() + 60 * minutes
     while tally.transitions < count and time.monotonic() < until:
         around = scene(manipulator, rng)
-        clearance = Clearance(manipulator, regions(around), RADIUS, self_collision=run.pairs)
+        clearance = Clearance(manipulator, obstacles_of(around), RADIUS, self_collision=run.pairs)
         drawn = rng.integers(0, manipulator.states, (100 * EACH, len(manipulator.states)))
         chosen = drawn[~clearance.blocked(drawn)][: EACH + 1]
         if len(chosen) <= EACH:
@@ -149,7 +149,7 @@ def measured(run: Run, count: int, minutes: float) -> Tally:
     return tally
 
 
-def edges(parts: Sequence[Part], around: list[Region], codes: np.ndarray) -> np.ndarray:
+def edges(parts: Sequence[Part], around: list[Shape], codes: np.ndarray) -> np.ndarray:
     """Which single actuators switch clear of all from each of all actuator states (2^A, A), shape (2^A, A)."""
     clear = np.zeros(codes.shape, dtype=bool)
 
@@ -177,7 +177,7 @@ def held_to_brute_force(name: str, parts: Sequence[Part], scenes: int, each: int
     asked = solvable = roundabout = found = wrong = 0
     for _ in range(scenes):
         around = scene(manipulator, rng)
-        clearance = Clearance(manipulator, regions(around), RADIUS)
+        clearance = Clearance(manipulator, obstacles_of(around), RADIUS)
         free, own = every[~clearance.blocked(every)], solver.avoiding(clearance)
         if len(free) == 0:
             continue

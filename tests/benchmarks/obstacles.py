@@ -21,7 +21,7 @@ from controller.config import load
 from controller.manipulator.frames import angle_between
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import Regions, box, half_space, sphere, together
+from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
 from controller.search.method import Method
 from controller.search.solution import Solution
 from controller.search.solver import Solver
@@ -81,10 +81,10 @@ def traced(
     """Solves goals from the configurations given, from there on from what was found for the one before."""
     before = list(before)
     for goal in goals[:WARM]:
-        solver.solve(goal, before[0], tolerance, method, turn=turn)
+        solver.solve(goal, before[0], tolerance, method, angle_tolerance=turn)
     found = list[Solution]()
     for k, goal in enumerate(goals):
-        solution = solver.solve(goal, before[k], tolerance, method, turn=turn)
+        solution = solver.solve(goal, before[k], tolerance, method, angle_tolerance=turn)
         if (
             solution.within_tolerance
             and solver.clearance is not None
@@ -133,7 +133,7 @@ def measured(
     console.print(table)
 
 
-def scene(arm: Manipulator, rng: np.random.Generator) -> Regions:
+def scene(arm: Manipulator, rng: np.random.Generator) -> Obstacles:
     """Returns two random regions among what a planar arm reaches."""
     tips = arm.tips(rng.integers(0, arm.states, (2, len(arm.states))))[:, :2, 3] * rng.uniform(0.3, 1.1, (2, 1))
     turn = rng.uniform(-np.pi, np.pi)
@@ -162,7 +162,7 @@ def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, c
             asked, solvable = asked + 1, solvable + (len(clear) > 0)
             fewest = min((arm.switches(c, previous) for c in clear), default=-1)
             for method, count in counts.items():
-                found = own.solve(goal, previous, tolerance, method, turn=turn)
+                found = own.solve(goal, previous, tolerance, method, angle_tolerance=turn)
                 if found.within_tolerance and clearance.where(found.configuration):
                     raise AssertionError(f"{method}: {clearance.where(found.configuration)}")
                 count += (

@@ -87,12 +87,12 @@ def measured(experiment: Experiment, number: int, console: Console) -> None:
     by_orientation = oriented(arm, solver, tolerance, turn)
     mapping = time.perf_counter() - began
     ways: dict[str, Solve] = {
-        "minimum-switch": lambda goal, previous: solver.solve(goal, previous, tolerance, turn=turn),
+        "minimum-switch": lambda goal, previous: solver.solve(goal, previous, tolerance, angle_tolerance=turn),
         "minimum-switch, position only": lambda goal, previous: solver.solve(goal, previous, tolerance),
         "ipop-fewest-switches": lambda goal, previous: solver.solve(
-            goal, previous, tolerance, "ipop-fewest-switches", turn=turn
+            goal, previous, tolerance, "ipop-fewest-switches", angle_tolerance=turn
         ),
-        "pop": lambda goal, previous: solver.solve(goal, previous, tolerance, "pop", turn=turn),
+        "pop": lambda goal, previous: solver.solve(goal, previous, tolerance, "pop", angle_tolerance=turn),
         f"IPOP, densities with orientation (mapped in {mapping:.1f} s)": by_orientation,
     }
     title = f"{experiment.file}: {count} poses, tolerance {tolerance:.3g} and {turn:.3g} rad"
@@ -124,7 +124,7 @@ def proven(
     """Returns what the fewest switches come to where they are proven, beside those found."""
     own = least = known = 0
     for goal, previous, solution in zip(goals, before, found, strict=True):
-        proof = solver.solve(goal, previous, tolerance, deadline=PROVING, turn=turn)
+        proof = solver.solve(goal, previous, tolerance, deadline=PROVING, angle_tolerance=turn)
         if proof.optimal and solution.within_tolerance:
             own, least, known = own + solution.switches, least + proof.switches, known + 1
     ratio = f"{own / least:.3f}" if least else "-"

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from controller.config import Arm, load
-from controller.manipulator.held import Held, carried, free, hold
+from controller.manipulator.locked import LockedStates, lock_actuators, none_locked, transferred
 from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
@@ -45,22 +45,22 @@ class Row:
     edge: float
 
 
-def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> Held:
+def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> LockedStates:
     """Returns so many random actuators held in the states of a random configuration."""
-    held = free(manipulator)
+    held = none_locked(manipulator)
     chosen = rng.choice(len(held), stuck, replace=False)
     held[chosen] = manipulator.actuator_states(rng.integers(0, manipulator.states))[chosen]
     return held
 
 
 def searched(
-    arm: Arm, held: Held, goals: NDArray[np.float64], edge: NDArray[np.float64]
+    arm: Arm, held: LockedStates, goals: NDArray[np.float64], edge: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float, float]:
     """Returns error, whether surely out of reach, switches and seconds of each goal (n, 4).
 
     And the time of mapping, and the share of the goals on the edge within the tolerance.
     """
-    left = hold(arm.manipulator, held)
+    left = lock_actuators(arm.manipulator, held)
     began = time.perf_counter()
     densities = map_densities(left, arm.pixel, arm.level_pixels)
     mapping = time.perf_counter() - began
@@ -70,7 +70,7 @@ def searched(
     for goal in goals:
         found = solver.solve(goal, reached, arm.tolerance)
         reached = found.configuration
-        states = arm.manipulator.actuator_states(carried(reached, left, arm.manipulator))
+        states = arm.manipulator.actuator_states(transferred(reached, left, arm.manipulator))
         if not np.array_equal(states[held >= 0], held[held >= 0]):
             raise AssertionError("a held actuator was to switch")
         rows.append((found.error, found.certificate == "unreachable", found.switches, found.seconds))

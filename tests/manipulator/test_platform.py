@@ -59,11 +59,11 @@ def test_every_state_has_its_lengths(kind):
 
 @settings(max_examples=10)
 @given(st.floats(0.1, 0.2), st.floats(0.08, 0.2), st.floats(3, 20), st.floats(0.005, 0.05), st.data())
-def test_six_legs_of_any_size(below, above, gap, stroke, data):
+def test_six_legs_of_any_size(below, above, gap, displacement, data):
     base, top = hexapod(below, above, gap)
     noise = np.array(data.draw(st.lists(coordinates, min_size=36, max_size=36))).reshape(2, 6, 3)
     base, top = (np.array(base) + 0.01 * noise[0]).tolist(), (np.array(top) + 0.01 * noise[1]).tolist()
-    lengths = (0.2, 0.2 + stroke)
+    lengths = (0.2, 0.2 + displacement)
     try:
         module = platform(base, top, lengths)
     except ValueError as error:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controller.config import Arm
-from controller.manipulator.held import hold
+from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.motion.codes import Refusal
@@ -90,12 +90,12 @@ def test_a_configuration_that_a_locked_actuator_rules_out_is_refused(arm: Arm, d
     goal = scheduled(whole, {"configuration": FIRST})
     states = goal.fixed[0]
     locked[0] = 1 - states[0]
-    reduced = Solver(hold(whole, locked), densities)
+    reduced = Solver(lock_actuators(whole, locked), densities)
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
     with pytest.raises(Refusal, match=r"waypoints\[0\]\.configuration: a locked actuator: module 1 has no"):
         plan(reduced, goal, start, "minimum-switch")
     locked[0] = states[0]
-    reduced = Solver(hold(whole, locked), densities)
+    reduced = Solver(lock_actuators(whole, locked), densities)
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
     found = plan(reduced, goal, start, "minimum-switch")
     assert reduced.manipulator.actuator_states(found.solutions[0].configuration).tolist() == states.tolist()

@@ -14,7 +14,7 @@ from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
-from tests.obstacles.dense import Disc, regions
+from tests.obstacles.dense import Disc, obstacles_of
 
 LONG = 60.0  # [s], far more than small arms take on any machine
 
@@ -95,7 +95,7 @@ def test_points_that_are_configurations_are_kept():
 def test_configurations_keep_clear_of_obstacles():
     arm = paper_arm(4)
     every = every_configuration(arm)
-    clearance = Clearance(arm, regions([Disc((0.1, 0.75), 0.1)]), 0.01)
+    clearance = Clearance(arm, obstacles_of([Disc((0.1, 0.75), 0.1)]), 0.01)
     clear = ~clearance.blocked(every)
     solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), None, clearance)
     rng = np.random.default_rng(3)

@@ -9,7 +9,7 @@ from controller.motion.lookahead import LookAhead
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver
-from tests.obstacles.dense import Disc, nearest, regions
+from tests.obstacles.dense import Disc, nearest, obstacles_of
 
 TOLERANCE = 0.002
 
@@ -80,7 +80,7 @@ def test_a_waypoint_too_far_for_small_tables_is_met_all_the_same(solver):
 
 def test_every_configuration_ahead_keeps_clear(solver):
     goals, parts = curve(20), [Disc((-0.35, 1.5), 0.15)]
-    among = solver.avoiding(Clearance(solver.manipulator, regions(parts), 0.02))
+    among = solver.avoiding(Clearance(solver.manipulator, obstacles_of(parts), 0.02))
     start = among.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE).configuration
     chosen = followed(among, start, goals[1:])
     tips = solver.manipulator.tips(chosen)[:, :2, 3]

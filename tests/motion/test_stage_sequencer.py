@@ -83,7 +83,7 @@ def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_aroun
     def clear(order: tuple[int, ...]) -> bool:
         states = start.copy()
         for a in order:
-            if sweep.touch(states, np.array([a])) is not None:
+            if sweep.first_collision(states, np.array([a])) is not None:
                 return False
             states[a] ^= 1
         return True

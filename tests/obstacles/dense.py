@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from hypothesis import strategies as st
 
-from controller.obstacles.regions import Regions, box, half_space, sphere, together
+from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
 from tests.arms import any_frames
 
 PARTS = 2000  # of each line segment
@@ -18,7 +18,7 @@ class Disc:
     centre: tuple[float, ...]
     radius: float
 
-    def region(self) -> Regions:
+    def obstacle(self) -> Obstacles:
         return sphere("disc", self.centre, self.radius)
 
     def signed(self, points: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ class Box:
     frame: np.ndarray
     size: tuple[float, ...]
 
-    def region(self) -> Regions:
+    def obstacle(self) -> Obstacles:
         return box("box", self.frame[: len(self.size), 3], self.size, self.frame[:3, :3])
 
     def signed(self, points: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ class HalfPlane:
     point: tuple[float, ...]
     normal: tuple[float, ...]
 
-    def region(self) -> Regions:
+    def obstacle(self) -> Obstacles:
         return half_space("half-plane", self.point, self.normal)
 
     def signed(self, points: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ class HalfPlane:
         return (points[:, : len(normal)] - self.point) @ normal
 
 
-Region = Disc | Box | HalfPlane
+Shape = Disc | Box | HalfPlane
 
 sides = st.floats(0.01, 1)
 
@@ -67,8 +67,8 @@ def coordinates(size: int) -> st.SearchStrategy[tuple[float, ...]]:
     return st.tuples(*[st.floats(-1, 1)] * size)
 
 
-def any_region(size: int, frames: st.SearchStrategy[np.ndarray] = any_frames) -> st.SearchStrategy[Region]:
-    """Regions of the plane (2) or of space (3)."""
+def any_shape(size: int, frames: st.SearchStrategy[np.ndarray] = any_frames) -> st.SearchStrategy[Shape]:
+    """Obstacles of the plane (2) or of space (3)."""
     normals = coordinates(size).filter(lambda n: np.linalg.norm(n) > 0.1)
     return (
         st.builds(Disc, coordinates(size), sides)
@@ -77,8 +77,8 @@ def any_region(size: int, frames: st.SearchStrategy[np.ndarray] = any_frames) ->
     )
 
 
-def regions(parts: list[Region]) -> Regions:
-    return together([part.region() for part in parts])
+def obstacles_of(parts: list[Shape]) -> Obstacles:
+    return together([part.obstacle() for part in parts])
 
 
 def along(lines: np.ndarray, parts: int = PARTS) -> np.ndarray:
@@ -92,6 +92,6 @@ def step(lines: np.ndarray) -> float:
     return float(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).max()) / PARTS / 2
 
 
-def nearest(lines: np.ndarray, regions: list[Region], parts: int = PARTS) -> float:
-    """The least signed distance of these points from any region."""
-    return min((float(region.signed(along(lines, parts)).min()) for region in regions), default=np.inf)
+def nearest(lines: np.ndarray, obstacles: list[Shape], parts: int = PARTS) -> float:
+    """The least signed distance of these points from any obstacle."""
+    return min((float(obstacle.signed(along(lines, parts)).min()) for obstacle in obstacles), default=np.inf)

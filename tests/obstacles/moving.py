@@ -13,14 +13,14 @@ from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
 from controller.manipulator.platform import platform
 from controller.manipulator.vgt import vgt
-from tests.obstacles.dense import Region, along, nearest
+from tests.obstacles.dense import Shape, along, nearest
 
 Moves = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A module, and where it brings the frame above (n, 4, 4) and its lines (n, L, 2, 3) at strokes (n, A)."""
+    """A module, and where it brings the frame above (n, 4, 4) and its lines (n, L, 2, 3) at displacements (n, A)."""
 
     module: Module
     moves: Moves
@@ -42,9 +42,9 @@ def corner(p: np.ndarray, q: np.ndarray, from_p: np.ndarray, from_q: np.ndarray)
 
 
 def truss(diagonal: str, width: float, low: float, high: float) -> Part:
-    def moves(strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        left, across, right = (low + strokes * (high - low)).T
-        a, b, w = np.full(len(strokes), -width / 2 + 0j), np.full(len(strokes), width / 2 + 0j), width
+    def moves(displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        left, across, right = (low + displacements * (high - low)).T
+        a, b, w = np.full(len(displacements), -width / 2 + 0j), np.full(len(displacements), width / 2 + 0j), width
         if diagonal == "BC":
             c = corner(a, b, left, across)
             d = corner(c, b, np.full(len(c), w), right)
@@ -67,8 +67,8 @@ def straight(frames: np.ndarray) -> np.ndarray:
 
 
 def hinge(first: float, second: float, length: float) -> Part:
-    def moves(strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = first + strokes[:, 0] * (second - first)
+    def moves(displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = first + displacements[:, 0] * (second - first)
         frames = turned(angle, length * np.c_[np.cos(angle), np.sin(angle)])
         return frames, straight(frames)
 
@@ -79,8 +79,8 @@ def pair(first: np.ndarray, second: np.ndarray) -> Part:
     """A module of two listed frames, between which it goes straight on and turns about one axis."""
     both = Slerp([0, 1], Rotation.from_matrix([first[:3, :3], second[:3, :3]]))
 
-    def moves(strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        share = strokes[:, 0]
+    def moves(displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        share = displacements[:, 0]
         frames = np.tile(np.eye(4), (len(share), 1, 1))
         frames[:, :3, :3] = both(share).as_matrix()
         frames[:, :3, 3] = first[:3, 3] + share[:, None] * (second[:3, 3] - first[:3, 3])
@@ -96,11 +96,11 @@ def hexapod(base: Sequence[Sequence[float]], top: Sequence[Sequence[float]], low
         turns = Rotation.from_rotvec(at[:, 3:]).as_matrix()
         return np.asarray(at[:, None, :3] + above @ np.swapaxes(turns, 1, 2))
 
-    def moves(strokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        nearby = np.array([int(np.argmin(abs(module.bits - s).sum(axis=1))) for s in strokes])
+    def moves(displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        nearby = np.array([int(np.argmin(abs(module.bits - s).sum(axis=1))) for s in displacements])
         start = module.frames[nearby]
         at = np.c_[start[:, :3, 3], Rotation.from_matrix(start[:, :3, :3]).as_rotvec()]
-        wanted = low + strokes * (high - low)
+        wanted = low + displacements * (high - low)
         for _ in range(12):  # Newton's steps, by differences
             missed = np.linalg.norm(ends(at) - below, axis=2) - wanted
             if abs(missed).max() < 1e-12:
@@ -125,7 +125,7 @@ def arm(parts: Sequence[Part], base: np.ndarray | None = None) -> Manipulator:
 
 
 def motion(rng: np.random.Generator, before: np.ndarray, after: np.ndarray, samples: int) -> np.ndarray:
-    """Strokes (samples, A) of one way from states to others: each actuator begins and ends when it likes."""
+    """Displacements (samples, A) of one way from states to others: each actuator begins and ends when it likes."""
     begin, end = np.sort(rng.random((2, len(before))), axis=0)
     end = np.maximum(end, begin + 0.01)
     times = np.sort(rng.random(samples))[:, None]
@@ -133,11 +133,11 @@ def motion(rng: np.random.Generator, before: np.ndarray, after: np.ndarray, samp
     return np.asarray(before + share * (after.astype(float) - before))
 
 
-def placed(parts: Sequence[Part], base: np.ndarray, strokes: np.ndarray) -> list[np.ndarray]:
-    """Line segments (n, L, 2, 3) of every module in the world at strokes (n, A)."""
-    chain, first, lines = np.tile(base, (len(strokes), 1, 1)), 0, []
+def placed(parts: Sequence[Part], base: np.ndarray, displacements: np.ndarray) -> list[np.ndarray]:
+    """Line segments (n, L, 2, 3) of every module in the world at displacements (n, A)."""
+    chain, first, lines = np.tile(base, (len(displacements), 1, 1)), 0, []
     for part in parts:
-        own = strokes[:, first : first + len(part.module.actuators)]
+        own = displacements[:, first : first + len(part.module.actuators)]
         first += own.shape[1]
         distinct, which = np.unique(own, axis=0, return_inverse=True)
         frames, body = (values[which] for values in part.moves(distinct))
@@ -147,10 +147,10 @@ def placed(parts: Sequence[Part], base: np.ndarray, strokes: np.ndarray) -> list
 
 
 def room(
-    parts: Sequence[Part], base: np.ndarray, regions: list[Region], strokes: np.ndarray, points: int, pairs: bool
+    parts: Sequence[Part], base: np.ndarray, obstacles: list[Shape], displacements: np.ndarray, points: int, pairs: bool
 ) -> tuple[float, float]:
-    """Least signed distance of modules from regions, and of those that are not neighbours from each other."""
-    lines = placed(parts, base, strokes)
+    """Least signed distance of modules from obstacles, and of those that are not neighbours from each other."""
+    lines = placed(parts, base, displacements)
     every = np.concatenate([own.reshape(-1, 2, 3) for own in lines])
     apart = np.inf
     if pairs:
@@ -158,4 +158,4 @@ def room(
             for j in range(i - 1):
                 for first, second in zip(lines[i], lines[j], strict=True):
                     apart = min(apart, cKDTree(along(first, points)).query(along(second, points))[0].min())
-    return nearest(every, regions, points), apart
+    return nearest(every, obstacles, points), apart

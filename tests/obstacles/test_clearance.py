@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from controller.manipulator import frames
-from controller.manipulator.held import hold
+from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.collision import lines_distance
 from controller.obstacles.distance import first_obstacle, segment_distance
-from controller.obstacles.regions import NONE, box, half_space, sphere, together
+from controller.obstacles.obstacles import NONE, box, half_space, sphere, together
 from tests.arms import (
     any_frames,
     every_configuration,
@@ -23,29 +23,29 @@ from tests.arms import (
     short_arms,
     spatial_arm,
 )
-from tests.obstacles.dense import HalfPlane, along, any_region, nearest, regions, step
+from tests.obstacles.dense import HalfPlane, along, any_shape, nearest, obstacles_of, step
 
 EPSILON = 1e-12  # what rounding takes, of coordinates near 1
 
 points = st.tuples(*[st.floats(-2, 2)] * 3).map(np.array)
 radii = st.just(0.0) | st.floats(0, 0.3)
-flat = st.lists(any_region(2, planar_frames), min_size=1, max_size=3)
-solid = st.lists(any_region(3), min_size=1, max_size=3)
-arms_among_regions = st.tuples(short_arms(planar_modules, planar_frames), flat) | st.tuples(
+flat = st.lists(any_shape(2, planar_frames), min_size=1, max_size=3)
+solid = st.lists(any_shape(3), min_size=1, max_size=3)
+arms_among_obstacles = st.tuples(short_arms(planar_modules, planar_frames), flat) | st.tuples(
     short_arms(bases=any_frames), solid
 )
 
 
 @given(st.lists(points, min_size=1, max_size=20), solid)
 def test_signed_distances_are_those_of_the_check(asked, parts):
-    found = regions(parts).depths(asked)
+    found = obstacles_of(parts).depths(asked)
     assert np.allclose(found, np.transpose([part.signed(np.array(asked)) for part in parts]), atol=EPSILON)
 
 
-@given(points, points, any_region(3))
+@given(points, points, any_shape(3))
 @example(np.zeros(3), np.zeros(3), HalfPlane((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
 def test_a_line_segment_is_as_far_from_a_region_as_its_nearest_point(start, end, part):
-    own, line = part.region(), np.array([[start, end]])
+    own, line = part.obstacle(), np.array([[start, end]])
     found = segment_distance(own.kinds[0], own.axes[0], own.centres[0], own.sizes[0], tuple(start), tuple(end))
     dense = max(nearest(line, [part]), 0.0)
     assert dense - step(line) - EPSILON <= found <= dense + EPSILON
@@ -76,26 +76,26 @@ def test_line_segments_that_leave_their_nearest_points_open(first, second, apart
     assert lines_distance(*lines[::-1]) == pytest.approx(apart, abs=1e-12)
 
 
-@given(arms_among_regions, radii, st.data())
+@given(arms_among_obstacles, radii, st.data())
 def test_bodies_in_regions_are_found_and_others_are_not(case, radius, data):
     arm, parts = case
     configuration = np.array([data.draw(st.integers(0, k - 1)) for k in arm.states])
-    clearance = Clearance(arm, regions(parts), radius)
+    clearance = Clearance(arm, obstacles_of(parts), radius)
     lines, blocked = arm.body(configuration), bool(clearance.blocked([configuration])[0])
     dense = nearest(lines, parts)
     if dense < radius - EPSILON:
         assert blocked
     if blocked:
         assert dense <= clearance.margin + step(lines) + EPSILON
-    # One module at a time comes to the same, and to the region that is named.
+    # One module at a time comes to the same, and to the obstacle that is named.
     found = None
     for i, frame in enumerate(arm.chain(configuration)[:-1]):
         r, b = np.ascontiguousarray(frame[:3, :3]), np.ascontiguousarray(frame[:3, 3])
         body = clearance.bodies[i, configuration[i], : clearance.lines[i]]
-        ball, own = clearance.balls[i, configuration[i]], clearance.regions
-        region = first_obstacle(r, b, body, ball, own.kinds, own.axes, own.centres, own.sizes, clearance.margin)
-        if region >= 0:
-            found = f"module {i + 1} is in {own.names[region]}"
+        ball, own = clearance.balls[i, configuration[i]], clearance.obstacles
+        obstacle = first_obstacle(r, b, body, ball, own.kinds, own.axes, own.centres, own.sizes, clearance.margin)
+        if obstacle >= 0:
+            found = f"module {i + 1} is in {own.names[obstacle]}"
             break
     assert (clearance.where(configuration), blocked) == (found, found is not None)
 
@@ -164,7 +164,7 @@ def test_an_arm_with_held_actuators_is_blocked_where_the_whole_arm_is():
     arm, wall = paper_arm(3), sphere("disc", [0.2, 0.5], 0.1)
     held = np.full(9, -1, dtype=np.int8)
     held[4] = 1
-    left = hold(arm, held)
+    left = lock_actuators(arm, held)
     asked = every_configuration(left)
     whole = np.array([arm.configuration(left.actuator_states(c)) for c in asked])
     found = Clearance(left, wall).blocked(asked)

@@ -11,12 +11,12 @@ from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
 from controller.manipulator.vgt import vgt
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import NONE, box, half_space, sphere
-from controller.obstacles.strokes import Strokes
+from controller.obstacles.displacements import Displacements
+from controller.obstacles.obstacles import NONE, box, half_space, sphere
 from controller.obstacles.sweep import Sweep
 from tests.arms import any_frames, modules, paper_arm, planar_frames, spatial_frames
 from tests.manipulator.test_platform import hexapod as joints
-from tests.obstacles.dense import any_region, regions
+from tests.obstacles.dense import any_shape, obstacles_of
 from tests.obstacles.moving import arm, hexapod, hinge, motion, pair, room, truss
 
 POINTS = 40  # along each line segment
@@ -28,8 +28,8 @@ flat_parts = st.builds(
 ) | st.builds(hinge, angles, angles, st.floats(0.1, 0.4))
 solid_parts = flat_parts | st.builds(pair, spatial_frames, spatial_frames) | st.just(STEWART)
 among = st.tuples(
-    st.lists(flat_parts, min_size=1, max_size=5), planar_frames, st.lists(any_region(2, planar_frames), max_size=3)
-) | st.tuples(st.lists(solid_parts, min_size=1, max_size=4), any_frames, st.lists(any_region(3), max_size=3))
+    st.lists(flat_parts, min_size=1, max_size=5), planar_frames, st.lists(any_shape(2, planar_frames), max_size=3)
+) | st.tuples(st.lists(solid_parts, min_size=1, max_size=4), any_frames, st.lists(any_shape(3), max_size=3))
 
 
 @settings(max_examples=150, deadline=None)
@@ -37,15 +37,15 @@ among = st.tuples(
 def test_what_is_told_clear_touches_nothing_on_any_way(given_arm, radius, pairs, seed):
     parts, base, around = given_arm
     rng, manipulator = np.random.default_rng(seed), arm(parts, base)
-    clearance = Clearance(manipulator, regions(around), radius, self_collision=pairs)
+    clearance = Clearance(manipulator, obstacles_of(around), radius, self_collision=pairs)
     before = rng.integers(0, 2, len(manipulator.actuators), dtype=np.uint8)
     stage = rng.permutation(len(before))[: rng.integers(1, 5)]
-    touch = Sweep(clearance).touch(before, stage)
+    touch = Sweep(clearance).first_collision(before, stage)
     after = before.copy()
     after[stage] ^= 1
     if touch is None and not clearance.free:
-        strokes = np.concatenate([motion(rng, before, after, 12) for _ in range(4)])
-        away, apart = room(parts, base, around, strokes, POINTS, pairs)
+        displacements = np.concatenate([motion(rng, before, after, 12) for _ in range(4)])
+        away, apart = room(parts, base, around, displacements, POINTS, pairs)
         assert away >= radius
         assert apart >= 2 * radius
 
@@ -53,24 +53,24 @@ def test_what_is_told_clear_touches_nothing_on_any_way(given_arm, radius, pairs,
 @settings(max_examples=60, deadline=None)
 @given(modules | st.just(STEWART.module), st.integers(0, 2**32))
 def test_rates_bound_what_mid_strokes_do(module, seed):
-    rng, own = np.random.default_rng(seed), Strokes(module)
+    rng, own = np.random.default_rng(seed), Displacements(module)
     count = module.bits.shape[1]
     states, moving = module.bits[rng.integers(len(module.bits))], np.sort(rng.permutation(count)[: rng.integers(1, 4)])
     rates = own.rates(states.astype(float), moving)
     if not np.isfinite(rates).all():
         return
-    strokes = np.tile(states.astype(float), (100, 1))
-    strokes[:, moving] = rng.random((100, len(moving)))
-    found, bodies = own.at(strokes)
+    displacements = np.tile(states.astype(float), (100, 1))
+    displacements[:, moving] = rng.random((100, len(moving)))
+    found, bodies = own.at(displacements)
     for a, b in rng.integers(0, 100, (200, 2)):
-        most = abs(strokes[a] - strokes[b])[moving] @ rates + 1e-9
+        most = abs(displacements[a] - displacements[b])[moving] @ rates + 1e-9
         assert np.linalg.norm(found[a, :3, 3] - found[b, :3, 3]) <= most[0]
         assert np.linalg.norm(found[a, :3, :3] - found[b, :3, :3], 2) <= most[1]
         assert np.linalg.norm(bodies[a] - bodies[b], axis=-1).max() <= most[2]
 
 
 def steepest(module: Module, fixed: np.ndarray, moving: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Greatest rates (k, 3) at 100 random strokes and at all ends, by differences of one in a million."""
+    """Greatest rates (k, 3) at 100 random displacements and at all ends, by differences of one in a million."""
     ends = np.array(list(product((0.0, 1.0), repeat=len(moving))))
     at = np.tile(fixed, (100 + len(ends), 1))
     at[:, moving] = np.concatenate([rng.random((100, len(moving))), ends])
@@ -110,7 +110,7 @@ def test_samples_would_miss_what_the_bounds_do_not():
     """Why bounds are closed forms: near a flat triangle the slope between samples is far above theirs."""
     fixed, moving = np.zeros(3), np.array([0])
     steep = steepest(FLAT, fixed, moving, np.random.default_rng(0))
-    assert (Strokes(FLAT).rates(fixed, moving) >= steep).all()
+    assert (Displacements(FLAT).rates(fixed, moving) >= steep).all()
 
 
 def test_rates_of_a_truss_are_not_much_too_great():
@@ -119,7 +119,9 @@ def test_rates_of_a_truss_are_not_much_too_great():
     steep = steepest(truss, fixed, moving, np.random.default_rng(0))
     assert (truss.bounds(fixed, moving)[[0, 2]] <= 1.5 * steep[[0, 2]]).all()
     assert (truss.bounds(fixed, moving)[:, [0, 2]] <= 2 * steep[:, [0, 2]]).all()
-    assert truss.bounds(fixed, moving)[1, 1] <= 0.25  # [rad] per stroke of the diagonal, which turns the top little
+    assert (
+        truss.bounds(fixed, moving)[1, 1] <= 0.25
+    )  # [rad] per displacement of the diagonal, which turns the top little
 
 
 def test_platforms_are_sampled_and_said_to_be():
@@ -135,40 +137,40 @@ def test_a_disc_that_only_the_way_meets_is_seen():
     between = Clearance(manipulator, sphere("disc 'pillar'", (1.0, 0.0), 0.05))
     assert not between.blocked([[0], [1]]).any()
     sweep = Sweep(between)
-    touch = sweep.touch(np.array([0], dtype=np.uint8), np.array([0]))
+    touch = sweep.first_collision(np.array([0], dtype=np.uint8), np.array([0]))
     assert touch is not None
-    assert sweep.words(touch) == "module 1 is in disc 'pillar'"
+    assert sweep.describe(touch) == "module 1 is in disc 'pillar'"
     beyond = Sweep(Clearance(manipulator, sphere("disc", (1.07, 0.0), 0.05)))
-    assert beyond.touch(np.array([0], dtype=np.uint8), np.array([0])) is None
+    assert beyond.first_collision(np.array([0], dtype=np.uint8), np.array([0])) is None
 
 
 def test_subsets_that_touch_are_seen_whatever_their_ends_do():
     manipulator = arm([hinge(0.0, np.pi / 2, 1.0), hinge(0.0, -np.pi / 2, 1.0)])
     sweep = Sweep(Clearance(manipulator, box("box", (0.0, 2.0), (0.4, 0.4))))
     start = np.zeros(2, dtype=np.uint8)
-    assert sweep.touch(start, np.array([0, 1])) is not None  # the first alone brings the tip there
-    assert sweep.touch(start, np.array([1])) is None
-    assert sweep.touch(np.array([0, 1], dtype=np.uint8), np.array([0])) is None
+    assert sweep.first_collision(start, np.array([0, 1])) is not None  # the first alone brings the tip there
+    assert sweep.first_collision(start, np.array([1])) is None
+    assert sweep.first_collision(np.array([0, 1], dtype=np.uint8), np.array([0])) is None
 
 
 def test_modules_that_pass_through_each_other_are_seen():
     folding = [hinge(0.0, 2.6, 1.0) for _ in range(3)]
     manipulator = arm(folding)
     sweep = Sweep(Clearance(manipulator, NONE, 0.01, self_collision=True))
-    touch = sweep.touch(np.array([0, 1, 0], dtype=np.uint8), np.array([2]))
+    touch = sweep.first_collision(np.array([0, 1, 0], dtype=np.uint8), np.array([2]))
     assert touch is not None
-    assert sweep.words(touch) == "modules 1 and 3 touch"
-    assert sweep.touch(np.array([0, 1, 0], dtype=np.uint8), np.array([0])) is None
+    assert sweep.describe(touch) == "modules 1 and 3 touch"
+    assert sweep.first_collision(np.array([0, 1, 0], dtype=np.uint8), np.array([0])) is None
 
 
 def test_where_nobody_knows_the_module_is_not_clear():
     three = transforms([frames.planar(0.1 * k, 0.2) for k in range(3)], planar=True)  # 11 has no state
     manipulator = Manipulator([three])
     sweep = Sweep(Clearance(manipulator, half_space("wall", (0, -1), (0, 1))))
-    touch = sweep.touch(np.array([0, 0], dtype=np.uint8), np.array([0, 1]))
+    touch = sweep.first_collision(np.array([0, 0], dtype=np.uint8), np.array([0, 1]))
     assert touch is not None
-    assert sweep.words(touch) == "nobody knows where module 1 is in mid-stroke"
-    assert sweep.touch(np.array([0, 0], dtype=np.uint8), np.array([1])) is None
+    assert sweep.describe(touch) == "the position of module 1 in mid-travel is unknown"
+    assert sweep.first_collision(np.array([0, 0], dtype=np.uint8), np.array([1])) is None
 
 
 def test_most_stages_among_few_regions_are_shown_to_be_clear():
@@ -179,10 +181,10 @@ def test_most_stages_among_few_regions_are_shown_to_be_clear():
     while fine < 60:
         before = rng.integers(0, 2, 48, dtype=np.uint8)
         stage = rng.permutation(48)[:4]
-        strokes = np.tile(before.astype(float), (200, 1))
-        strokes[:, stage] = rng.random((200, 4))
-        subsets = [manipulator.configuration(np.round(s)) for s in strokes[:16]]
+        displacements = np.tile(before.astype(float), (200, 1))
+        displacements[:, stage] = rng.random((200, 4))
+        subsets = [manipulator.configuration(np.round(s)) for s in displacements[:16]]
         if not clearance.blocked(subsets).any():
             fine += 1
-            shown += sweep.touch(before, stage) is None
+            shown += sweep.first_collision(before, stage) is None
     assert shown >= 50

@@ -101,7 +101,7 @@ def make_desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
     made: list[Desk] = []
 
     def make(arm: Arm, densities: Densities | None = None) -> Desk:
-        found = densities or map_densities(arm.left, arm.pixel, arm.level_pixels)
+        found = densities or map_densities(arm.reduced, arm.pixel, arm.level_pixels)
         folder = tmp_path / str(len(made))
         folder.mkdir()
         made.append(Desk(arm, found, folder))

@@ -23,7 +23,7 @@ class Chain:
 
     def __init__(self, arm: Arm, folder: Path) -> None:
         self.arm, self.path, self.inbox = arm, folder / "small.sock", Inbox()
-        self.densities = map_densities(arm.left, arm.pixel, arm.level_pixels)
+        self.densities = map_densities(arm.reduced, arm.pixel, arm.level_pixels)
         self.executor = CoreExecutor(self.path)
         self.planning = self.plan_anew()
 

@@ -236,7 +236,7 @@ def test_a_plan_query_is_answered_while_goals_wait(desk: Desk) -> None:
 
 def test_a_plan_query_is_answered_as_plans_are_made_elsewhere(desk: Desk, small_densities, monkeypatch) -> None:
     monkeypatch.setattr(whole, "WHOLE_TIME", 60.0)  # so that both prove the fewest switches on any machine
-    manipulator = desk.arm.left
+    manipulator = desk.arm.reduced
     positions = np.array([desk.tip(*row) for row in ((1, 2, 3, 4), (5, 6, 7, 0), (1, 2, 0, 0))])
     waypoints = [{"t": 10 * k, "position": position.tolist()} for k, position in enumerate(positions)]
     desk.planning.plan(json.dumps({"waypoints": waypoints}).encode(), desk.inbox.replying("plan"))

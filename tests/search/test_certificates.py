@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from controller.manipulator.frames import Frame, planar, spatial, turned
-from controller.manipulator.held import hold
 from controller.manipulator.joints import prismatic, revolute
+from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import NONE, Regions, box, sphere
+from controller.obstacles.obstacles import NONE, Obstacles, box, sphere
 from controller.search import four_list, minimum_switch
 from controller.search.solution import Solution
 from controller.search.solver import Solver
@@ -35,7 +35,7 @@ def check(
 
     With `whole` the lists hold every configuration, so that the answer is proven.
     """
-    found = solver.solve(goal, previous, tolerance, deadline=60.0, turn=turn)
+    found = solver.solve(goal, previous, tolerance, deadline=60.0, angle_tolerance=turn)
     every = every_configuration(solver.manipulator)
     each = [solver.described(c, goal, previous, tolerance, turn) for c in every]
     least = min((s.cost for s in each if s.within_tolerance), default=np.inf)
@@ -146,7 +146,7 @@ def test_locked_actuators(seed):
     whole = (lattice_arm, any_arm)[seed % 2](rng)
     held = np.where(rng.random(len(whole.actuators)) < 0.2, whole.actuator_states(rng.integers(0, whole.states)), -1)
     try:
-        arm = hold(whole, held.astype(np.int8))
+        arm = lock_actuators(whole, held.astype(np.int8))
     except ValueError:
         pytest.skip("a module has no such state")
     solver = solver_of(arm)
@@ -181,7 +181,7 @@ def test_what_short_lists_leave_out_is_streamed_or_not_claimed(seed):
         check(solver, asked, rng.integers(0, arm.states), tolerance, turn, whole=False)
 
 
-def obstacle(arm: Manipulator, rng: np.random.Generator) -> Regions:
+def obstacle(arm: Manipulator, rng: np.random.Generator) -> Obstacles:
     tip = arm.tip(rng.integers(0, arm.states))[:3, 3]
     if rng.random() < 0.5:
         return sphere("ball", tip + rng.choice((0.0, 0.25, 0.5), 3) * (1, 1, not arm.planar), 0.25)
@@ -195,8 +195,10 @@ def test_obstacles_touched_exactly(seed):
     rng = np.random.default_rng(seed)
     arm = (lattice_arm, any_arm)[seed % 2](rng)
     crossing = bool(rng.random() < 0.3)
-    regions = NONE if crossing else obstacle(arm, rng)
-    solver = solver_of(arm, clearance=Clearance(arm, regions, float(rng.choice((0.0, 0.25))), self_collision=crossing))
+    obstacles = NONE if crossing else obstacle(arm, rng)
+    solver = solver_of(
+        arm, clearance=Clearance(arm, obstacles, float(rng.choice((0.0, 0.25))), self_collision=crossing)
+    )
     for _ in range(3):
         goal, tolerance = on_the_shell(arm, rng, 0.25)
         check(solver, goal, rng.integers(0, arm.states), tolerance)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
 from controller.search.descent import descend
-from controller.search.method import contraction, fewest_extended, fewest_switches, indifferent, similarity
+from controller.search.method import stage_costs
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from controller.workspace.reachability import Levels, levels_of, measure, tables_of
@@ -56,13 +56,13 @@ ARMS = {"planar": paper_arm(3), "spatial": spatial_arm(3)}
 DENSITIES = {name: map_densities(arm, 0.02, 1 << 18) for name, arm in ARMS.items()}
 
 
-def descended(manipulator: Manipulator, d: Densities, goal, penalties, thresholds, depth: int):
+def descended(manipulator: Manipulator, d: Densities, goal, costs, thresholds, depth: int):
     configuration = np.full(len(manipulator.modules), -1)
     wanted = descend(
         goal,
         tables_of(manipulator),
         levels_of(d),
-        penalties,
+        costs,
         thresholds,
         depth,
         configuration,
@@ -78,16 +78,16 @@ def test_each_module_takes_the_branch_that_the_two_criteria_order_first(name, se
     manipulator, d = ARMS[name], DENSITIES[name]
     rng = np.random.default_rng(seed)
     goal = rng.uniform(-0.7, 0.7, 3) * [1, 1, manipulator.dimension == 3]
-    penalties = rng.integers(0, 3, manipulator.bits.shape[:2]).astype(float)
-    wanted, configuration = descended(manipulator, d, goal, penalties, np.full(4, asked), depth)
+    costs = rng.integers(0, 3, manipulator.bits.shape[:2]).astype(float)
+    wanted, configuration = descended(manipulator, d, goal, costs, np.full(4, asked), depth)
     assert (configuration[depth:] == -1).all()
     for i in range(depth):
         rows = []
         for j in range(manipulator.states[i]):
             q = manipulator.rotations[i, j].T @ (goal - manipulator.translations[i, j])
             m = measure(levels_of(d), i + 1, *q)
-            # Those that pass first, by penalty, then measure; then the others by measure alone.
-            rows.append((0, penalties[i, j], -m, q) if m >= asked else (1, 0.0, -m, q))
+            # Those that pass first, by cost, then measure; then the others by measure alone.
+            rows.append((0, costs[i, j], -m, q) if m >= asked else (1, 0.0, -m, q))
         taken = rows[configuration[i]]
         assert taken[:3] == pytest.approx(min(row[:3] for row in rows), abs=1e-9)
         goal = taken[3]
@@ -97,35 +97,35 @@ def test_each_module_takes_the_branch_that_the_two_criteria_order_first(name, se
 def test_similarity_counts_modules_that_do_not_remain_and_the_base_most(manipulator):
     """As printed: "the weighted number of modules that remain in the same state as in the previous configuration"."""
     previous = np.random.default_rng(0).integers(0, 8, 16)
-    penalties = similarity(manipulator, previous)
+    costs = stage_costs("ipop-previous", manipulator, previous)
     weights = np.linspace(2, 1, 16)
     for module in range(16):
         expected = np.full(8, weights[module])
         expected[previous[module]] = 0
-        assert penalties[module].tolist() == expected.tolist()
+        assert costs[module].tolist() == expected.tolist()
 
 
 def test_contraction_counts_modules_that_are_not_fully_contracted(manipulator):
     """As printed: "the weighted number of modules that are fully contracted (i.e. binary state 0)"."""
-    penalties = contraction(manipulator)
-    assert penalties[0].tolist() == [0, 2, 2, 2, 2, 2, 2, 2]
-    assert penalties[15].tolist() == [0, 1, 1, 1, 1, 1, 1, 1]
-    assert not indifferent(manipulator).any()
+    costs = stage_costs("ipop-contracted", manipulator, np.zeros(16, dtype=int))
+    assert costs[0].tolist() == [0, 2, 2, 2, 2, 2, 2, 2]
+    assert costs[15].tolist() == [0, 1, 1, 1, 1, 1, 1, 1]
+    assert not stage_costs("pop", manipulator, np.zeros(16, dtype=int)).any()
 
 
 def test_our_variant_counts_switches_and_the_base_most(manipulator):
     rng = np.random.default_rng(0)
     previous, other = rng.integers(0, 8, (2, 16))
-    penalties = fewest_switches(manipulator, previous)
+    costs = stage_costs("ipop-fewest-switches", manipulator, previous)
     module = np.arange(16)
-    assert (penalties[module, previous] == 0).all()
-    own = penalties[module, other] / np.linspace(2, 1, 16)
+    assert (costs[module, previous] == 0).all()
+    own = costs[module, other] / np.linspace(2, 1, 16)
     assert own.sum() == pytest.approx(manipulator.switches(previous, other))
-    assert penalties[0, previous[0] ^ 1] == 2 * penalties[15, previous[15] ^ 1] == 2
+    assert costs[0, previous[0] ^ 1] == 2 * costs[15, previous[15] ^ 1] == 2
 
 
 def test_our_variant_counts_extended_actuators(manipulator):
-    penalties = fewest_extended(manipulator)
-    assert (penalties[:, 0] == 0).all()
-    assert penalties[0].tolist() == [0, 2, 2, 4, 2, 4, 4, 6]
-    assert penalties[15].tolist() == [0, 1, 1, 2, 1, 2, 2, 3]
+    costs = stage_costs("ipop-fewest-extended", manipulator, np.zeros(16, dtype=int))
+    assert (costs[:, 0] == 0).all()
+    assert costs[0].tolist() == [0, 2, 2, 4, 2, 4, 4, 6]
+    assert costs[15].tolist() == [0, 1, 1, 2, 1, 2, 2, 3]

@@ -33,16 +33,16 @@ tolerances = st.sampled_from([0.0, 0.05, 0.3, 10.0])
 
 @st.composite
 def searches(draw):
-    """An arm, a goal for it (at times far away), penalties and a tolerance."""
+    """An arm, a goal for it (at times far away), stage_costs and a tolerance."""
     manipulator = draw(arms)
     goal = np.array([draw(coordinates) for _ in range(manipulator.dimension)] + [0.0])[:3]
     goal *= draw(st.sampled_from([1.0, 1.0, 3.0, 100.0]))
     seed = draw(st.integers(0, 1000))
-    penalties = np.random.default_rng(seed).integers(0, 4, manipulator.bits.shape[:2]).astype(float)
-    return manipulator, goal, penalties, draw(tolerances)
+    stage_costs = np.random.default_rng(seed).integers(0, 4, manipulator.bits.shape[:2]).astype(float)
+    return manipulator, goal, stage_costs, draw(tolerances)
 
 
-def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0, most=math.inf):
+def run_finish(manipulator, goal, stage_costs, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0, most=math.inf):
     """Returns the square missed, whether it is within, and the configuration that `finish` gives."""
     t = build_distal_table(manipulator)
     configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
@@ -51,7 +51,7 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
         Wanted(rotation, tolerance, limit, weight),
         most,
         t,
-        penalties,
+        stage_costs,
         tables_of(manipulator),
         configuration,
         None,
@@ -59,21 +59,21 @@ def run_finish(manipulator, goal, penalties, tolerance, rotation=NO_TURN, limit=
     return square, within, configuration
 
 
-def run_nearest(manipulator, goal, penalties, best_penalty, best_square):
-    """Returns row, penalty and squared distance that `nearest` gives without tolerance."""
+def run_nearest(manipulator, goal, stage_costs, best_cost, best_square):
+    """Returns row, cost and squared distance that `nearest` gives without tolerance."""
     t = build_distal_table(manipulator)
     anyhow = Wanted(NO_TURN, 0.0, math.inf, 0.0)
-    return nearest(goal, anyhow, best_penalty, best_square, t, penalties, manipulator.states, None)
+    return nearest(goal, anyhow, best_cost, best_square, t, stage_costs, manipulator.states, None)
 
 
-def cost(penalties, configurations):
-    """Sum of penalties of configurations (n, B)."""
-    return penalties[np.arange(len(penalties)), configurations].sum(axis=1)
+def total_cost(stage_costs, configurations):
+    """Sum of stage_costs of configurations (n, B)."""
+    return stage_costs[np.arange(len(stage_costs)), configurations].sum(axis=1)
 
 
-def check_finish(manipulator, goal, penalties, tolerance):
+def check_finish(manipulator, goal, stage_costs, tolerance):
     """Holds `finish` to the best of all configurations."""
-    square, within, configuration = run_finish(manipulator, goal, penalties, tolerance)
+    square, within, configuration = run_finish(manipulator, goal, stage_costs, tolerance)
     error = math.sqrt(square)
     every = every_configuration(manipulator)
     errors = np.linalg.norm(manipulator.tips(every)[:, :3, 3] - goal, axis=1)
@@ -81,8 +81,8 @@ def check_finish(manipulator, goal, penalties, tolerance):
     good = errors <= tolerance
     assert within == good.any()
     if good.any():
-        costs = cost(penalties, every)
-        assert cost(penalties, configuration[None])[0] == costs[good].min()
+        costs = total_cost(stage_costs, every)
+        assert total_cost(stage_costs, configuration[None])[0] == costs[good].min()
         assert error == pytest.approx(errors[good & (costs == costs[good].min())].min(), abs=1e-9)
     else:
         assert error == pytest.approx(errors.min(), abs=1e-9)
@@ -97,10 +97,10 @@ def test_finish_takes_the_least_penalty_within_tolerance_or_else_the_nearest(sea
 @settings(max_examples=200)
 @given(searches(), any_frames, st.floats(0.01, 3.0))
 def test_finish_does_so_of_poses(search, frame, turn):
-    manipulator, goal, penalties, tolerance = search
+    manipulator, goal, stage_costs, tolerance = search
     rotation = np.ascontiguousarray(frame[:3, :3])
     weight, limit = 0.3, (2 * math.sin(turn / 2)) ** 2
-    square, within, configuration = run_finish(manipulator, goal, penalties, tolerance, rotation, limit, weight)
+    square, within, configuration = run_finish(manipulator, goal, stage_costs, tolerance, rotation, limit, weight)
     every = every_configuration(manipulator)
     tips = manipulator.tips(every)
     away = ((tips[:, :3, 3] - goal) ** 2).sum(axis=1)
@@ -110,14 +110,14 @@ def test_finish_does_so_of_poses(search, frame, turn):
     good = (away <= tolerance**2) & (chords <= limit)
     assert within == good.any()
     if within:
-        costs = cost(penalties, every)
-        assert cost(penalties, configuration[None])[0] == costs[good].min()
+        costs = total_cost(stage_costs, every)
+        assert total_cost(stage_costs, configuration[None])[0] == costs[good].min()
         missed = missed[good & (costs == costs[good].min())]
     assert square == pytest.approx(missed.min(), abs=1e-9)
-    bounded = run_finish(manipulator, goal, penalties, tolerance, rotation, limit, weight, square + 1e-6)
+    bounded = run_finish(manipulator, goal, stage_costs, tolerance, rotation, limit, weight, square + 1e-6)
     assert bounded[0] == square
     assert bounded[2].tolist() == configuration.tolist()
-    nothing = run_finish(manipulator, goal, penalties, tolerance, rotation, limit, weight, missed.min() * 0.999)
+    nothing = run_finish(manipulator, goal, stage_costs, tolerance, rotation, limit, weight, missed.min() * 0.999)
     assert within or nothing[:2] == (missed.min() * 0.999, False)
 
 
@@ -127,20 +127,20 @@ def test_finish_does_so_however_the_arm_is_cut(search, most_points, most_branche
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(table_module, "MOST_POINTS", most_points)
         patch.setattr(table_module, "MOST_BRANCHES", most_branches)
-        manipulator, goal, penalties, tolerance = search
+        manipulator, goal, stage_costs, tolerance = search
         t = build_distal_table(manipulator)
         assert t.depth - t.root == 0 or math.prod(manipulator.states[t.root : t.depth].tolist()) <= most_branches
         assert len(t.points) <= max(most_points, manipulator.states[-1])
         # The modules before the root are the densities' to decide: leave them out.
-        check_finish(Manipulator(manipulator.modules[t.root :]), goal, penalties[t.root :], tolerance)
+        check_finish(Manipulator(manipulator.modules[t.root :]), goal, stage_costs[t.root :], tolerance)
 
 
 @settings(max_examples=200)
 @given(searches())
 def test_nearest_without_tolerance_is_the_nearest_of_all(search):
-    manipulator, goal, penalties, _ = search
+    manipulator, goal, stage_costs, _ = search
     t = build_distal_table(manipulator)
-    row, _, square = run_nearest(manipulator, goal, penalties, np.inf, np.inf)
+    row, _, square = run_nearest(manipulator, goal, stage_costs, np.inf, np.inf)
     squares = ((t.points - goal) ** 2).sum(axis=1)
     assert square == pytest.approx(squares.min(), abs=1e-12)
     assert squares[row] == square
@@ -148,12 +148,12 @@ def test_nearest_without_tolerance_is_the_nearest_of_all(search):
 
 @given(searches())
 def test_nearest_finds_nothing_better_than_the_best(search):
-    manipulator, goal, penalties, _ = search
+    manipulator, goal, stage_costs, _ = search
     t = build_distal_table(manipulator)
     best = ((t.points - goal) ** 2).sum(axis=1).min()
     assume(best > 0)  # an exact hit is within any tolerance
-    assert run_nearest(manipulator, goal, penalties, np.inf, best * 0.999)[0] == -1
-    assert run_nearest(manipulator, goal, penalties, -1.0, np.inf)[0] == -1
+    assert run_nearest(manipulator, goal, stage_costs, np.inf, best * 0.999)[0] == -1
+    assert run_nearest(manipulator, goal, stage_costs, -1.0, np.inf)[0] == -1
 
 
 @given(arms)

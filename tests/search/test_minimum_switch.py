@@ -12,6 +12,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.vgt import vgt
 from controller.search.frame_rows import motions
+from controller.search.matching import put
 from controller.search.segment import Sets, build_segment, room
 from controller.search.solver import Solver
 from controller.search.two_list import middle
@@ -180,7 +181,7 @@ def test_a_segment_lists_all_that_is_nearer_than_what_it_leaves_out(chain, seed,
     segment = build_segment(sets, room(rows + 1, frames.shape[1]), 0, len(chain))
     listed = np.tile(centre, (len(segment.costs), 1))
     for row, configuration in enumerate(listed):
-        segment.write(row, configuration)
+        put(configuration, centre, segment.side(), row)
     assert len(np.unique(listed, axis=0)) == len(listed) <= max(rows, 1)
     d = arm.dimension
     np.testing.assert_allclose(arm.tips(listed)[:, :d, 3], segment.frames[:, :d], atol=1e-9)
@@ -190,8 +191,8 @@ def test_a_segment_lists_all_that_is_nearer_than_what_it_leaves_out(chain, seed,
     np.testing.assert_allclose(distances[module, listed].sum(axis=1), segment.costs, atol=1e-9)
     if np.prod(arm.states.astype(float)) <= 2000:
         everything = distances[module, every_configuration(arm)].sum(axis=1)
-        assert (everything < segment.beyond - 1e-9).sum() == (segment.costs < segment.beyond - 1e-9).sum()
-        assert segment.beyond == np.inf or np.isclose(everything, segment.beyond).any()
+        assert (everything < segment.unexplored - 1e-9).sum() == (segment.costs < segment.unexplored - 1e-9).sum()
+        assert segment.unexplored == np.inf or np.isclose(everything, segment.unexplored).any()
 
 
 def test_an_arm_is_cut_into_like_numbers_of_configurations():

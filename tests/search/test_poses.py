@@ -49,7 +49,7 @@ def test_brute_force_agrees(arm, seed, tolerance, turn, weighted):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
     previous = rng.integers(0, arm.states)
     goal = near(arm, rng, tolerance, turn)
-    found = solver_of(arm, weights).solve(goal, previous, tolerance, deadline=10.0, turn=turn)
+    found = solver_of(arm, weights).solve(goal, previous, tolerance, deadline=10.0, angle_tolerance=turn)
     every = every_configuration(arm)
     away, angles = missed(arm, every, goal)
     own = arm.actuator_states(previous)
@@ -73,7 +73,7 @@ def test_every_method_comes_to_a_pose_that_the_table_holds(arm, method):
     solver, rng = solver_of(arm), np.random.default_rng(2)
     previous = rng.integers(0, arm.states)
     for goal in arm.tips(rng.integers(0, arm.states, (20, 5))):
-        found = solver.solve(goal, previous, 1e-6, method, turn=1e-6)
+        found = solver.solve(goal, previous, 1e-6, method, angle_tolerance=1e-6)
         assert found.within_tolerance
         previous = found.configuration
 
@@ -83,7 +83,7 @@ def test_every_method_comes_to_poses_of_the_papers_arm(arm, densities, method):
     solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(11)
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (10, 16))):
-        found = solver.solve(goal, previous, 0.005, method, turn=0.03, patience=10.0)
+        found = solver.solve(goal, previous, 0.005, method, angle_tolerance=0.03, patience=10.0)
         assert found.within_tolerance
         previous = found.configuration
 
@@ -108,7 +108,7 @@ def test_long_arms_keep_both_tolerances_and_claim_no_false_bound(arm, densities)
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (8, 16))):
         position = solver.solve(goal[:2, 3], previous, 0.005, deadline=2.0)
-        found = solver.solve(goal, previous, 0.005, deadline=2.0, turn=0.03)
+        found = solver.solve(goal, previous, 0.005, deadline=2.0, angle_tolerance=0.03)
         assert found.within_tolerance
         assert found.error <= 0.005
         assert found.angle <= 0.03
@@ -123,7 +123,7 @@ def test_whatever_orientation_will_do_is_a_goal_of_position(arm, densities):
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (5, 16))):
         plain = solver.solve(goal[:2, 3], previous, 0.005, deadline=10.0)
-        whole = solver.solve(goal, previous, 0.005, deadline=10.0, turn=np.pi)
+        whole = solver.solve(goal, previous, 0.005, deadline=10.0, angle_tolerance=np.pi)
         assert whole.configuration.tolist() == plain.configuration.tolist()
         assert whole.angle == 0
         previous = plain.configuration
@@ -143,7 +143,7 @@ def test_a_meeting_cut_short_says_what_it_left_out(seed):
         both.list(centre, costs, costs)
         cut, whole = Incumbent(centre, 0.0), Incumbent(centre, np.inf)
         assert both.match(target, cut) == (False, both.lower.costs[5:].min())
-        assert both.match(target, whole) == (True, min(both.lower.beyond, both.upper.beyond))
+        assert both.match(target, whole) == (True, min(both.lower.unexplored, both.upper.unexplored))
     assert whole.cost >= min(cut.cost, both.lower.costs[5:].min())
 
 
@@ -157,5 +157,7 @@ def test_a_pose_is_reached_even_if_branch_and_bound_takes_all_the_time_it_is_giv
     task = goal_sets.read("paper-poses")[132]
     arm = goal_sets.load_arm(task.arm).manipulator
     solver = Solver(arm, map_densities(arm, 0.02, 1 << 18))
-    solution = solver.solve(task.frame, task.start, task.tolerance, turn=task.angle_tolerance, patience=600.0)
+    solution = solver.solve(
+        task.frame, task.start, task.tolerance, angle_tolerance=task.angle_tolerance, patience=600.0
+    )
     assert solution.within_tolerance

@@ -53,7 +53,7 @@ def prepare(file: Path) -> None:
     from controller.search.solver import Solver
 
     arm = load(file)
-    Solver(arm.left, densities_of(arm, silent=True)).prepare()
+    Solver(arm.reduced, densities_of(arm, silent=True)).prepare()
 
 
 def become(kind: str, arguments: list[str], log: str, environment: dict[str, str]) -> None:

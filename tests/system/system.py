@@ -137,7 +137,7 @@ class System:
     def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Planning]:
         """A planner in threads of this process, while the context lasts."""
         arm = self.arm
-        densities = load_or_map(arm.left, arm.pixel, arm.level_pixels, self._cache)
+        densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
         return daemon.running(arm, densities, config, ledger, self.socket, digest)
 

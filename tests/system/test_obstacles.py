@@ -11,7 +11,7 @@ from controller.config import Arm
 from controller.manipulator.frames import planar
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation
-from tests.obstacles.dense import Box, Disc, Region
+from tests.obstacles.dense import Box, Disc, Shape
 from tests.obstacles.moving import motion, room, truss
 from tests.system.motions import Motions
 from tests.system.observer import Observer
@@ -27,7 +27,7 @@ AROUND = [
     {"disc": {"centre": [0.9, 1.4], "radius": 0.3}, "name": "pillar"},
     {"box": {"centre": [-0.9, 1.2], "size": [0.5, 0.3], "angle": 0.4}, "name": "shelf"},
 ]
-SHAPES: list[Region] = [Disc((0.9, 1.4), 0.3), Box(planar(-0.9, 1.2, 0.4), (0.5, 0.3))]
+SHAPES: list[Shape] = [Disc((0.9, 1.4), 0.3), Box(planar(-0.9, 1.2, 0.4), (0.5, 0.3))]
 WALL = {"half_plane": {"point": [2.5, 0], "normal": [-1, 0]}, "name": "wall"}
 POST = Disc((0.75, 2.2), 0.15)  # where many configurations have modules that bring the tip to the line
 END = (START[0] + 0.6, START[1])
@@ -50,7 +50,7 @@ def client(client: Observer) -> Observer:
     return client
 
 
-def least_room(arm: Arm, rows: list[np.ndarray], shapes: list[Region]) -> float:
+def least_room(arm: Arm, rows: list[np.ndarray], shapes: list[Shape]) -> float:
     """How near the arm may have come while its actuators went from each of the rows to the next as they liked."""
     chance, away = np.random.default_rng(0), np.inf
     for before, after in pairwise(rows):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from controller.manipulator.held import hold
+from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.locked_reach import choices, reach_when_locked
 from controller.workspace.mapping import map_densities
@@ -36,7 +36,7 @@ def test_each_choice_is_reckoned_as_an_arm_of_its_own(arm):
     """Against pixels with tips of every configuration: the mapping is exact but for its pixels."""
     found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), 1, TOLERANCE, 5)
     for one in (found.free, *found.choices[::5]):
-        reduced = hold(arm, one.locked)
+        reduced = lock_actuators(arm, one.locked)
         tips = reduced.tips(every_configuration(reduced))[:, :3, 3]
         pixels = np.unique(np.round((tips - found.reference) / found.pixel).astype(int), axis=0)
         assert one.reach / found.pixel**arm.dimension == pytest.approx(len(pixels), rel=0.15)

@@ -4,7 +4,7 @@ import numpy as np
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
-from controller.obstacles.regions import NONE
+from controller.obstacles.obstacles import NONE
 from controller.workspace.densities import Densities
 from tests.benchmarks.proof import prove
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.method import Penalties, fewest_switches
+from controller.search.method import StageCosts, stage_costs
 from controller.search.paths import ENOUGH, Paths
 from controller.search.target import Target
 from controller.workspace.densities import Densities
@@ -32,13 +32,13 @@ def prepare(manipulator: Manipulator, densities: Densities, level_pixels: int, w
 
 def solve(problem: Problem, target: Target, previous: Configuration) -> Configuration:
     """Returns the first configuration within the tolerances of a target in F_0, or the nearest of all thresholds."""
-    penalties = fewest_switches(problem.manipulator, previous)
+    costs = stage_costs("ipop-fewest-switches", problem.manipulator, previous)
     best, least = previous, np.inf
     for enough in ENOUGH:
         configuration = np.zeros(len(previous), dtype=np.int64)
-        frame = descend(problem, target, penalties, enough, configuration)
+        frame = descend(problem, target, costs, enough, configuration)
         position = np.ascontiguousarray(frame[:3, 3])
-        square, within = problem.paths.finish(position, target, penalties, configuration)
+        square, within = problem.paths.finish(position, target, costs, configuration)
         if square < least or within:
             best, least = configuration, square
         if within:
@@ -46,9 +46,7 @@ def solve(problem: Problem, target: Target, previous: Configuration) -> Configur
     return best
 
 
-def descend(
-    problem: Problem, target: Target, penalties: Penalties, enough: float, configuration: Configuration
-) -> Frame:
+def descend(problem: Problem, target: Target, costs: StageCosts, enough: float, configuration: Configuration) -> Frame:
     """Fixes the modules up to the tail's root; returns the goal in frame F_root."""
     m, d, frame = problem.manipulator, problem.densities, target.frame
     ball = math.pi * target.tolerance**2 if m.planar else 4 / 3 * math.pi * target.tolerance**3
@@ -58,7 +56,7 @@ def descend(
         values = d.at(i + 1, onward)
         threshold = math.log(max(enough * d.volume(i + 1) / ball, 1.0)) if enough < np.inf else np.inf
         good = values >= threshold
-        # The least penalty, then the greatest value; the greatest value where no state is good.
-        j = int(np.lexsort((-values, np.where(good, penalties[i, : m.states[i]], np.inf)))[0])
+        # The least cost, then the greatest value; the greatest value where no state is good.
+        j = int(np.lexsort((-values, np.where(good, costs[i, : m.states[i]], np.inf)))[0])
         configuration[i], frame = j, onward[j]
     return frame

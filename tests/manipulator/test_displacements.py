@@ -1,4 +1,4 @@
-"""Modules in mid-stroke: at the ends they are the states, between them actuators are as long as strokes say."""
+"""Modules in mid-travel: at the ends they are the states, between them actuators are as long as displacements say."""
 
 import math
 
@@ -16,7 +16,7 @@ from controller.manipulator.vgt import vgt
 from tests.arms import modules
 from tests.manipulator.test_platform import KINDS, padded
 
-strokes = st.lists(st.floats(0, 1), min_size=6, max_size=6)
+displacements = st.lists(st.floats(0, 1), min_size=6, max_size=6)
 LEGS = (0.18, 0.22), (0.2, 0.25), (0.21, 0.26)
 
 
@@ -40,7 +40,7 @@ def test_platforms_at_their_ends_are_the_states(kind):
     at_ends(platform(*KINDS[kind]))
 
 
-@given(st.sampled_from(["BC", "AD"]), strokes)
+@given(st.sampled_from(["BC", "AD"]), displacements)
 def test_a_truss_is_as_long_as_its_strokes(diagonal, values):
     own = np.array(values[:3])
     frames, body = vgt(diagonal, 0.2, *LEGS).between(own[None])
@@ -52,7 +52,7 @@ def test_a_truss_is_as_long_as_its_strokes(diagonal, values):
 
 
 @settings(max_examples=30)
-@given(st.sampled_from(sorted(KINDS)), strokes)
+@given(st.sampled_from(sorted(KINDS)), displacements)
 def test_a_platform_is_as_long_as_its_strokes(kind, values):
     base, top, (low, high) = KINDS[kind]
     module, own = platform(base, top, (low, high)), np.array(values[: len(base)])

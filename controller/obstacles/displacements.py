@@ -1,4 +1,4 @@
-"""A module in mid-stroke, looked up: where it brings the frame above and its body, and how fast both may change."""
+"""Frames and bodies of a module in mid-travel, with bounds on how fast both change."""
 
 import threading
 from functools import lru_cache
@@ -10,14 +10,14 @@ from controller.manipulator.frames import Frame
 from controller.manipulator.module import Module
 from controller.obstacles.distance import Array, Index
 
-FINE, COARSE = 5, 3  # samples of each stroke of a platform, of up to three that go on at once and of more
-ROUNDING = 1e-9  # of a bound: what rounding takes
-MOST = 6  # strokes of one module at once; of more nothing is known
-KEPT = 50_000  # mid-strokes remembered
+FINE, COARSE = 5, 3  # samples of each displacement of a platform, if up to three actuators move, and if more do
+ROUNDING = 1e-9  # relative rounding error of a bound
+MOST = 6  # actuators of one module that move at once; more have no bound
+CAPACITY = 50_000  # cached displacements
 
 
-class Strokes:
-    """Frames and bodies of one module between its states; from any thread."""
+class Displacements:
+    """Frames and bodies of one module at displacements of its actuators, cached. Safe to call from any thread."""
 
     def __init__(self, module: Module) -> None:
         self._module, self._lock = module, threading.Lock()
@@ -25,20 +25,20 @@ class Strokes:
         self._frames, self._bodies = np.empty((64, 4, 4)), np.empty((64, *module.body.shape[1:]))
         self._rates: dict[bytes, Array] = {}
 
-    def at(self, strokes: Array) -> tuple[Frame, Array]:
-        """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) at strokes (n, A); see Module.between."""
+    def at(self, displacements: Array) -> tuple[Frame, Array]:
+        """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) at displacements (n, A), see Module.between."""
         with self._lock:
-            keys = [row.tobytes() for row in np.ascontiguousarray(strokes)]
+            keys = [row.tobytes() for row in np.ascontiguousarray(displacements)]
             fresh = {key: n for n, key in enumerate(keys) if key not in self._rows}
             if fresh:
-                self._remember(fresh, strokes, dict.fromkeys(keys))
+                self._remember(fresh, displacements, dict.fromkeys(keys))
             rows = [self._rows[key] for key in keys]
             return self._frames[rows], self._bodies[rows]
 
-    def _remember(self, fresh: dict[bytes, int], strokes: Array, asked: dict[bytes, None]) -> None:
-        if len(self._rows) + len(fresh) > KEPT:
+    def _remember(self, fresh: dict[bytes, int], displacements: Array, asked: dict[bytes, None]) -> None:
+        if len(self._rows) + len(fresh) > CAPACITY:
             self._rows.clear()
-            first = {key: n for n, key in reversed(list(enumerate(row.tobytes() for row in strokes)))}
+            first = {key: n for n, key in reversed(list(enumerate(row.tobytes() for row in displacements)))}
             fresh = {key: first[key] for key in asked}
         used = len(self._rows)
         if used + len(fresh) > len(self._frames):
@@ -46,19 +46,20 @@ class Strokes:
             self._frames = np.resize(self._frames, (room, *self._frames.shape[1:]))
             self._bodies = np.resize(self._bodies, (room, *self._bodies.shape[1:]))
         here = slice(used, used + len(fresh))
-        self._frames[here], self._bodies[here] = self._module.between(strokes[list(fresh.values())])
+        self._frames[here], self._bodies[here] = self._module.between(displacements[list(fresh.values())])
         self._rows.update(zip(fresh, range(used, used + len(fresh)), strict=True))
 
     def rates(self, states: Array, moving: Index) -> Array:
-        """Returns how fast strokes move the frame above, turn it, and move the body's points at most, shape (k, 3).
+        """Returns bounds on what each displacement does, shape (k, 3).
 
-        They are proven if the module's bounds are, see Module.proven. Those of platforms are sampled: the greatest of
-        the samples, and half of what they change from one sample to the next, in every direction. Turning is by how far
-        a point goes that is one unit away; all are for a whole stroke.
+        The columns are the translation of the frame above, its rotation, and the movement of the body's points. All
+        are for a displacement from 0 to 1. The rotation is the chord at unit distance. The bounds are proven if
+        `Module.proven`. Otherwise, for platforms, they are sampled: the greatest rate of the samples, plus half of its
+        change from one sample to the next in every direction.
 
         Args:
-            states: of the module's actuators, shape (A,), those that move in any.
-            moving: which do, shape (k,).
+            states: states of the module's actuators, shape (A,); those of moving actuators are ignored.
+            moving: numbers of the actuators that move, shape (k,).
         """
         fixed = states.copy()
         fixed[moving] = 0.0
@@ -96,6 +97,6 @@ def rate(values: Array, axis: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def strokes_of(module: Module) -> Strokes:
-    """Returns the strokes of a module, the same for all that ask."""
-    return Strokes(module)
+def displacements_of(module: Module) -> Displacements:
+    """Returns the cached displacements of a module."""
+    return Displacements(module)

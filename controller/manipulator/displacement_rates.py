@@ -1,8 +1,9 @@
-"""Proven bounds on what strokes do: how fast each moves the frame above, turns it, and moves the body.
+"""Proven bounds on a module in mid-travel: translation and rotation of its top frame, and movement of its body.
 
-Each function returns bounds (k, 3) for the actuators that move, over all their strokes from 0 to 1 together, in units
-of length, radian and length for a whole stroke. They are closed forms, not samples. By the mean value theorem two poses
-differ by no more than the bounds times the differences of the strokes. A bound is infinite where a module has no state.
+A displacement is 0 for a contracted actuator and 1 for an extended one. Each function returns bounds (k, 3) for the k
+moving actuators, over all their displacements. The units are length, radian and length for a displacement from 0 to 1.
+The bounds are closed forms, not samples. By the mean value theorem two poses differ by at most the bounds times the
+differences of the displacements. A bound is infinite if the module lacks a state.
 """
 
 import math
@@ -15,11 +16,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bits = NDArray[np.uint8]
 
-WIDEST = 0.999 * math.pi / 2  # angle between unit quaternions from which the shorter way may change
+WIDEST = 0.999 * math.pi / 2  # greatest angle between unit quaternions; beyond it the shorter way may change
 
 
 def corner_states(bits: Bits, fixed: Array, moving: Index) -> Index | None:
-    """Returns the states (2^k,) that moving actuators spell, the first the most significant; None if one is missing."""
+    """Returns the states (2^k,) at all ends of the moving actuators, the first most significant; None if one lacks."""
     corners = np.tile(fixed, (1 << len(moving), 1))
     corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
     same = (bits == corners[:, None]).all(axis=2)
@@ -27,9 +28,9 @@ def corner_states(bits: Bits, fixed: Array, moving: Index) -> Index | None:
 
 
 def multilinear_rates(values: Array) -> Array:
-    """Returns the greatest rate (k,) along each stroke of vectors between corners (2^k, m, d), linear in each stroke.
+    """Returns the greatest rate (k,) along each displacement of multilinear vectors between corners (2^k, m, d).
 
-    A rate is linear in the other strokes, so its norm is greatest at a corner.
+    A rate is linear in each other displacement, so its norm is greatest at a corner.
     """
     k = len(values).bit_length() - 1
     grid = values.reshape(*[2] * k, *values.shape[1:])
@@ -37,15 +38,15 @@ def multilinear_rates(values: Array) -> Array:
 
 
 def joint_rates(bits: Bits, values: Array, move: float, turn: float, fixed: Array, moving: Index) -> Array:
-    """Returns the bounds of a joint, whose value is linear in each stroke.
+    """Returns the bounds of a joint. Its value is multilinear in the displacements.
 
     Args:
         bits: actuator states of its positions, shape (K, A).
-        values: of its positions, shape (K,).
-        move: how far the frame above moves for a unit of the value.
-        turn: how far it turns.
-        fixed: strokes of the actuators that stay, shape (A,).
-        moving: those that move, shape (k,).
+        values: angle [rad] or length of each position, shape (K,).
+        move: translation of the frame above for a unit of the value.
+        turn: rotation of the frame above for a unit of the value [rad].
+        fixed: displacements of the actuators that do not move, shape (A,).
+        moving: numbers of the actuators that move, shape (k,).
     """
     if (states := corner_states(bits, fixed, moving)) is None:
         return np.full((len(moving), 3), np.inf)
@@ -53,24 +54,24 @@ def joint_rates(bits: Bits, values: Array, move: float, turn: float, fixed: Arra
 
 
 def truss_rates(first: Array, diagonal: Array, second: Array, width: float) -> Array:
-    """Returns bounds (3, 3) of a truss for its first leg, diagonal and second leg, for a unit of length.
+    """Returns the bounds (3, 3) of a truss per unit of length, for its first leg, diagonal and second leg.
 
-    The first leg and the diagonal meet in the first apex, at an angle g. If one of them grows, the apex moves square to
+    The first leg and the diagonal meet in the first apex, at an angle g. If one of them grows, the apex moves normal to
     the other, at a rate of 1 / sin g. The second leg and the top, of fixed length, meet in the second apex at an angle
-    d. This apex moves square to the second leg, and as far along the top as the first apex does: at most
-    1 / (sin g sin d). The top turns at |v . u| / (width sin d), v being the first apex's velocity and u the direction
-    of the second leg: by the law of sines 1 / (diagonal sin g) for the first leg. For the diagonal it is
-    |sin(g - b)| / (width sin g sin d), b being the angle between diagonal and second leg. If the second leg grows, the
-    first apex stays, the second moves at 1 / sin d, and the top turns at 1 / (width sin d).
+    d. The second apex moves normal to the second leg. Along the top it moves as far as the first apex: at most
+    1 / (sin g sin d). The top turns at |v . u| / (width sin d). Here v is the velocity of the first apex, and u is the
+    direction of the second leg. By the law of sines this is 1 / (diagonal sin g) for the first leg. For the diagonal it
+    is |sin(g - b)| / (width sin g sin d), where b is the angle between diagonal and second leg. If the second leg
+    grows, the first apex does not move, the second moves at 1 / sin d, and the top turns at 1 / (width sin d).
 
-    As functions of each length the cosines have no maximum inside an interval, and no minimum below 0: their absolute
-    values are greatest at corners.
+    As a function of each length, a cosine has no maximum inside an interval and no minimum below 0. So its absolute
+    value is greatest at a corner.
 
     Args:
-        first: least and greatest length of the leg that ends in the first apex, shape (2,).
-        diagonal: likewise.
-        second: likewise of the leg that ends in the second apex.
-        width: of base and top.
+        first: least and greatest length of the leg to the first apex, shape (2,).
+        diagonal: least and greatest length of the diagonal, shape (2,).
+        second: least and greatest length of the leg to the second apex, shape (2,).
+        width: width of base and top.
     """
     lower = max(abs(f * f + m * m - width**2) / (2 * f * m) for f, m in product(first, diagonal))
     upper = max(abs(width**2 + s * s - m * m) / (2 * width * s) for s, m in product(second, diagonal))
@@ -85,9 +86,9 @@ def truss_rates(first: Array, diagonal: Array, second: Array, width: float) -> A
 
 
 def apex_angles(leg: Array, diagonal: Array, width: float) -> tuple[float, float]:
-    """Returns the least and greatest angle between a leg and the diagonal of a triangle over a side of a width.
+    """Returns the least and greatest angle [rad] between leg and diagonal of a triangle whose third side is `width`.
 
-    The cosine's extremes are at corners, or where its derivative by one length is 0 and the other is at an end.
+    The cosine is extreme at a corner, or where one length is at an end and the derivative by the other is 0.
     """
     pairs = list(product(leg.tolist(), diagonal.tolist()))
     for ends, others, swap in ((leg, diagonal, False), (diagonal, leg, True)):
@@ -100,15 +101,16 @@ def apex_angles(leg: Array, diagonal: Array, width: float) -> tuple[float, float
 
 
 def blended_rates(positions: Array, turns: Array, bodies: Array) -> Array:
-    """Returns bounds of frames between corners: positions and bodies go straight, rotations by nested slerp.
+    """Returns the bounds of a blend: positions and bodies are multilinear, rotations are nested slerps.
 
-    On the sphere of unit quaternions slerp's point moves no faster than the faster of its ends over the cosine of half
-    the angle between them. That angle is bounded by what it is in the middle of all strokes, and by the ends' rates.
+    On the sphere of unit quaternions, the rate of a slerp is at most the rate of its faster end, divided by the cosine
+    of half the angle between the ends. This angle is at most the angle in the middle of all displacements, plus what
+    the rates of the ends add.
 
     Args:
-        positions: of the corners, shape (2^k, 3).
-        turns: their unit quaternions, shape (2^k, 4).
-        bodies: their line segments, shape (2^k, L, 2, 3).
+        positions: positions of the corners, shape (2^k, 3).
+        turns: unit quaternions of the corners, shape (2^k, 4).
+        bodies: line segments of the corners, shape (2^k, L, 2, 3).
     """
     k = len(positions).bit_length() - 1
     rates = np.zeros((len(turns), k))

@@ -1,4 +1,4 @@
-"""Pictures of keep-out regions, behind the arms that keep out of them."""
+"""Pictures of obstacles, behind the arms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.obstacles.distance import BOX, SPHERE
-from controller.obstacles.regions import Regions
+from controller.obstacles.obstacles import Obstacles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,22 +22,22 @@ FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
-def draw_regions(axes: Axes, regions: Regions, low: Array, high: Array) -> None:
-    """Draws regions of the plane as hatched patches, half-planes as far as the corners (2,) of the axes."""
+def draw_obstacles(axes: Axes, obstacles: Obstacles, low: Array, high: Array) -> None:
+    """Draws planar obstacles as hatched patches; half-planes end at the corners (2,) of the axes."""
     from matplotlib.patches import Circle, Patch, Polygon
 
     style: dict[str, Any] = {"facecolor": COLOUR + "30", "edgecolor": COLOUR, "hatch": "///", "linewidth": 1.0}
-    for k in range(len(regions)):
-        centre, size = regions.centres[k, :2], regions.sizes[k]
+    for k in range(len(obstacles)):
+        centre, size = obstacles.centres[k, :2], obstacles.sizes[k]
         patch: Patch
-        if regions.kinds[k] == SPHERE:
+        if obstacles.kinds[k] == SPHERE:
             patch = Circle((centre[0], centre[1]), size[0])
-        elif regions.kinds[k] == BOX:
+        elif obstacles.kinds[k] == BOX:
             around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-            patch = Polygon(centre + (around * size[:2]) @ regions.axes[k, :2, :2])
+            patch = Polygon(centre + (around * size[:2]) @ obstacles.axes[k, :2, :2])
         else:
             corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-            behind = cut(corners, regions.centres[k, :2], regions.axes[k, 0, :2])
+            behind = cut(corners, obstacles.centres[k, :2], obstacles.axes[k, 0, :2])
             if len(behind) < 3:
                 continue
             patch = Polygon(behind)
@@ -45,19 +45,19 @@ def draw_regions(axes: Axes, regions: Regions, low: Array, high: Array) -> None:
         axes.add_patch(patch)
 
 
-def draw_spatial_regions(axes: Any, regions: Regions, low: Array, high: Array) -> None:
-    """Draws regions in space as translucent bodies, half-spaces by their planes within the corners (3,) of the axes."""
+def draw_spatial_obstacles(axes: Any, obstacles: Obstacles, low: Array, high: Array) -> None:
+    """Draws spatial obstacles as translucent bodies; half-spaces as planes within the corners (3,) of the axes."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-    for k in range(len(regions)):
-        centre, size = regions.centres[k], regions.sizes[k]
-        if regions.kinds[k] == SPHERE:
+    for k in range(len(obstacles)):
+        centre, size = obstacles.centres[k], obstacles.sizes[k]
+        if obstacles.kinds[k] == SPHERE:
             faces = ball(centre, size[0])
-        elif regions.kinds[k] == BOX:
-            corners = centre + (CORNERS * size) @ regions.axes[k]
+        elif obstacles.kinds[k] == BOX:
+            corners = centre + (CORNERS * size) @ obstacles.axes[k]
             faces = [corners[list(face)] for face in FACES]
         else:
-            faces = [across(low, high, centre, regions.axes[k, 0])]
+            faces = [across(low, high, centre, obstacles.axes[k, 0])]
         faces = [face for face in faces if len(face) >= 3]
         label = "" if axes.get_legend_handles_labels()[1][-1:] == [NAMED] else NAMED
         if faces:

@@ -1,4 +1,4 @@
-"""Every search on arms some of whose actuators are held, so that modules have different numbers of states, also one."""
+"""All searches on arms with locked actuators: modules have different numbers of states, some only one."""
 
 from __future__ import annotations
 
@@ -6,33 +6,33 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.manipulator.test_held import locked_arms
 
-from controller.manipulator.held import carried, hold
+from controller.manipulator.locked import lock_actuators, transferred
 from controller.motion.lookahead import LookAhead
 from controller.motion.trajectory import through
 from controller.search.method import METHODS
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
-from tests.manipulator.test_held import held_arms
 from tests.search.test_minimum_switch import brute_force, solver_of
 
 
 @settings(max_examples=60)
-@given(held_arms(), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5))
+@given(locked_arms(), st.integers(0, 2**32 - 1), st.floats(1e-3, 0.5))
 def test_brute_force_agrees_and_what_is_held_stays(case, seed, tolerance):
-    arm, held = case
-    left = hold(arm, held)
-    if np.prod(left.states.astype(float)) > 5000:
+    arm, locked = case
+    reduced = lock_actuators(arm, locked)
+    if np.prod(reduced.states.astype(float)) > 5000:
         return
     rng = np.random.default_rng(seed)
     weights = rng.uniform(0.5, 2.0, len(arm.actuators))
-    previous = rng.integers(0, left.states)
+    previous = rng.integers(0, reduced.states)
     goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    found = solver_of(left, weights).solve(goal[: left.dimension], previous, tolerance, deadline=10.0)
-    narrow, wide = brute_force(left, goal, previous, tolerance, weights)
-    states = arm.actuator_states(carried(found.configuration, left, arm))
-    assert np.array_equal(states[held >= 0], held[held >= 0])
+    found = solver_of(reduced, weights).solve(goal[: reduced.dimension], previous, tolerance, deadline=10.0)
+    narrow, wide = brute_force(reduced, goal, previous, tolerance, weights)
+    states = arm.actuator_states(transferred(found.configuration, reduced, arm))
+    assert np.array_equal(states[locked >= 0], locked[locked >= 0])
     if found.within_tolerance:
         assert wide - 1e-9 <= found.cost <= narrow + 1e-9
         assert found.optimal
@@ -42,14 +42,14 @@ def test_brute_force_agrees_and_what_is_held_stays(case, seed, tolerance):
 
 
 @settings(max_examples=40)
-@given(held_arms(), st.integers(0, 2**32 - 1), st.sampled_from(METHODS[1:]))
+@given(locked_arms(), st.integers(0, 2**32 - 1), st.sampled_from(METHODS[1:]))
 def test_the_papers_methods_reach_what_a_tip_of_the_arm_that_is_left_marks(case, seed, method):
-    arm, held = case
-    left = hold(arm, held)
+    arm, locked = case
+    reduced = lock_actuators(arm, locked)
     rng = np.random.default_rng(seed)
-    goal = left.tip(rng.integers(0, left.states))[: left.dimension, 3]
-    found = solver_of(left).solve(goal, rng.integers(0, left.states), 1e-6, method)
-    if np.prod(left.states.astype(float)) <= 2**16:  # in the exact table, whole
+    goal = reduced.tip(rng.integers(0, reduced.states))[: reduced.dimension, 3]
+    found = solver_of(reduced).solve(goal, rng.integers(0, reduced.states), 1e-6, method)
+    if np.prod(reduced.states.astype(float)) <= 2**16:  # in the exact table, whole
         assert found.error <= 1e-6
 
 
@@ -57,18 +57,18 @@ def test_the_papers_methods_reach_what_a_tip_of_the_arm_that_is_left_marks(case,
 def test_many_ways_along_a_trajectory_are_found_where_few_actuators_are_free(freed):
     arm = paper_arm(6)
     rng = np.random.default_rng(freed)
-    held = rng.integers(0, 2, 18).astype(np.int8)
-    held[rng.choice(18, freed, replace=False)] = -1
-    left = hold(arm, held)
-    solver = Solver(left, map_densities(left, 0.02, 4000))
+    locked = rng.integers(0, 2, 18).astype(np.int8)
+    locked[rng.choice(18, freed, replace=False)] = -1
+    reduced = lock_actuators(arm, locked)
+    solver = Solver(reduced, map_densities(reduced, 0.02, 4000))
     solver.prepare()
     start = np.zeros(6, dtype=np.int64)
     for _ in solver.expect(start, 0.01):
         pass
-    tips = left.tips(rng.integers(0, left.states, (5, 6)))[:, :2, 3]
+    tips = reduced.tips(rng.integers(0, reduced.states, (5, 6)))[:, :2, 3]
     ahead = LookAhead(solver, start, through(np.arange(5.0), tips, 0.01))
     for _ in tips:
         ahead.extend()
     way = ahead.decide(5)
-    assert all(np.linalg.norm(left.tip(c)[:2, 3] - tip) <= 0.01 for c, tip in zip(way, tips, strict=True))
-    assert len(every_configuration(left)) == 2**freed
+    assert all(np.linalg.norm(reduced.tip(c)[:2, 3] - tip) <= 0.01 for c, tip in zip(way, tips, strict=True))
+    assert len(every_configuration(reduced)) == 2**freed

@@ -1,0 +1,58 @@
+"""Locked actuators: the reduced arm, whose modules have only the states that the locked actuators permit.
+
+The reduced arm has the same actuators in the same order. Actuator states (A,) are valid for both arms, so they convert
+configurations from one arm to the other. The numbers of states of the modules differ.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+
+LockedStates = NDArray[np.int8]  # state in which each actuator is locked, -1 if it is free, shape (A,)
+
+STATES = ("contracted", "extended")
+
+
+def none_locked(manipulator: Manipulator) -> LockedStates:
+    """Returns the locked states (A,) of an arm without locked actuators."""
+    return np.full(len(manipulator.actuators), -1, dtype=np.int8)
+
+
+def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulator:
+    """Returns the reduced arm, or the arm itself if no actuator is locked.
+
+    Raises:
+        ValueError: a module has no state with its actuators locked so.
+    """
+    if locked.shape != (len(manipulator.actuators),):
+        raise ValueError(
+            f"the arm has {len(manipulator.actuators)} actuators, got locked states of shape {locked.shape}"
+        )
+    if (locked < 0).all():
+        return manipulator
+    modules, start = [], 0
+    for i, module in enumerate(manipulator.modules):
+        own = locked[start : start + len(module.actuators)]
+        start += len(module.actuators)
+        permitted = ((own < 0) | (module.bits == own)).all(axis=1)
+        if not permitted.any():
+            pairs = zip(module.actuators, own.tolist(), strict=True)
+            named = " and ".join(f"{name} is {STATES[state]}" for name, state in pairs if state >= 0)
+            raise ValueError(f"module {i + 1} has no state in which {named}")
+        frames, bits, body = module.frames[permitted], module.bits[permitted], module.body[permitted]
+        modules.append(module if permitted.all() else replace(module, frames=frames, bits=bits, body=body))
+    return Manipulator(modules, manipulator.base)
+
+
+def transferred(configuration: Configuration, source: Manipulator, target: Manipulator) -> Configuration:
+    """Returns a configuration (B,) of one arm as a configuration of another with other locked actuators.
+
+    Raises:
+        ValueError: the target has no configuration with these actuator states.
+    """
+    if source is target:
+        return configuration
+    return target.configuration(source.actuator_states(configuration))
