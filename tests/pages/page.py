@@ -84,9 +84,9 @@ class Page(NamedTuple):
 
 
 def find() -> list[Path]:
-    """Returns the paths of all pages."""
-    found = sorted(ROOT.rglob("README.md"))
-    return [path for path in found if not re.match(r"\.|build/", path.relative_to(ROOT).as_posix())]
+    """Returns the paths of all pages. Does not look into `build`, where files may come and go meanwhile."""
+    folders = [path for path in ROOT.iterdir() if path.is_dir() and not re.match(r"\.|build$", path.name)]
+    return sorted([*ROOT.glob("README.md"), *(path for folder in folders for path in folder.rglob("README.md"))])
 
 
 def read(path: Path) -> Page:
