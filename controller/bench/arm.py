@@ -1,4 +1,4 @@
-"""An arm as the benchmark hands it to methods."""
+"""An arm of the goal sets, in the form that methods receive."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BenchArm:
-    """An arm of the goal sets. B modules of at most K states, each with at most A actuators.
+    """An arm of the goal sets: B modules with at most K states and at most A actuators each.
 
     Attributes:
-        name: of its file.
-        path: of its file.
+        name: name of the arm's file.
+        path: path of the arm's file.
     """
 
     name: str
@@ -34,7 +34,7 @@ class BenchArm:
 
     @cached_property
     def arm(self) -> library.Arm:
-        """The arm as the library `hyperbit` has it, obstacles included."""
+        """The arm as an object of the library `hyperbit`, obstacles included."""
         return library.load(self.path)
 
     @property
@@ -57,7 +57,7 @@ class BenchArm:
 
     @property
     def bits(self) -> NDArray[np.uint8]:
-        """Actuator states of each state, padded with 0, shape (B, K, A): switches are the places that differ."""
+        """Actuator states of each module state, padded with 0, shape (B, K, A)."""
         return self.model.manipulator.bits.copy()
 
     @property
@@ -67,12 +67,12 @@ class BenchArm:
 
     @property
     def margin(self) -> float:
-        """Distance of a body's line from an obstacle that counts as touching."""
+        """Least distance of a body's line from an obstacle without collision."""
         return self.clearance.margin
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """What no body may touch."""
+        """The arm's obstacles."""
         found: list[Obstacle] = []
         kind: Any
         for region in self.model.settings.obstacles:
@@ -84,17 +84,17 @@ class BenchArm:
 
     @property
     def model(self) -> config.Arm:
-        """The arm as the product's rooms have it."""
+        """The arm in the form of controller/config."""
         return load_arm(self.name)
 
     @cached_property
     def clearance(self) -> Clearance:
-        """What decides whether an answer touches an obstacle."""
+        """Collision checks of the arm."""
         return self.model.clearance()
 
     @cached_property
     def densities(self) -> Densities:
-        """Densities of the intermediate workspaces, from the cache or mapped."""
+        """Densities of the intermediate workspaces, from the cache or computed."""
         model = self.model
         return load_or_map(model.manipulator, model.pixel, model.level_pixels, default_directory())
 

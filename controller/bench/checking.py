@@ -1,4 +1,4 @@
-"""What an answer is worth: nothing that a method says of it is taken on trust."""
+"""Checks an answer by forward kinematics and recounted switches, without trust in the method."""
 
 import math
 from collections.abc import Callable
@@ -15,23 +15,23 @@ from controller.search.solution import EPSILON
 from controller.search.target import within
 
 
-class Nonsense(Exception):
+class InvalidAnswer(Exception):
     """An answer is no configuration of the arm."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one goal.
+    """Outcome of one goal.
 
     Attributes:
-        solved: the answer is within the tolerances, and clear.
-        switches: of the answer, counted anew; 0 if it is not solved.
-        seconds: that the method took.
-        proven: the method claims that the answer has the fewest switches, and nothing contradicts it.
-        kind: why it is not solved: "missed", "touches", "nothing found" or what went wrong; empty if it is solved.
-        detail: a sentence on that.
-        wrong: a sentence on a certificate that is wrong; empty if none is.
-        left_out: the method is not made for the goal.
+        solved: whether the answer is within the tolerances and collision-free.
+        switches: recounted switches of the answer; 0 if it is not solved.
+        seconds: time of the method [s].
+        proven: whether the method claims optimality and the certified optimum agrees.
+        kind: why the goal is not solved: "missed", "touches", "nothing found" or a kind of error; empty if solved.
+        detail: a sentence on `kind`.
+        wrong: a sentence on a wrong certificate; empty if there is none.
+        left_out: whether the method does not support the goal.
     """
 
     solved: bool
@@ -45,13 +45,13 @@ class Outcome:
 
 
 def check(arm: BenchArm, task: Task, answer: Any, seconds: float) -> Outcome:
-    """Returns what an answer is worth, by forward kinematics and recounted switches.
+    """Checks an answer by forward kinematics and recounted switches.
 
     Args:
         arm: the arm.
-        task: its goal.
-        answer: whatever the method returned.
-        seconds: that it took.
+        task: the goal.
+        answer: return value of the method, of any type.
+        seconds: time of the method [s].
     """
     try:
         given, certificate, bound = (attribute(answer, name) for name in ("configuration", "certificate", "bound"))
@@ -59,7 +59,7 @@ def check(arm: BenchArm, task: Task, answer: Any, seconds: float) -> Outcome:
             wrong = contradiction(task, False, 0, certificate, bound)
             return Outcome(False, 0, seconds, kind="nothing found", detail="returned None", wrong=wrong)
         own = configuration_of(answer if given is None else given, arm.model.manipulator)
-    except Nonsense as error:
+    except InvalidAnswer as error:
         return Outcome(False, 0, seconds, kind="no configuration", detail=str(error))
     kind, detail = fault(arm, task, own)
     switches = 0 if kind else arm.model.manipulator.switches(task.start, own)
@@ -69,7 +69,7 @@ def check(arm: BenchArm, task: Task, answer: Any, seconds: float) -> Outcome:
 
 
 def fault(arm: BenchArm, task: Task, configuration: Configuration) -> tuple[str, str]:
-    """Returns why a configuration does not serve, as a word and a sentence; both are empty if it does."""
+    """Returns why a configuration does not solve a goal, as a kind and a sentence; both are empty if it does."""
     tip = arm.model.manipulator.tip(configuration)
     if not within(tip, task.frame, task.tolerance, task.angle_tolerance):
         away = float(np.linalg.norm(tip[:3, 3] - task.frame[:3, 3]))
@@ -79,54 +79,56 @@ def fault(arm: BenchArm, task: Task, configuration: Configuration) -> tuple[str,
 
 
 def attribute(answer: Any, name: str) -> Any:
-    """Returns an attribute of an answer, None if it has none.
+    """Returns an attribute of an answer; None if it has none.
 
     Raises:
-        Nonsense: asking for it fails.
+        InvalidAnswer: reading the attribute fails.
     """
-    return guarded(lambda: getattr(answer, name, None))
+    return evaluated(lambda: getattr(answer, name, None))
 
 
 def configuration_of(given: Any, manipulator: Manipulator) -> Configuration:
     """Returns an answer as a configuration (B,).
 
     Raises:
-        Nonsense: it is none of the arm.
+        InvalidAnswer: the answer is no configuration of the arm.
     """
     if isinstance(given, str):
         try:
             return parse_configuration(manipulator, given)
         except ValueError as error:
-            raise Nonsense(str(error)) from None
-    array = guarded(lambda: np.asarray(given))
+            raise InvalidAnswer(str(error)) from None
+    array = evaluated(lambda: np.asarray(given))
     if array.shape != manipulator.states.shape or not np.issubdtype(array.dtype, np.integer):
-        raise Nonsense(
+        raise InvalidAnswer(
             f"integers of shape {manipulator.states.shape} are needed, got {array.dtype} of shape {array.shape}"
         )
     if ((array < 0) | (array >= manipulator.states)).any():
-        raise Nonsense(f"module {int(((array < 0) | (array >= manipulator.states)).argmax()) + 1} has no such state")
+        raise InvalidAnswer(
+            f"module {int(((array < 0) | (array >= manipulator.states)).argmax()) + 1} has no such state"
+        )
     return np.asarray(array, dtype=np.int64)
 
 
-def guarded(ask: Callable[[], Any]) -> Any:
-    """Returns what a question to a stranger's object brings.
+def evaluated(call: Callable[[], Any]) -> Any:
+    """Calls a function on an object of a method.
 
     Raises:
-        Nonsense: it raises.
+        InvalidAnswer: the call raises an exception.
     """
     try:
-        return ask()
+        return call()
     except Exception as error:
-        raise Nonsense(f"reading it raised {type(error).__name__}: {error}") from None
+        raise InvalidAnswer(f"reading it raised {type(error).__name__}: {error}") from None
 
 
 def contradiction(task: Task, solved: bool, switches: int, certificate: Any, bound: Any) -> str:
-    """Returns what is wrong with a certificate, a sentence; empty if nothing is."""
+    """Returns a sentence on a wrong certificate; empty if the certified optimum does not contradict it."""
     known = f"{task.switches} switches suffice"
     if certificate == "unreachable":
         return f"claims that the goal cannot be reached; {known}"
     if certificate == "optimal" and not solved:
-        return f"claims that an answer is optimal that does not serve; {known}"
+        return f"claims optimality of an answer that does not solve the goal; {known}"
     if certificate == "optimal" and switches > task.switches:
         return f"claims that {switches} switches are the fewest; {known}"
     if bound is None:

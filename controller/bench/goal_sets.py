@@ -1,4 +1,4 @@
-"""Goal sets: arms, start configurations, goals, and the fewest switches that are proven to each.
+"""Goal sets: arms, start configurations, goals, and the proven minimum of switches for each goal.
 
 A set is a CSV file in `sets`; the arms are in `arms`. `tests/benchmarks/goal_sets.py` draws the goals and proves them.
 """
@@ -38,14 +38,14 @@ class Task:
 
     Attributes:
         arm: name of a file in `arms`.
-        start: configuration, shape (B,).
-        position: of the tip in the world, shape (2,) or (3,).
-        angle: of the tip [rad], counter-clockwise; None if any will do.
-        tolerance: of the position.
-        angle_tolerance: of the angle [rad]; infinite if any will do.
-        bound: no valid configuration has fewer switches: proven.
-        best: the configuration of fewest switches that is known, shape (B,).
-        switches: of `best`, from `start`.
+        start: start configuration, shape (B,).
+        position: position of the tip in the world, shape (2,) or (3,).
+        angle: angle of the tip [rad], counter-clockwise; None: any angle.
+        tolerance: position tolerance.
+        angle_tolerance: angle tolerance [rad]; infinite: any angle.
+        bound: proven lower bound of the switches of valid configurations.
+        best: valid configuration with the fewest switches known, shape (B,).
+        switches: number of switches from `start` to `best`.
     """
 
     arm: str
@@ -60,12 +60,12 @@ class Task:
 
     @property
     def proven(self) -> bool:
-        """Whether `switches` are proven to be the fewest."""
+        """Whether `switches` is the proven minimum."""
         return self.switches == self.bound
 
     @property
     def frame(self) -> Frame:
-        """The goal in the world, shape (4, 4); its rotation has no meaning if any angle will do."""
+        """The goal in the world, shape (4, 4); its rotation is irrelevant without an angle."""
         return goal_frame(self.position, self.angle)
 
 
@@ -117,8 +117,8 @@ def by_arm(tasks: list[Task]) -> dict[str, list[Task]]:
     return {name: [t for t in tasks if t.arm == name] for name in dict.fromkeys(t.arm for t in tasks)}
 
 
-def spread(tasks: list[Task], count: int) -> list[Task]:
-    """Returns at most `count` goals, evenly from all of a set, so that each arm has its share."""
+def sample_evenly(tasks: list[Task], count: int) -> list[Task]:
+    """Returns at most `count` goals, evenly spaced in a set, so that each arm is represented."""
     if count >= len(tasks):
         return tasks
     return [tasks[k] for k in np.linspace(0, len(tasks) - 1, count).round().astype(int)]

@@ -1,4 +1,4 @@
-"""Runs methods on goal sets, and sums up what they came to."""
+"""Runs methods on goal sets and summarizes the outcomes."""
 
 import contextlib
 import gc
@@ -23,31 +23,31 @@ MISSES = ("missed", "touches", "nothing found")
 
 
 class TooLongError(BaseException):
-    """A method took too long for a goal. No Exception, so that the method does not catch it by accident."""
+    """A method took too long for a goal. It is no Exception, so that a method does not catch it by accident."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one method came to on one set.
+    """Summary of one method on one goal set. Counts are numbers of goals.
 
     Attributes:
-        method: its name.
-        goals: that it took; those that it is not made for are left out.
-        left_out: how many those are.
-        solved: answers within the tolerances, and clear.
-        missed: answers outside, none at all, or touching an obstacle.
-        fewest: answers with the fewest switches there are.
-        proven: answers that the method claims to have proven optimal, without contradiction.
-        wrong_certificates: claims that are contradicted.
-        switches: mean of the solved goals.
-        above: mean of the switches above the certified optimum, over solved goals that have one.
-        above_most: the greatest of them.
-        seconds_median: for a goal.
-        seconds_99: the quantile of 99 %.
-        tables_seconds: to prepare, and for the first goal of each arm, which is then solved again.
-        errors: how often what went wrong.
+        method: name of the method.
+        goals: goals that the method supports.
+        left_out: goals that the method does not support.
+        solved: answers within the tolerances and collision-free.
+        missed: answers outside the tolerances or in collision, or no answer.
+        fewest: answers with the certified minimum of switches.
+        proven: answers that the method claims to be optimal, without contradiction.
+        wrong_certificates: contradicted claims.
+        switches: mean number of switches over the solved goals.
+        above: mean number of switches above the certified optimum, over solved goals that have one.
+        above_most: greatest number of switches above the certified optimum.
+        seconds_median: median time for a goal [s].
+        seconds_99: 99 % quantile of the time for a goal [s].
+        tables_seconds: time of `prepare` and of the first goal of each arm, which is then solved again [s].
+        errors: number of goals by kind of error.
         examples: a sentence for each kind of error, and for the first wrong certificate.
-        impossible: answers with fewer switches than are proven to be possible: the set is wrong.
+        impossible: answers with fewer switches than the proven minimum, so that the set is wrong.
     """
 
     method: str
@@ -77,13 +77,13 @@ def run(
     limit: float,
     advance: Callable[[], None] = lambda: None,
 ) -> Row:
-    """Returns what a method comes to on goals.
+    """Runs a method on goals; returns the summary.
 
     Args:
-        name: of the method.
+        name: name of the method.
         prepare: the method, see controller.bench.methods.
         tasks: the goals.
-        arms: by name.
+        arms: arms by name.
         limit: longest time for a goal [s].
         advance: called after each goal.
     """
@@ -102,10 +102,10 @@ def run(
 
 
 def prepared(prepare: Prepare, arm: BenchArm, first: Task, limit: float) -> tuple[Solve, Outcome | None]:
-    """Returns what solves the goals of an arm after its first one, or what becomes of all of them."""
+    """Prepares a method for an arm and solves one goal; returns `solve`, or the outcome of all goals if it failed."""
 
     def nothing(goal: Goal, start: np.ndarray) -> None:
-        """Solves nothing."""
+        """Placeholder of a method that failed."""
 
     try:
         solve = prepare(arm)
@@ -120,7 +120,7 @@ def prepared(prepare: Prepare, arm: BenchArm, first: Task, limit: float) -> tupl
 
 
 def solved(solve: Solve, arm: BenchArm, task: Task, limit: float) -> Outcome:
-    """Returns what became of a goal. The method gets copies; its exceptions end with the goal."""
+    """Solves a goal and checks the answer. The method receives copies; its exceptions become outcomes."""
     goal = Goal(task.position, task.angle, task.tolerance, None if task.angle is None else task.angle_tolerance)
     start = task.start.copy()
     gc.disable()
@@ -148,7 +148,7 @@ def raised(error: BaseException, seconds: float) -> Outcome:
 
 @contextlib.contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raises TooLongError in the block after a time, if it runs Python code then. Main thread only, else no limit."""
+    """Raises TooLongError in the block after a time [s], at the next Python code. Works in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -166,7 +166,7 @@ def at_most(seconds: float) -> Iterator[None]:
 
 
 def summed(name: str, tasks: Sequence[Task], outcomes: Sequence[Outcome], tables: float) -> Row:
-    """Returns the row of a method's outcomes, in the order of the goals."""
+    """Summarizes a method's outcomes, given in the order of the goals."""
     taken = [(k, task, o) for k, (task, o) in enumerate(zip(tasks, outcomes, strict=True)) if not o.left_out]
     served = [(task, o) for _, task, o in taken if o.solved]
     above = [o.switches - task.switches for task, o in served if task.proven]

@@ -70,7 +70,7 @@ def bench(
     column `tables` has the time of `prepare` and of the first goal of each arm. Methods run in this process: run only
     programs that you trust.
     """  # noqa: D301 - \b keeps click from filling the lines
-    from controller.bench.goal_sets import SETS, read, spread
+    from controller.bench.goal_sets import SETS, read, sample_evenly
 
     if names:
         print_names(SETS)
@@ -82,7 +82,7 @@ def bench(
     rows: list[Row] = []
     for name in chosen:
         tasks = read(name)
-        tasks = spread(tasks, len(tasks) if count is None else count)
+        tasks = sample_evenly(tasks, len(tasks) if count is None else count)
         found = measured(name, tasks, compared, limit)
         proven = sum(task.proven for task in tasks)
         rows += found

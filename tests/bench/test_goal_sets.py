@@ -9,7 +9,7 @@ import pytest
 
 from controller.bench.arm import bench_arm
 from controller.bench.checking import check
-from controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, spread
+from controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, sample_evenly
 from controller.config import load
 from tests.benchmarks.goal_sets import RECIPES, again, drawn, same
 
@@ -49,7 +49,7 @@ def test_the_best_configurations_serve(name):
 @pytest.mark.parametrize("name", SETS)
 def test_a_sample_is_proven_again(name):
     cheap = [task for task in read(name) if task.switches <= 6]
-    for task in spread(cheap, 4):
+    for task in sample_evenly(cheap, 4):
         again(task, 60.0)
 
 
@@ -64,5 +64,5 @@ def test_a_set_is_what_its_recipe_draws(name):
 
 def test_few_goals_are_spread_over_all_arms():
     tasks = read("obstacles")
-    assert set(by_arm(spread(tasks, 12))) == set(by_arm(tasks))
-    assert spread(tasks, 500) == tasks
+    assert set(by_arm(sample_evenly(tasks, 12))) == set(by_arm(tasks))
+    assert sample_evenly(tasks, 500) == tasks

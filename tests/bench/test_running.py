@@ -10,11 +10,11 @@ import pytest
 
 import hyperbit as hb
 from controller.bench.arm import BenchArm, bench_arm
-from controller.bench.goal_sets import Task, by_arm, read, spread
+from controller.bench.goal_sets import Task, by_arm, read, sample_evenly
 from controller.bench.methods import METHODS, find_method
 from controller.bench.running import Row, run
 
-TASKS = spread(read("lattice"), 10)
+TASKS = sample_evenly(read("lattice"), 10)
 ARMS = {name: bench_arm(name) for name in by_arm(TASKS)}
 BEST = {(task.arm, task.start.tobytes(), task.position): task for task in TASKS}
 
@@ -189,7 +189,7 @@ def test_the_arm_given_to_methods_is_the_one_that_judges():
 
 @pytest.mark.parametrize("name", METHODS)
 def test_each_method_of_the_benchmark_runs(name):
-    tasks = [read(own)[0] for own in ("revolute24", "lattice", "paper-poses")] + spread(read("obstacles"), 2)[1:]
+    tasks = [read(own)[0] for own in ("revolute24", "lattice", "paper-poses")] + sample_evenly(read("obstacles"), 2)[1:]
     tasks += read("planar16")[:1]
     arms = {task.arm: bench_arm(task.arm) for task in tasks}
     row = run(name, find_method(METHODS[name].target), tasks, arms, 60.0)

@@ -7,7 +7,7 @@ import pytest
 
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
-from tests.benchmarks.methods import METHODS, OPTIMUM, annealed, meeting
+from tests.benchmarks.methods import METHODS, OPTIMUM, annealed, two_list
 
 TOLERANCE = 0.01
 
@@ -39,7 +39,7 @@ def test_a_method_answers_with_a_configuration_and_leaves_the_previous_one(metho
 
 def test_listing_a_half_leaves_nothing_out_and_nothing_twice():
     arm = paper_arm(6)
-    problem, previous = meeting.prepare(arm, None, 3), np.array([1, 7, 0, 2, 5, 4])
+    problem, previous = two_list.prepare(arm, None, 3), np.array([1, 7, 0, 2, 5, 4])
     problem.upper.list((0.0, 0.0), problem.arm.costs(previous), 3)
     found = set()
     for row in range(problem.upper.count):

@@ -1,10 +1,10 @@
-"""The methods that can be compared, by name.
+"""The methods of the benchmark, by name.
 
 A method is a function `prepare(arm)`. It takes a controller.bench.arm.BenchArm and returns a function
-`solve(goal, start)`. `solve` takes a hyperbit.Goal and a configuration, integers (B,), and returns a configuration, or
-None if it finds none. `solve` may return an object instead whose `configuration` is the answer. The object's
-`certificate` ("optimal", "unreachable") and `bound` (no valid configuration has fewer switches) are checked, if there
-are any. A method raises NotImplementedError for an arm or a goal that the method is not made for.
+`solve(goal, start)`. `solve` takes a hyperbit.Goal and a configuration, integers (B,). It returns a configuration, None
+if it finds none, or an object with the attribute `configuration`. The benchmark also checks the object's `certificate`
+("optimal", "unreachable") and `bound` (no valid configuration has fewer switches), if it has them. A method raises
+NotImplementedError for an arm or a goal that it does not support.
 """
 
 import importlib
@@ -24,7 +24,7 @@ Prepare = Callable[["BenchArm"], Solve]
 
 
 class Entry(NamedTuple):
-    """A method that comes with the benchmark: where it is, "module:function", and what it is."""
+    """A method of the benchmark: its place, "module:function", and its description."""
 
     target: str
     summary: str
@@ -34,20 +34,21 @@ ROOM = "controller.bench.methods"
 METHODS = {
     "minimum-switch": Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
     "ipop-previous": Entry(
-        f"{ROOM}.hyperbit:ipop_previous", "hyperbit's IPOP with its exact table; counts modules that remain, as printed"
+        f"{ROOM}.hyperbit:ipop_previous",
+        "hyperbit's IPOP with its exact table; criterion: unchanged modules, as printed",
     ),
     "ipop-contracted": Entry(
-        f"{ROOM}.hyperbit:ipop_contracted", "the same; counts modules that are fully contracted, as printed"
+        f"{ROOM}.hyperbit:ipop_contracted", "the same; criterion: fully contracted modules, as printed"
     ),
     "ipop-fewest-switches": Entry(
-        f"{ROOM}.hyperbit:ipop_fewest_switches", "variant of hyperbit's IPOP; counts actuators that switch"
+        f"{ROOM}.hyperbit:ipop_fewest_switches", "variant of hyperbit's IPOP; criterion: fewest switches"
     ),
     "ipop-fewest-extended": Entry(
-        f"{ROOM}.hyperbit:ipop_fewest_extended", "variant of hyperbit's IPOP; counts actuators that are extended"
+        f"{ROOM}.hyperbit:ipop_fewest_extended", "variant of hyperbit's IPOP; criterion: fewest extended actuators"
     ),
     "pop": Entry(f"{ROOM}.hyperbit:pop", "hyperbit's POP with its exact table"),
     "meet-in-the-middle": Entry(
-        f"{ROOM}.planar_positions:meet_in_the_middle", "plain, both halves listed to 5 switches; planar positions"
+        f"{ROOM}.planar_positions:meet_in_the_middle", "two lists of half the arm, to 5 switches each; planar positions"
     ),
     "pop-printed": Entry(
         f"{ROOM}.planar_positions:pop_printed",
@@ -58,7 +59,7 @@ METHODS = {
         "IPOP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996); planar positions",
     ),
     "ipop-printed-switches": Entry(
-        f"{ROOM}.planar_positions:ipop_printed_switches", "a variant of it that counts actuators; planar positions"
+        f"{ROOM}.planar_positions:ipop_printed_switches", "its variant that counts actuators; planar positions"
     ),
     "k-switch-3": Entry(
         f"{ROOM}.planar_positions:k_switch_3",
@@ -75,16 +76,18 @@ METHODS = {
     "annealing-10ms": Entry(
         f"{ROOM}.planar_positions:annealing_10ms", "simulated annealing for 10 ms a goal; planar positions"
     ),
-    "coordinate-descent": Entry(f"{ROOM}.plain:coordinate_descent", "greedy: the best single module, again and again"),
+    "coordinate-descent": Entry(
+        f"{ROOM}.plain:coordinate_descent", "greedy: changes the best single module repeatedly"
+    ),
     "random-search": Entry(f"{ROOM}.plain:random_search", "the best of 2,000 random configurations"),
 }
 
 
 def find_method(target: str) -> Prepare:
-    """Returns the function that "module:function" or "file.py:function" names. Modules of the working directory count.
+    """Imports the function of "module:function" or "file.py:function"; modules of the working directory are found.
 
     Raises:
-        ValueError: there is none.
+        ValueError: the text has another form, or the function cannot be imported.
     """
     place, _, name = target.rpartition(":")
     if not place or not name.isidentifier():

@@ -1,10 +1,9 @@
 """Simulated annealing over the actuators: Kirkpatrick, Gelatt and Vecchi 1983, "Optimization by simulated annealing".
 
-A move switches one actuator. What is minimised is the error outside the tolerance, then switches: both in one sum, for
-a chain needs a way through the one to the other. Each run starts from the previous configuration, and the temperature
-falls geometrically over it; runs follow one another, the best of all is kept, until the first that is within the
-tolerance or until the time given is over. A move is judged by one motion of a point, as the goal from below and the tip
-from above are kept for every frame and brought up to date only where one is taken.
+A move switches one actuator. The objective is the number of switches plus the weighted error outside the tolerance, so
+that a run can cross configurations outside the tolerance. Each run starts from the previous configuration with
+geometric cooling. Runs repeat until the first solution or until the time is over; the best configuration counts. A move
+costs one motion of a point: the goal and the tip are stored in each frame, and updated only after accepted moves.
 """
 
 import time
@@ -14,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from controller.bench.methods.meeting import NONE
 from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
+from controller.bench.methods.two_list import NONE
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
 
 
 class Schedule(NamedTuple):
-    """A run: its moves, first and last temperature in switches, and the error that is as bad as one switch."""
+    """Schedule of a run: number of moves, first and last temperature [switches], error that weighs as one switch."""
 
     moves: int
     hot: float
@@ -29,17 +28,21 @@ class Schedule(NamedTuple):
     error_of_a_switch: float
 
 
-# The best of those tried on the paper's arm. FEW, restarted, left fewer switches in 30 and in 300 ms than longer runs,
-# and than others that came within the tolerance as often; SOON was the soonest within it for 99 % of the goals.
+# The best schedules tried on the paper's arm. FEW, restarted, gave the fewest switches in 30 ms and in 300 ms. SOON was
+# the first within the tolerance for 99 % of the goals.
 FEW, SOON = Schedule(10_000, 2.0, 0.2, 0.03), Schedule(100_000, 4.0, 0.8, 0.01)
-SEED = 0x9E3779B97F4A7C15  # a goal is answered the same way every time
+SEED = 0x9E3779B97F4A7C15  # the answer to a goal is reproducible
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The arm, for each state the one that each switch leads to (B, K, A), -1 where none, and the time for a goal [s].
+    """Tables of an arm.
 
-    `first` ends the search with the first configuration within the tolerance, and makes it find that soon.
+    Attributes:
+        arm: the arm.
+        switched: state after the switch of each actuator, shape (B, K, A); -1 if there is none.
+        seconds: time for a goal [s].
+        first: whether the search ends with the first configuration within the tolerance.
     """
 
     arm: Planar
@@ -107,10 +110,10 @@ def anneal(
     nearest: float,
     best: Index,
 ) -> tuple[np.uint64, int, float]:
-    """Improves `best` by a run: within the tolerance the fewest switches, else the nearest.
+    """Improves `best` by a run: fewest switches within the tolerance, otherwise least error.
 
-    Takes and returns the random generator's state, the switches of `best`, NONE where it is outside the tolerance, and
-    its error.
+    Returns:
+        State of the random generator; switches of `best`, NONE if it is outside the tolerance; error of `best`.
     """
     count, actuators = len(best), switched.shape[2]
     own, temperature, fall = previous.copy(), hot, (cold / hot) ** (1 / moves)

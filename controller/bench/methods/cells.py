@@ -1,10 +1,10 @@
-"""The rows of a half, sorted into cells by where their points are, to be asked for what is near."""
+"""A grid of cells over the points of a list, for queries of near points."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.bench.methods.halves import Half
+from controller.bench.methods.half_list import HalfList
 from controller.bench.methods.matching import Table
 from controller.bench.methods.planar import Array
 
@@ -12,21 +12,21 @@ CELLS = 1 << 20
 
 
 class Cells:
-    """Rows of a half sorted into cells by where their points are, the cheapest first in each."""
+    """Rows of a list sorted into square cells by their points, cheapest first in each cell."""
 
-    def __init__(self, half: Half) -> None:
+    def __init__(self, half: HalfList) -> None:
         self._half = half
         self.starts, self.rows = np.empty(CELLS + 1, dtype=np.int32), np.empty(len(half.points), dtype=np.int32)
         self.low, self.cell, self.width, self.height = np.empty(2), 0.0, 0, 0
 
     @property
     def table(self) -> Table:
-        """What the kernels that ask it take."""
+        """The arrays that the kernels take."""
         half = self._half
         return half.points, half.prices, self.starts, self.rows, self.low, self.cell, self.width, self.height
 
     def fill(self, tolerance: float) -> None:
-        """Sorts the rows that the half has now."""
+        """Sorts the present rows of the list into cells."""
         half, high = self._half, np.empty(2)
         box(half.points, half.count, self.low, high)
         size = high - self.low
@@ -37,7 +37,7 @@ class Cells:
 
 @njit("void(f8[:,::1], i8, f8[::1], f8[::1])", cache=True, nogil=True)
 def box(points: Array, count: int, low: Array, high: Array) -> None:
-    """Writes the least and the greatest corner of the points."""
+    """Writes the lower and the upper corner of the points' bounding box."""
     low[:], high[:] = np.inf, -np.inf
     for n in range(count):
         for a in range(2):

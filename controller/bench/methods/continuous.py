@@ -1,8 +1,8 @@
-"""Continuous inverse kinematics, rounded: what section 1 of Ebert-Uphoff and Chirikjian 1996 warns of.
+"""Continuous inverse kinematics with rounding, against which section 1 of Ebert-Uphoff and Chirikjian 1996 argues.
 
-The legs of the truss modules may have any length between contracted and extended; scipy's least squares brings the tip
-to the goal from the lengths of before, which a weak second residual holds near. Rounded to the nearest lengths there
-are, the arm is then switched one actuator at a time, the best each time, until within the tolerance or none is better.
+The legs of truss modules may have any length between contracted and extended. Least squares (scipy) move the tip to the
+goal from the previous lengths, with a weak residual that penalizes changes. The lengths are rounded to the nearest
+state. Then the best single switch is made repeatedly, until the tip is within the tolerance or no switch improves it.
 """
 
 from dataclasses import dataclass
@@ -16,14 +16,18 @@ from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
 
-HOLD = 1e-4  # weight of staying near; the tip's error is in the same unit
+STAY = 1e-4  # weight of the change of lengths, relative to the tip's error
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The truss: width and direction of each module, lengths contracted and extended (B, 3); and the descent's arm.
+    """Tables of a truss.
 
-    `mirrored` is whether a module's diagonal is the paper's A-D.
+    Attributes:
+        descent: tables of the final descent.
+        mirrored: whether a module's diagonal is the paper's A-D, shape (B,).
+        width: width of base and top.
+        low, high: contracted and extended lengths of the legs, shape (B, 3).
     """
 
     descent: k_switch.Problem
@@ -53,17 +57,17 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
     p = problem
     span = p.high - p.low
     before = (previous[:, None] >> np.array([2, 1, 0])) & 1
-    start = np.clip(before.ravel(), 0.01, 0.99)  # inside the bounds, where there is a way to go
+    start = np.clip(before.ravel(), 0.01, 0.99)  # inside the bounds
 
     def residuals(shares: Array) -> Array:
         tip = np.empty(2)
-        reach(p.mirrored, p.width, p.low + span * shares.reshape(span.shape), tip)
-        return np.concatenate((tip - goal, HOLD * (shares - start)))
+        compute_tip(p.mirrored, p.width, p.low + span * shares.reshape(span.shape), tip)
+        return np.concatenate((tip - goal, STAY * (shares - start)))
 
     def jacobian(shares: Array) -> Array:
         slopes = np.empty((2, shares.size))
-        slope(p.mirrored, p.width, p.low + span * shares.reshape(span.shape), slopes)
-        return np.concatenate((slopes * span.ravel(), HOLD * np.eye(shares.size)))
+        compute_derivatives(p.mirrored, p.width, p.low + span * shares.reshape(span.shape), slopes)
+        return np.concatenate((slopes * span.ravel(), STAY * np.eye(shares.size)))
 
     found = least_squares(residuals, start, jacobian, bounds=(0.0, 1.0), ftol=1e-6, xtol=1e-6, gtol=1e-9, max_nfev=50)
     bits = (found.x.reshape(span.shape) > 0.5).astype(np.int64)
@@ -81,8 +85,8 @@ def apex(px: float, py: float, qx: float, qy: float, from_p: float, from_q: floa
 
 
 @njit("void(b1[::1], f8, f8[:,::1], f8[::1])", cache=True, nogil=True, error_model="numpy")
-def reach(mirrored: np.ndarray, width: float, lengths: Array, tip: Array) -> None:
-    """Writes the tip (2,) that lengths (B, 3) bring about: node by node, as each top is the next one's base."""
+def compute_tip(mirrored: np.ndarray, width: float, lengths: Array, tip: Array) -> None:
+    """Writes the tip (2,) for lengths (B, 3), node by node; each top is the base of the next module."""
     ax, ay, bx, by = -width / 2, 0.0, width / 2, 0.0
     for i in range(len(lengths)):
         left, diagonal, right = lengths[i]
@@ -97,16 +101,16 @@ def reach(mirrored: np.ndarray, width: float, lengths: Array, tip: Array) -> Non
 
 
 @njit("void(b1[::1], f8, f8[:,::1], f8[:,::1])", cache=True, nogil=True, error_model="numpy")
-def slope(mirrored: np.ndarray, width: float, lengths: Array, out: Array) -> None:
+def compute_derivatives(mirrored: np.ndarray, width: float, lengths: Array, out: Array) -> None:
     """Writes the tip's derivatives (2, 3 B) by central differences."""
     step, tip, other = 1e-6, np.empty(2), np.empty(2)
     for i in range(len(lengths)):
         for a in range(3):
             length = lengths[i, a]
             lengths[i, a] = length + step
-            reach(mirrored, width, lengths, tip)
+            compute_tip(mirrored, width, lengths, tip)
             lengths[i, a] = length - step
-            reach(mirrored, width, lengths, other)
+            compute_tip(mirrored, width, lengths, other)
             lengths[i, a] = length
             out[0, 3 * i + a] = (tip[0] - other[0]) / (2 * step)
             out[1, 3 * i + a] = (tip[1] - other[1]) / (2 * step)

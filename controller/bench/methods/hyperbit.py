@@ -1,4 +1,4 @@
-"""hyperbit's own methods, by its library, as anybody's program would use them."""
+"""hyperbit's own methods, called through its public library."""
 
 from functools import partial
 
@@ -9,7 +9,7 @@ from controller.search.method import Method
 
 
 def solver(arm: BenchArm, method: Method) -> Solve:
-    """Returns what solves a goal by one of the library's methods."""
+    """Returns `solve` of one of the library's methods."""
     return partial(Solver(arm.arm).solve, method=method)
 
 
@@ -19,22 +19,22 @@ def minimum_switch(arm: BenchArm) -> Solve:
 
 
 def ipop_previous(arm: BenchArm) -> Solve:
-    """Prepares IPOP, modules that remain in their state."""
+    """Prepares IPOP with the criterion of unchanged modules."""
     return solver(arm, "ipop-previous")
 
 
 def ipop_contracted(arm: BenchArm) -> Solve:
-    """Prepares IPOP, modules that are fully contracted."""
+    """Prepares IPOP with the criterion of fully contracted modules."""
     return solver(arm, "ipop-contracted")
 
 
 def ipop_fewest_switches(arm: BenchArm) -> Solve:
-    """Prepares IPOP, actuators that switch."""
+    """Prepares IPOP with the criterion of fewest switches."""
     return solver(arm, "ipop-fewest-switches")
 
 
 def ipop_fewest_extended(arm: BenchArm) -> Solve:
-    """Prepares IPOP, actuators that are extended."""
+    """Prepares IPOP with the criterion of fewest extended actuators."""
     return solver(arm, "ipop-fewest-extended")
 
 

@@ -1,11 +1,11 @@
 """k-switch search: Lees and Chirikjian 1996, "A combinatorial approach to trajectory planning for binary manipulators".
 
-Of all configurations that differ from the present one in at most k actuators, the best; from there again, until one is
-within the tolerance or none is better. A configuration within the tolerance is better the fewer switches away it is,
-one outside it the nearer its tip. The full text was not at hand: this order is chosen here, for the sake of switches.
+The search moves repeatedly to the best configuration that differs from the present one in at most k actuators, until it
+is within the tolerance or cannot be improved. Within the tolerance fewer switches are better, outside it a smaller
+error. The full text of the paper was not available; we chose this order to favour few switches.
 
-Only modules that change are gone through: the tip stands fixed in the frame above the last of them, so each of the
-configurations costs one motion of a point.
+The search enumerates only the changed modules. The tip is fixed in the frame above the last changed module, so each
+configuration costs one motion of a point.
 """
 
 from dataclasses import dataclass
@@ -57,17 +57,17 @@ def search(
     """Improves the configuration, by at most k switches at a time."""
     count = len(states)
     tips = np.empty((count + 1, 2))
-    # For each of the modules changed so far: which, to what state, with how many switches left for those above it, and
-    # where the goal stands in the frame under the module that is tried after it.
+    # For each changed module: its index, its new state, the switches remaining for modules above it, and the goal in the
+    # frame below the module that is tried next.
     module, state = np.zeros(k + 1, dtype=np.int64), np.zeros(k + 1, dtype=np.int64)
-    left, xs, ys = np.zeros(k + 1, dtype=np.int64), np.zeros(k + 1), np.zeros(k + 1)
+    remaining, xs, ys = np.zeros(k + 1, dtype=np.int64), np.zeros(k + 1), np.zeros(k + 1)
     changed, changed_to = np.zeros(k, dtype=np.int64), np.zeros(k, dtype=np.int64)
     limit = tolerance * tolerance
     tips_above(up, configuration, tips)
     best = (goal[0] - tips[0, 0]) ** 2 + (goal[1] - tips[0, 1]) ** 2
     while best > limit:
-        changes, most_left = 0, -1
-        module[0], state[0], left[0], xs[0], ys[0], depth = 0, -1, k, goal[0], goal[1], 0
+        changes, most_remaining = 0, -1
+        module[0], state[0], remaining[0], xs[0], ys[0], depth = 0, -1, k, goal[0], goal[1], 0
         while depth >= 0:
             i = module[depth]
             state[depth] += 1
@@ -79,19 +79,19 @@ def search(
                     xs[depth], ys[depth] = moved(down[i, configuration[i]], xs[depth], ys[depth])
                     module[depth], state[depth] = i + 1, -1
                 continue
-            rest = left[depth] - differing[i, configuration[i], j]
-            if rest < 0 or rest < most_left or j == configuration[i]:
+            rest = remaining[depth] - differing[i, configuration[i], j]
+            if rest < 0 or rest < most_remaining or j == configuration[i]:
                 continue
             x, y = moved(down[i, j], xs[depth], ys[depth])
             square = (x - tips[i + 1, 0]) ** 2 + (y - tips[i + 1, 1]) ** 2
-            if (square <= limit and (rest > most_left or square < best)) or (most_left < 0 and square < best):
+            if (square <= limit and (rest > most_remaining or square < best)) or (most_remaining < 0 and square < best):
                 best, changes = square, depth + 1
-                most_left = rest if square <= limit else -1
+                most_remaining = rest if square <= limit else -1
                 for d in range(changes):
                     changed[d], changed_to[d] = module[d], state[d]
             if rest > 0 and i + 1 < count:
                 depth += 1
-                module[depth], state[depth], left[depth], xs[depth], ys[depth] = i + 1, -1, rest, x, y
+                module[depth], state[depth], remaining[depth], xs[depth], ys[depth] = i + 1, -1, rest, x, y
         if changes == 0:
             break
         for d in range(changes):

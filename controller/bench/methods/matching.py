@@ -1,12 +1,12 @@
-"""Asking a table of rows in cells for what is near: by one point, by listed ones, by all that a half can come to."""
+"""Matches the points of one list with near points of another list, which is sorted into cells."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.bench.methods.planar import Array, Index, moved
+from controller.bench.methods.planar import Array
 
-# Points, prices, starts and rows of the cells, their lowest corner, side, and how many there are each way: see Cells.
+# Points, prices, starts and rows of the cells, lower corner, side, and number of cells in x and y: see Cells.
 Table = tuple[Array, NDArray[np.int8], NDArray[np.int32], NDArray[np.int32], Array, float, int, int]
 TABLE = "Tuple((f8[:,::1], i1[::1], i4[::1], i4[::1], f8[::1], f8, i8, i8))"
 
@@ -26,8 +26,8 @@ def cheapest(
     tolerance: float,
     best: int,
 ) -> tuple[int, int]:
-    """Returns the row near (x, y) that costs least and the sum with `price`, if below `best`; else (-1, best)."""
-    # A disc of the tolerance touches four cells at most, as they are two tolerances wide.
+    """Returns the cheapest row near (x, y) and its price plus `price`, if below `best`; otherwise (-1, best)."""
+    # Cells are at least two tolerances wide, so a disc of the tolerance touches at most four cells.
     points, prices, starts, rows, low, cell, width, height = table
     found = -1
     fx, fy = (x - low[0]) / cell - 0.5, (y - low[1]) / cell - 0.5
@@ -62,7 +62,7 @@ def match(
     tolerance: float,
     best: int,
 ) -> tuple[int, int, int]:
-    """Returns rows and switches of the cheapest pair within the tolerance, if below `best`; else (-1, -1, best)."""
+    """Returns rows and switches of the cheapest pair within the tolerance, if below `best`; otherwise (-1, -1, best)."""
     first, second = -1, -1
     for k in range(count):
         n = order[k]
@@ -74,50 +74,3 @@ def match(
         if row >= 0:
             first, second = n, row
     return first, second, best
-
-
-@njit(
-    f"UniTuple(i8, 3)(f8, f8, f8[:,:,::1], i8[:,::1], i8[::1], i8, i8, {TABLE}, f8, i8)",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def go_through(
-    x: float,
-    y: float,
-    motions: Array,
-    costs: Index,
-    states: Index,
-    most: int,
-    listed: int,
-    table: Table,
-    tolerance: float,
-    best: int,
-) -> tuple[int, int, int]:
-    """Returns code, row and switches of the best pair; (-1, -1, best) if none is below `best`."""
-    last = len(states) - 1
-    found_code, found_row = -1, -1
-    xs, ys = np.empty(last + 1), np.empty(last + 1)
-    spent, codes = np.zeros(last + 1, dtype=np.int64), np.zeros(last + 1, dtype=np.int64)
-    state = np.full(last + 1, -1)
-    xs[0], ys[0], i = x, y, 0
-    while i >= 0:
-        state[i] += 1
-        j = state[i]
-        if j == states[i]:
-            state[i] = -1
-            i -= 1
-            continue
-        price = spent[i] + costs[i, j]
-        if price > most or price >= best:
-            continue
-        px, py = moved(motions[i, j], xs[i], ys[i])
-        code = codes[i] * states[i] + j
-        if i < last:
-            i += 1
-            xs[i], ys[i], spent[i], codes[i] = px, py, price, code
-        elif price > listed:
-            row, best = cheapest(px, py, price, table, tolerance, best)
-            if row >= 0:
-                found_code, found_row = code, row
-    return found_code, found_row, best

@@ -1,10 +1,11 @@
 """IPOP as printed: Ebert-Uphoff and Chirikjian 1996, section 3.2.2, similarity to the previous configuration.
 
-Of the branches whose density is above a threshold, one for the whole arm, the one most like before is taken: a module
-that remains in the same state counts, whatever its actuators are. Among those that do not remain, the densest is taken,
-of which the paper says nothing. The paper's weights by module change nothing, as modules are decided one at a time.
+Among the branches whose density exceeds a threshold, one for the whole arm, the descent takes the one most similar to
+the previous configuration: the unchanged state of a module, regardless of its actuators. Among changed states it takes
+the densest; the paper does not specify this. The paper's weights by module have no effect, because modules are decided
+one at a time.
 
-The variant counts actuators in place of modules. It is ours.
+The variant counts actuators instead of modules. The paper does not have it.
 """
 
 import numpy as np
@@ -15,9 +16,8 @@ from controller.manipulator.manipulator import Configuration
 
 __all__ = ["prepare", "solve", "solve_by_switches"]
 
-# Points in each unit of area, of which the paper says nothing. From 1e5 to 1e9, this gave the least error and the
-# greatest share within the tolerance on the paper's arm; a tenth of it switches nearly one actuator less, but misses
-# more.
+# Points per unit of area; the paper gives no value. Among 1e5 to 1e9, this value gave the least error and the greatest
+# share within the tolerance on the paper's arm. A tenth of it saves nearly one switch, but misses more goals.
 THRESHOLD = 1e8
 
 

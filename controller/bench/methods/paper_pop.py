@@ -1,7 +1,7 @@
-"""POP as printed: Ebert-Uphoff and Chirikjian 1996, section 3.2.1. At each module the branch of greatest density.
+"""POP as printed: Ebert-Uphoff and Chirikjian 1996, section 3.2.1: at each module the branch of greatest density.
 
-Pixels alone decide, up to the last module. Where no branch has density the paper is silent; the nearest pixel that has
-some is taken then, which is kinder to it than an arbitrary branch.
+Only pixels decide, up to the last module. The paper does not specify the case that no branch has a density. Then this
+implementation takes the branch with the nearest pixel that has one, which favours the method over an arbitrary branch.
 """
 
 from dataclasses import dataclass
@@ -34,8 +34,8 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
     return descent(problem, goal, problem.arm.costs(previous), nothing_passes)
 
 
-def descent(problem: Problem, goal: Array, penalties: Index, thresholds: Array) -> Configuration:
-    """Returns what the descent chooses; thresholds are on ln of a pixel's count, shape (B+1,)."""
+def descent(problem: Problem, goal: Array, stage_costs: Index, thresholds: Array) -> Configuration:
+    """Returns the configuration (B,) of the descent; thresholds apply to ln of a pixel's count, shape (B+1,)."""
     arm, d = problem.arm, problem.densities
     configuration = np.zeros(len(arm.states), dtype=np.int64)
     descend(
@@ -47,7 +47,7 @@ def descent(problem: Problem, goal: Array, penalties: Index, thresholds: Array) 
         d.shapes,
         d.references,
         d.pixels,
-        penalties,
+        stage_costs,
         thresholds,
         configuration,
     )
@@ -58,7 +58,7 @@ def descent(problem: Problem, goal: Array, penalties: Index, thresholds: Array) 
 def density(
     values: NDArray[np.float32], offset: int, shape: Index, reference: Array, pixel: float, x: float, y: float
 ) -> float:
-    """Returns ln of the count in the point's pixel, or minus the distance to the nearest pixel that has any."""
+    """Returns ln of the count in the point's pixel; outside the grid, minus the distance to the grid's nearest pixel."""
     fx, fy = (x - reference[0]) / pixel, (y - reference[1]) / pixel
     ix = min(max(int(np.floor(fx + 0.5)), 0), shape[2] - 1)
     iy = min(max(int(np.floor(fy + 0.5)), 0), shape[1] - 1)
@@ -83,14 +83,14 @@ def descend(
     shapes: Index,
     references: Array,
     pixels: Array,
-    penalties: Index,
+    stage_costs: Index,
     thresholds: Array,
     configuration: Index,
 ) -> None:
-    """Writes the configuration: of the branches above the threshold that of least penalty, else the densest."""
+    """Writes the configuration: the branch of least stage cost above the threshold, otherwise the densest."""
     x, y = goal[0], goal[1]
     for i in range(len(states)):
-        best, best_density, best_penalty, best_passes = -1, 0.0, 0, False
+        best, best_density, best_cost, best_passes = -1, 0.0, 0, False
         for j in range(states[i]):
             px, py = moved(down[i, j], x, y)
             n = i + 1
@@ -98,13 +98,11 @@ def descend(
             passes = value >= thresholds[n]
             if passes == best_passes:
                 better = (
-                    penalties[i, j] < best_penalty
-                    if passes and penalties[i, j] != best_penalty
-                    else value > best_density
+                    stage_costs[i, j] < best_cost if passes and stage_costs[i, j] != best_cost else value > best_density
                 )
             else:
                 better = passes
             if best < 0 or better:
-                best, best_density, best_penalty, best_passes = j, value, penalties[i, j], passes
+                best, best_density, best_cost, best_passes = j, value, stage_costs[i, j], passes
         configuration[i] = best
         x, y = moved(down[i, best], x, y)

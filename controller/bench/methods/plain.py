@@ -1,4 +1,4 @@
-"""The plainest methods, for any arm and goal: coordinate descent and random search. They set the scale."""
+"""The simplest methods, for any arm and goal: coordinate descent and random search, as baselines."""
 
 import math
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def excess(tips: Array, goal: Goal) -> Array:
-    """Returns by how much tips (n, 4, 4) miss the tolerances, in tolerances, shape (n,); 0 within both."""
+    """Returns the excess of the errors of tips (n, 4, 4) over the tolerances, in tolerances, shape (n,)."""
     target, tolerance = goal.target, goal.tolerance or 1.0
     position = np.asarray(goal.position, dtype=float)
     misses = np.linalg.norm(tips[:, : len(position), 3] - position, axis=1) / tolerance
@@ -31,8 +31,8 @@ def excess(tips: Array, goal: Goal) -> Array:
 def coordinate_descent(arm: BenchArm) -> Solve:
     """Prepares coordinate descent.
 
-    From the start, the best state of the best module is taken, again and again, until the tip is within the tolerances
-    or no single module betters it. Of states that serve, one of fewest switches is taken.
+    The descent repeatedly takes the best state of the best module, until the tip is within the tolerances or no change
+    of a single module improves it. Ties are broken by fewest switches.
     """
     m, clearance = arm.model.manipulator, arm.clearance
     modules, states = np.nonzero(np.arange(m.frames.shape[1]) < m.states[:, None])
@@ -42,7 +42,7 @@ def coordinate_descent(arm: BenchArm) -> Solve:
         least = float(excess(m.tip(own)[None], goal)[0])
         while least > 0:
             chain = m.chain(own)
-            # What follows each module: frame of the tip in frame F_i, shape (B, 4, 4).
+            # Frame of the tip in frame F_i, shape (B, 4, 4).
             after = np.linalg.inv(chain[1:]) @ chain[-1]
             tips = chain[modules] @ m.frames[modules, states] @ after[modules]
             misses = excess(tips, goal)
@@ -62,24 +62,24 @@ def coordinate_descent(arm: BenchArm) -> Solve:
 def random_search(arm: BenchArm) -> Solve:
     """Prepares random search.
 
-    The start with a random number of modules in random states, drawn again and again. Of those that serve, one of
-    fewest switches is taken, otherwise the nearest.
+    Each sample is the start with a random number of modules in random states. The search returns a solution of fewest
+    switches, otherwise the nearest sample.
     """
     m, clearance = arm.model.manipulator, arm.clearance
     rng = np.random.default_rng(0)
 
     def solve(goal: Goal, start: Configuration) -> Configuration:
         drawn = rng.integers(0, m.states, (SAMPLES, len(start)))
-        kept = rng.random((SAMPLES, len(start))) >= rng.random((SAMPLES, 1))
-        every = np.where(kept, start, drawn)
+        unchanged = rng.random((SAMPLES, len(start))) >= rng.random((SAMPLES, 1))
+        every = np.where(unchanged, start, drawn)
         misses = excess(m.tips(every), goal)
         near = np.argsort(misses, kind="stable")[:100]
         near = near[~clearance.blocked(every[near])]
         if len(near) == 0:
             return start
-        served = near[misses[near] == 0]
-        if len(served) == 0:
+        solutions = near[misses[near] == 0]
+        if len(solutions) == 0:
             return np.asarray(every[near[0]])
-        return np.asarray(min(every[served], key=lambda own: m.switches(start, own)))
+        return np.asarray(min(every[solutions], key=lambda own: m.switches(start, own)))
 
     return solve

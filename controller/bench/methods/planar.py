@@ -1,4 +1,4 @@
-"""A planar arm as plain arrays for the kernels of the methods compared: motions of points, and what they switch."""
+"""A planar arm as arrays for the kernels of the compared methods: motions of points, and numbers of switches."""
 
 from dataclasses import dataclass
 
@@ -18,8 +18,8 @@ class Planar:
 
     Attributes:
         states: K_i, shape (B,).
-        up: how a point in frame i stands in frame i-1, for each state, shape (B, K, 4).
-        down: how a point in frame i-1 stands in frame i, shape (B, K, 4).
+        up: motion from frame i to frame i-1, for each state, shape (B, K, 4).
+        down: motion from frame i-1 to frame i, for each state, shape (B, K, 4).
         differing: actuators that differ between two states of a module, shape (B, K, K).
     """
 
@@ -34,9 +34,9 @@ class Planar:
 
 
 def planar(manipulator: Manipulator) -> Planar:
-    """Returns the arm's arrays; it must be planar and stand at the origin."""
+    """Returns the arrays of a planar arm with its base at the origin."""
     if not manipulator.planar or not np.allclose(manipulator.base, np.eye(4)):
-        raise ValueError("the methods compared here take planar arms that stand at the origin")
+        raise ValueError("the compared methods take planar arms with the base at the origin")
     c, s = manipulator.rotations[..., 0, 0], manipulator.rotations[..., 1, 0]
     x, y = manipulator.translations[..., 0], manipulator.translations[..., 1]
     return Planar(
@@ -49,13 +49,13 @@ def planar(manipulator: Manipulator) -> Planar:
 
 @njit("UniTuple(f8, 2)(f8[::1], f8, f8)", cache=True, nogil=True, inline="always")
 def moved(motion: Array, x: float, y: float) -> tuple[float, float]:
-    """Returns where a motion takes a point."""
+    """Returns the image of a point under a motion."""
     return motion[0] * x - motion[1] * y + motion[2], motion[1] * x + motion[0] * y + motion[3]
 
 
 @njit("void(f8[:,:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
 def tips_above(up: Array, configuration: Index, out: Array) -> None:
-    """Writes where the tip stands in each frame F_0 to F_B, shape (B+1, 2)."""
+    """Writes the tip's position in each frame F_0 to F_B, shape (B+1, 2)."""
     x, y = 0.0, 0.0
     out[len(configuration)] = 0.0
     for i in range(len(configuration) - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""Methods for positions of planar arms without obstacles, each a file of its own, for the benchmark."""
+"""Adapters to the benchmark for methods that take positions of planar arms without obstacles."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from controller.bench.arm import BenchArm
-from controller.bench.methods import Solve, annealing, continuous, k_switch, meeting, paper_ipop, paper_pop, two_by_two
+from controller.bench.methods import Solve, annealing, continuous, k_switch, paper_ipop, paper_pop, two_by_two, two_list
 from controller.library.goals import Goal
 from controller.manipulator.manipulator import Configuration
 
 
 def suited(arm: BenchArm) -> BenchArm:
-    """Returns an arm that these methods are made for.
+    """Returns the arm if these methods support it.
 
     Raises:
-        NotImplementedError: they are not made for it.
+        NotImplementedError: the arm is spatial or has obstacles.
     """
     if not arm.model.manipulator.planar or arm.obstacles:
         raise NotImplementedError("planar arms without obstacles only")
@@ -23,7 +23,7 @@ def suited(arm: BenchArm) -> BenchArm:
 
 
 def solving(tables: Any, solve: Callable[[Any, Any, Configuration, float], Configuration]) -> Solve:
-    """Returns what solves a goal, see controller.bench.methods."""
+    """Returns `solve` of a method, see controller.bench.methods."""
 
     def solved(goal: Goal, start: Configuration) -> Configuration:
         if goal.orientation is not None or goal.tolerance is None:
@@ -35,7 +35,7 @@ def solving(tables: Any, solve: Callable[[Any, Any, Configuration, float], Confi
 
 def meet_in_the_middle(arm: BenchArm) -> Solve:
     """Prepares plain meet in the middle."""
-    return solving(meeting.prepare(suited(arm).model.manipulator, arm.densities), meeting.solve)
+    return solving(two_list.prepare(suited(arm).model.manipulator, arm.densities), two_list.solve)
 
 
 def pop_printed(arm: BenchArm) -> Solve:

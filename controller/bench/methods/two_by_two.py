@@ -2,15 +2,14 @@
 
 "A new inverse kinematic algorithm for discretely actuated hyper-redundant manipulators".
 
-From the base on, two modules at a time are pending: of all their pairs of states the one is taken that brings the tip
-nearest the goal with the modules above at their mean, the mean of their workspace. Then the tip itself is improved: of
-all pairs of modules and of states the best is taken, again and again, until it is within the tolerance or none is
-better.
+From base to tip, two modules at a time are open. The search takes the pair of states that brings the tip nearest to the
+goal, with the modules above at the mean of their workspace. Then it improves the tip: it repeatedly takes the best
+states of the best pair of modules, until the tip is within the tolerance or no pair improves it.
 
-The full text was not at hand. That two modules are pending in each step is from Motahari 2024, "Solving the inverse
-kinematics problem of discretely actuated hyper-redundant manipulators using the multi-module searching method", which
-generalises it. That the upper module of a pair is pending once more with the next is chosen here: it brings more goals
-within the tolerance than pairs that share none. So is the improvement's order.
+The full text of the paper was not available. The two open modules in each step are from Motahari 2024, "Solving the
+inverse kinematics problem of discretely actuated hyper-redundant manipulators using the multi-module searching method",
+which generalizes the method. We chose that consecutive pairs overlap in one module, because more goals are then within
+the tolerance, and we chose the order of improvement.
 """
 
 from dataclasses import dataclass
@@ -36,7 +35,9 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
     arm = planar(manipulator)
     means = np.zeros((len(arm.states) + 1, 2))
     for i in reversed(range(len(arm.states))):
-        c, s, x, y = arm.up[i, : arm.states[i]].mean(axis=0)  # motions are linear, so the mean of all is the mean's
+        c, s, x, y = arm.up[i, : arm.states[i]].mean(
+            axis=0
+        )  # motions are affine, so the mean of the images is the image of the mean
         px, py = means[i + 1]
         means[i] = c * px - s * py + x, s * px + c * py + y
     return Problem(arm, means)
@@ -52,7 +53,7 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 @njit("void(f8[::1], f8[:,:,::1], i8[::1], f8[:,::1], i8[::1])", cache=True, nogil=True, error_model="numpy")
 def place(goal: Array, down: Array, states: Index, means: Array, configuration: Index) -> None:
-    """Writes a first configuration; of each pair the lower module is fixed, the upper one pending once more."""
+    """Writes a first configuration; of each pair the lower module is fixed, the upper one stays open."""
     x, y = goal[0], goal[1]
     for i in range(max(len(states) - 1, 1)):
         upper = min(i + 1, len(states) - 1)
@@ -71,7 +72,7 @@ def place(goal: Array, down: Array, states: Index, means: Array, configuration: 
 
 @njit("void(f8[::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8, i8[::1])", cache=True, nogil=True, error_model="numpy")
 def improve(goal: Array, up: Array, down: Array, states: Index, tolerance: float, configuration: Index) -> None:
-    """Takes the best pair of states of any two modules, until within the tolerance or none is better."""
+    """Takes the best states of any two modules repeatedly, until within the tolerance or no pair improves the tip."""
     count = len(states)
     tips = np.empty((count + 1, 2))
     tips_above(up, configuration, tips)

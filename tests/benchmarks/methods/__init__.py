@@ -11,10 +11,10 @@ from controller.bench.methods import (
     annealing,
     continuous,
     k_switch,
-    meeting,
     paper_ipop,
     paper_pop,
     two_by_two,
+    two_list,
 )
 from controller.search.method import METHODS as PRODUCT_METHODS
 from tests.benchmarks.methods import optimum, product
@@ -43,7 +43,7 @@ OURS = "minimum-switch"
 SLOW = 50
 
 OPTIMUM = Method("proven optimum", optimum.prepare, optimum.solve)
-MEETING = Method("meet in the middle", meeting.prepare, meeting.solve, mapped=True)
+MEETING = Method("meet in the middle", two_list.prepare, two_list.solve, mapped=True)
 METHODS = (
     *(
         Method(f"hyperbit {name}", partial(product.prepare, method=name), product.solve, mapped=True)

@@ -1,4 +1,4 @@
-"""Half an arm: its configurations within so many switches of the previous one, each as where it takes a point."""
+"""The list of all configurations of half an arm within a number of switches, each with the image of a point."""
 
 import numpy as np
 from numba import njit
@@ -8,8 +8,8 @@ from controller.bench.methods.planar import Array, Index, Planar, moved
 from controller.manipulator.manipulator import Configuration
 
 
-class Half:
-    """Memory for the rows of one half, and the modules that it has, in the order in which they move its point."""
+class HalfList:
+    """Memory for the list of one half, and its modules, in the order in which they move the point."""
 
     def __init__(self, arm: Planar, motions: Array, modules: Index, switches: int) -> None:
         self.modules = modules
@@ -20,22 +20,22 @@ class Half:
         self.count = 0
 
     def list(self, start: tuple[float, float], costs: Index, switches: int) -> None:
-        """Fills the rows with every configuration within so many switches."""
+        """Lists all configurations of the half within a number of switches."""
         own = np.ascontiguousarray(costs[self.modules])
         self.points[0] = start
         self.count = grow(self.motions, own, self.states, switches, self.points, self.prices, self.codes)
         by_price(self.prices, self.count, switches, self.order)
 
     def write(self, code: int, configuration: Configuration) -> None:
-        """Puts the states that a row's code stands for in a configuration (B,)."""
+        """Writes the states of a row's code into a configuration (B,)."""
         for module, states in zip(self.modules[::-1], self.states[::-1], strict=True):
             code, configuration[module] = divmod(int(code), int(states))
 
 
 def most_rows(differing: Index, states: Index, switches: int) -> int:
-    """Returns an upper bound of the configurations within so many switches of any."""
+    """Returns an upper bound on the number of configurations within a number of switches of any configuration."""
     if np.prod(states.astype(float)) > 2**62:
-        raise ValueError("a half of the arm has more configurations than a code of 64 bits tells apart")
+        raise ValueError("half of the arm has more configurations than 64 bits can number")
     total = np.eye(1, switches + 1, dtype=np.int64)[0]
     for module, k in zip(differing, states, strict=True):
         counts = np.max([np.bincount(row[:k], minlength=switches + 1) for row in module[:k]], axis=0)
@@ -49,7 +49,7 @@ def most_rows(differing: Index, states: Index, switches: int) -> int:
 def grow(
     motions: Array, costs: Index, states: Index, most: int, points: Array, prices: NDArray[np.int8], codes: Index
 ) -> int:
-    """Turns row 0, a point, into rows for all configurations of at most `most` switches; returns their number."""
+    """Expands row 0, a point, into rows for all configurations with at most `most` switches; returns their number."""
     prices[0], codes[0], count = 0, 0, 1
     for i in range(len(states)):
         end = count
@@ -58,7 +58,7 @@ def grow(
             for j in range(states[i]):
                 cost = price + costs[i, j]
                 if cost <= most:
-                    row = n  # the state of before goes on in the row itself
+                    row = n  # the previous state reuses the row
                     if costs[i, j] > 0:
                         row = count
                         count += 1
@@ -69,7 +69,7 @@ def grow(
 
 @njit("void(i1[::1], i8, i8, i4[::1])", cache=True, nogil=True)
 def by_price(prices: NDArray[np.int8], count: int, most: int, order: NDArray[np.int32]) -> None:
-    """Writes the rows' order, cheapest first."""
+    """Writes the order of the rows by price, cheapest first (counting sort)."""
     starts = np.zeros(most + 2, dtype=np.int64)
     for n in range(count):
         starts[prices[n] + 1] += 1

@@ -1,9 +1,9 @@
-"""Plain meet in the middle: both halves listed to so many switches from the previous configuration, tips hashed.
+"""Plain meet in the middle with two lists: both halves up to a number of switches from the previous configuration.
 
-After Horowitz and Sahni 1974, "Computing partitions with applications to the knapsack problem": two lists of
-half the problem, matched, in place of one of the whole. Rigid motions keep distances, so the tip's error is the
-distance of the goal seen from the lower half's top and the upper half's tip: both halves are lists of points, the goal
-carried up through the lower modules and the tip carried down through the upper ones. Listed anew for each goal.
+After Horowitz and Sahni 1974, "Computing partitions with applications to the knapsack problem": two matched lists of
+half the problem instead of one list of the whole. Rigid motions preserve distances. So the tip's error is the distance
+between the goal, transformed into the frame of the middle by the lower modules, and the tip, transformed into that
+frame by the upper modules. Both lists are computed for each goal.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 
 from controller.bench.methods import paper_pop
 from controller.bench.methods.cells import Cells
-from controller.bench.methods.halves import Half
+from controller.bench.methods.half_list import HalfList
 from controller.bench.methods.matching import match
 from controller.bench.methods.planar import Array, Planar, planar
 from controller.manipulator.manipulator import Configuration, Manipulator
@@ -27,19 +27,19 @@ class Problem:
     """The tables of an arm."""
 
     arm: Planar
-    lower: Half
-    upper: Half
+    lower: HalfList
+    upper: HalfList
     cells: Cells
     switches: int
     fallback: paper_pop.Problem | None
 
 
 def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = SWITCHES) -> Problem:
-    """Allocates; where nothing is within the tolerance, the densities have a configuration near it all the same."""
+    """Allocates the lists; with densities, POP answers goals that no pair of the lists reaches."""
     arm = planar(manipulator)
     middle, count = len(arm.states) // 2, len(arm.states)
-    lower = Half(arm, arm.down, np.arange(middle), switches)
-    upper = Half(arm, arm.up, np.arange(middle, count)[::-1], switches)
+    lower = HalfList(arm, arm.down, np.arange(middle), switches)
+    upper = HalfList(arm, arm.up, np.arange(middle, count)[::-1], switches)
     fallback = None if densities is None else paper_pop.prepare(manipulator, densities)
     return Problem(arm, lower, upper, Cells(upper), switches, fallback)
 
@@ -55,7 +55,7 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 def meet(
     problem: Problem, goal: Array, previous: Configuration, tolerance: float, below: int
 ) -> tuple[Configuration, int] | None:
-    """Returns the configuration of fewest switches, if fewer than `below`, and their number."""
+    """Returns the configuration of fewest switches and their number; None if there is none below `below`."""
     p, costs, c = problem, problem.arm.costs(previous), problem.cells
     p.lower.list((goal[0], goal[1]), costs, p.switches)
     p.upper.list((0.0, 0.0), costs, p.switches)
