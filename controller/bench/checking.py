@@ -103,10 +103,8 @@ def configuration_of(given: Any, manipulator: Manipulator) -> Configuration:
         raise InvalidAnswer(
             f"integers of shape {manipulator.states.shape} are needed, got {array.dtype} of shape {array.shape}"
         )
-    if ((array < 0) | (array >= manipulator.states)).any():
-        raise InvalidAnswer(
-            f"module {int(((array < 0) | (array >= manipulator.states)).argmax()) + 1} has no such state"
-        )
+    if (wrong := (array < 0) | (array >= manipulator.states)).any():
+        raise InvalidAnswer(f"module {int(wrong.argmax()) + 1} has no such state")
     return np.asarray(array, dtype=np.int64)
 
 

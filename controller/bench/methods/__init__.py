@@ -35,7 +35,7 @@ METHODS = {
     "minimum-switch": Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
     "ipop-previous": Entry(
         f"{ROOM}.hyperbit:ipop_previous",
-        "hyperbit's IPOP with its exact table; criterion: unchanged modules, as printed",
+        "hyperbit's IPOP, exact table; criterion: unchanged modules, as printed",
     ),
     "ipop-contracted": Entry(
         f"{ROOM}.hyperbit:ipop_contracted", "the same; criterion: fully contracted modules, as printed"
@@ -76,9 +76,7 @@ METHODS = {
     "annealing-10ms": Entry(
         f"{ROOM}.planar_positions:annealing_10ms", "simulated annealing for 10 ms a goal; planar positions"
     ),
-    "coordinate-descent": Entry(
-        f"{ROOM}.plain:coordinate_descent", "greedy: changes the best single module repeatedly"
-    ),
+    "coordinate-descent": Entry(f"{ROOM}.plain:coordinate_descent", "greedy: changes the best module repeatedly"),
     "random-search": Entry(f"{ROOM}.plain:random_search", "the best of 2,000 random configurations"),
 }
 

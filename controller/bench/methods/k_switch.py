@@ -57,8 +57,8 @@ def search(
     """Improves the configuration, by at most k switches at a time."""
     count = len(states)
     tips = np.empty((count + 1, 2))
-    # For each changed module: its index, its new state, the switches remaining for modules above it, and the goal in the
-    # frame below the module that is tried next.
+    # For each changed module: its index, its new state, the switches remaining for modules above it, and the goal in
+    # the frame below the module that is tried next.
     module, state = np.zeros(k + 1, dtype=np.int64), np.zeros(k + 1, dtype=np.int64)
     remaining, xs, ys = np.zeros(k + 1, dtype=np.int64), np.zeros(k + 1), np.zeros(k + 1)
     changed, changed_to = np.zeros(k, dtype=np.int64), np.zeros(k, dtype=np.int64)

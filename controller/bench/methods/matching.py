@@ -62,7 +62,7 @@ def match(
     tolerance: float,
     best: int,
 ) -> tuple[int, int, int]:
-    """Returns rows and switches of the cheapest pair within the tolerance, if below `best`; otherwise (-1, -1, best)."""
+    """Returns rows and switches of the cheapest pair within the tolerance, if below `best`; else (-1, -1, best)."""
     first, second = -1, -1
     for k in range(count):
         n = order[k]

@@ -58,7 +58,7 @@ def descent(problem: Problem, goal: Array, stage_costs: Index, thresholds: Array
 def density(
     values: NDArray[np.float32], offset: int, shape: Index, reference: Array, pixel: float, x: float, y: float
 ) -> float:
-    """Returns ln of the count in the point's pixel; outside the grid, minus the distance to the grid's nearest pixel."""
+    """Returns ln of the count in the point's pixel; outside the grid, minus the distance to the nearest pixel."""
     fx, fy = (x - reference[0]) / pixel, (y - reference[1]) / pixel
     ix = min(max(int(np.floor(fx + 0.5)), 0), shape[2] - 1)
     iy = min(max(int(np.floor(fy + 0.5)), 0), shape[1] - 1)

@@ -35,9 +35,7 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
     arm = planar(manipulator)
     means = np.zeros((len(arm.states) + 1, 2))
     for i in reversed(range(len(arm.states))):
-        c, s, x, y = arm.up[i, : arm.states[i]].mean(
-            axis=0
-        )  # motions are affine, so the mean of the images is the image of the mean
+        c, s, x, y = arm.up[i, : arm.states[i]].mean(axis=0)  # motions are affine: mean of images = image of mean
         px, py = means[i + 1]
         means[i] = c * px - s * py + x, s * px + c * py + y
     return Problem(arm, means)
