@@ -60,14 +60,14 @@ class Change:
         before: value, or quaternion, in the file.
         after: new value or quaternion.
         deviation: standard deviation of the new value.
-        told: whether the samples contribute more information than the file.
+        determined: whether the samples contribute more information than the file.
     """
 
     parameter: Parameter
     before: Any
     after: Any
     deviation: float
-    told: bool
+    determined: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Calibration:
 
     Attributes:
         samples: number of samples.
-        aside: lines of the outliers.
+        outliers: lines of the outliers.
         before: misfit of the arm in the file.
         base_only: misfit of the arm with only the base fitted.
         after: misfit of the calibrated arm.
@@ -84,13 +84,13 @@ class Calibration:
         held_out_base_only: cross-validated misfit with only the base fitted.
         better: whether `held_out` beats `held_out_base_only`: in mean square, by more than two standard errors.
         noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
-        loose: number of directions in parameter space that the file determines, not the samples.
+        undetermined: number of directions in parameter space that the file determines, not the samples.
         changes: changes of all parameters.
         description: `base` and `modules` of the new file.
     """
 
     samples: int
-    aside: tuple[int, ...]
+    outliers: tuple[int, ...]
     before: Misfit
     base_only: Misfit
     after: Misfit
@@ -98,7 +98,7 @@ class Calibration:
     held_out_base_only: Misfit
     better: bool
     noise: Array
-    loose: int
+    undetermined: int
     changes: tuple[Change, ...]
     description: Description
 
@@ -130,7 +130,7 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
     unseen, unseen_base = held_out(arm, samples, in_file, chosen, fold)
     return Calibration(
         samples=len(samples.tips),
-        aside=tuple(samples.lines[~found.kept].tolist()),
+        outliers=tuple(samples.lines[~found.kept].tolist()),
         before=misfit([(original, kept, still)]),
         base_only=misfit([(base_model, kept, base_found.steps)]),
         after=misfit([(Model(new, chosen), kept, still)]),
@@ -138,10 +138,10 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
         held_out_base_only=misfit(unseen_base),
         better=better(unseen, unseen_base),
         noise=found.noise,
-        loose=found.loose,
+        undetermined=found.undetermined,
         changes=tuple(
-            Change(p, value_at(in_file, p.where), value_at(new, p.where), float(deviation), bool(told > 0.5))
-            for p, deviation, told in zip(chosen, found.deviations, found.told, strict=True)
+            Change(p, value_at(in_file, p.where), value_at(new, p.where), float(deviation), bool(determined > 0.5))
+            for p, deviation, determined in zip(chosen, found.deviations, found.determined, strict=True)
         ),
         description=new,
     )

@@ -34,16 +34,16 @@ class Fit:
     Attributes:
         steps: changes of the parameters, shape (P,).
         deviations: standard deviations of the fitted parameters, shape (P,).
-        told: share of the information on each parameter that is from the samples, 0 to 1, shape (P,).
-        loose: number of directions in parameter space with less information from the samples than from the file.
+        determined: share of the information on each parameter that is from the samples, 0 to 1, shape (P,).
+        undetermined: number of directions in parameter space with less information from the samples than from the file.
         kept: mask of the samples that are no outliers, shape (n,).
         noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
     """
 
     steps: Array
     deviations: Array
-    told: Array
-    loose: int
+    determined: Array
+    undetermined: int
     kept: NDArray[np.bool_]
     noise: Array
 
@@ -67,9 +67,9 @@ class Problem:
         """Returns the derivatives (n, C, P) of the residuals."""
         return np.asarray(self.model.jacobian(self.samples, x * self.priors) * self.priors)
 
-    def scales(self, residuals: Array, *, robust: bool, told: float) -> Array:
-        """Returns the noise of coordinates and angles from residuals (n, C), corrected for `told` fitted parameters."""
-        share = max(1 - told / residuals.size, 0.1)
+    def scales(self, residuals: Array, *, robust: bool, determined: float) -> Array:
+        """Returns the noise of coordinates and angles from residuals (n, C), corrected for `determined` parameters."""
+        share = max(1 - determined / residuals.size, 0.1)
         found = []
         for kind in range(len(self._finest)):
             own = residuals[:, self.kinds == kind]
@@ -133,12 +133,12 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
     x = np.zeros(len(model.parameters))
     check_enough(problem, x)
     every = np.ones(len(samples.tips), dtype=bool)
-    noise, told = problem.scales(problem.residuals(x), robust=True, told=0.0), 0.0
+    noise, determined = problem.scales(problem.residuals(x), robust=True, determined=0.0), 0.0
     for _ in range(ROUNDS):  # the first estimate is far too great: it contains the errors of the file
         x = problem.solve(x, noise, every, robust=True)
         information, _ = problem.information(x, noise, every)
-        told = float((information / (information + 1)).sum())
-        before, noise = noise, problem.scales(problem.residuals(x), robust=True, told=told)
+        determined = float((information / (information + 1)).sum())
+        before, noise = noise, problem.scales(problem.residuals(x), robust=True, determined=determined)
         if (noise > 0.95 * before).all():
             break
     kept = problem.within(x, noise)
@@ -146,7 +146,7 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
         if 2 * kept.sum() <= len(kept):
             raise CannotFit(f"{(~kept).sum()} of {len(kept)} samples are outliers: no arm like the file's fits them")
         x = problem.solve(x, noise, kept, robust=False)
-        noise = problem.scales(problem.residuals(x)[kept], robust=False, told=told)
+        noise = problem.scales(problem.residuals(x)[kept], robust=False, determined=determined)
         last, kept = kept, problem.within(x, noise)
         if (kept == last).all():
             break
@@ -155,8 +155,8 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
     return Fit(
         steps=x * problem.priors,
         deviations=np.sqrt(variances) * problem.priors,
-        told=1 - variances,
-        loose=int((information < 1).sum()),
+        determined=1 - variances,
+        undetermined=int((information < 1).sum()),
         kept=last,
         noise=noise,
     )
@@ -175,12 +175,12 @@ def check_enough(problem: Problem, x: Array) -> None:
         CannotFit: there are fewer.
     """
     jacobian = problem.jacobian(x)
-    told = int((np.abs(jacobian) > 1e-9 * np.abs(jacobian).max()).any(axis=(0, 1)).sum())
+    determined = int((np.abs(jacobian) > 1e-9 * np.abs(jacobian).max()).any(axis=(0, 1)).sum())
     samples, columns = jacobian.shape[:2]
-    if samples * columns < 2 * told:
+    if samples * columns < 2 * determined:
         raise CannotFit(
-            f"{samples} samples of {columns} values each are too few for the {told} numbers that they depend on;"
-            f" at least {-(-2 * told // columns)} are needed"
+            f"{samples} samples of {columns} values each are too few for the {determined} numbers that they depend on;"
+            f" at least {-(-2 * determined // columns)} are needed"
         )
 
 

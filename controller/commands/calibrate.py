@@ -87,10 +87,10 @@ def payload(found: Calibration) -> dict[str, Any]:
     """Returns a calibration for JSON."""
     return {
         "samples": found.samples,
-        "set_aside": list(found.aside),
+        "set_aside": list(found.outliers),
         **{name: asdict(misfit) for name, misfit in misfits(found).items()},
         "noise": found.noise.tolist(),
-        "held_directions": found.loose,
+        "held_directions": found.undetermined,
         "better": found.better,
         "changes": [
             {
@@ -98,7 +98,7 @@ def payload(found: Calibration) -> dict[str, Any]:
                 "before": change.before,
                 "after": change.after,
                 "deviation": change.deviation,
-                "determined": change.told,
+                "determined": change.determined,
             }
             for change in found.changes
         ],
@@ -118,8 +118,8 @@ def misfits(found: Calibration) -> dict[str, Misfit]:
 
 def show(found: Calibration) -> None:
     """Prints a calibration: residuals and changed numbers."""
-    lines = ", ".join(map(str, found.aside))
-    aside = f"; {len(found.aside)} outliers set aside, lines {lines}" if found.aside else ""
+    lines = ", ".join(map(str, found.outliers))
+    aside = f"; {len(found.outliers)} outliers set aside, lines {lines}" if found.outliers else ""
     console.print(f"{found.samples} samples{aside}")
     table = results_table("residuals", "", "rms", "95 %", "worst")
     for kind in ("position", "orientation"):
@@ -136,14 +136,14 @@ def show(found: Calibration) -> None:
             written(before),
             written(after),
             f"{change.deviation:.2g}",
-            "" if change.told else "not determined: kept near the file's value",
+            "" if change.determined else "not determined: kept near the file's value",
         )
     console.print(table)
-    if found.loose:
+    if found.undetermined:
         console.print(
-            f"In {found.loose} directions of the parameter space the samples determine the numbers less well than the"
-            " file: two parameters compensate each other, or a state was not measured. There the fit keeps the file's"
-            " values."
+            f"In {found.undetermined} directions of the parameter space the samples determine the numbers less well"
+            " than the file: two parameters compensate each other, or a state was not measured. There the fit keeps the"
+            " file's values."
         )
 
 

@@ -1,4 +1,4 @@
-"""Complete candidate sets: all configurations within the tolerances of a goal that cost little from any of several."""
+"""Complete candidate sets: all configurations within the tolerances of a goal that cost little from given sources."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -19,20 +19,20 @@ Integers = NDArray[np.int64]
 Index32 = NDArray[np.int32]
 States = NDArray[np.uint16]
 
-FEWEST_ROWS, MOST_ROWS = 1 << 10, 1 << 18  # of a half: changes that cost at most half a budget
-CELL = 2.000001  # width of a cell in radii of the search: rounding must not put two near points more than one apart
-ROUNDING = 1e-9  # of sums of weights, as part of them
-AT_ONCE = 32  # sources between two looks at the clock
+FEWEST_ROWS, MOST_ROWS = 1 << 10, 1 << 18  # least and greatest memory of a half: changes within half a budget
+CELL = 2.000001  # width of a cell in search radii: rounding must not put near points more than one cell apart
+ROUNDING = 1e-9  # relative rounding error of sums of weights
+AT_ONCE = 32  # sources between two checks of the deadline
 
 
 class Changes(NamedTuple):
-    """What switching costs, and the arm cut in two.
+    """The costs of switches, and the arm cut in two.
 
     Attributes:
         motions: see frame_rows, shape (B * Kmax, 4) or (B * Kmax, 12).
         states: K_i, shape (B,).
-        costs: of each module's states from each other, shape (B, Kmax, Kmax).
-        cut: modules in the lower half.
+        costs: cost of each module's states from each other, shape (B, Kmax, Kmax).
+        cut: number of modules in the lower half.
     """
 
     motions: Array
@@ -42,10 +42,10 @@ class Changes(NamedTuple):
 
 
 class Listed(NamedTuple):
-    """Configurations that are within the tolerances.
+    """Configurations within the tolerances.
 
     Attributes:
-        sources: number of the configuration that each was found from, shape (n,).
+        sources: number of the source from which each was found, shape (n,).
         configurations: shape (n, B).
     """
 
@@ -60,8 +60,8 @@ COUNTS: Any = types.UniTuple(int64, 3)  # type: ignore[no-untyped-call]
 
 
 @njit(types.void(F2, int64, boolean, F1, F2, int64), cache=True, nogil=True, inline="always")
-def meeting_point(frames: Array, n: int, lower: bool, goal: Array, points: Array, k: int) -> None:
-    """Writes to points[k] the goal (3,) as seen from frames[n] of the lower half, or the position of the upper half."""
+def matching_point(frames: Array, n: int, lower: bool, goal: Array, points: Array, k: int) -> None:
+    """Writes to points[k] the goal (3,) in frames[n] of the lower half, or the position of frames[n] of the upper."""
     planar = frames.shape[1] == 4
     if not lower:
         points[k, 0], points[k, 1] = frames[n, 0], frames[n, 1]
@@ -76,14 +76,14 @@ def meeting_point(frames: Array, n: int, lower: bool, goal: Array, points: Array
 
 
 @njit("i8(i8, i8, i8)", cache=True, nogil=True, inline="always")
-def mixed(i: int, j: int, k: int) -> int:
+def hash_of(i: int, j: int, k: int) -> int:
     """Returns a hash of a cell's coordinates, at least 0."""
     return (i * 73856093 ^ j * 19349663 ^ k * 83492791) & 0x7FFFFFFF
 
 
 @njit(types.void(ROWS, int64, I1), cache=True, nogil=True)
-def change(rows: Rows, n: int, configuration: Configuration) -> None:
-    """Puts the states of a row in a configuration (B,) that has the seed's."""
+def write_changes(rows: Rows, n: int, configuration: Configuration) -> None:
+    """Writes the states of a row to a configuration (B,) that has the states of the seed."""
     row = n
     while row > 0:
         configuration[rows.modules[row]] = rows.choices[row]
@@ -91,15 +91,15 @@ def change(rows: Rows, n: int, configuration: Configuration) -> None:
 
 
 class Half(NamedTuple):
-    """Changes of one half of the arm, in cells by the point at which they meet the other half's.
+    """Changes of one half of the arm, in hashed cells by their matching points.
 
     Attributes:
-        rows: the changes.
-        points: shape (n, 3).
-        cells: of the points, shape (n, 3).
-        heads: first change of each slot of the cells' hashes, -1 if there is none; a power of two of them.
-        following: the next change of the same slot, -1 if there is none, shape (n,).
-        least: the least cost of a change but row 0, which is none.
+        rows: the changes; row 0 is the seed.
+        points: matching points, shape (n, 3).
+        cells: cells of the points, shape (n, 3).
+        heads: first change of each hash slot, -1 for none; the number of slots is a power of two.
+        following: next change in the same slot, -1 for none, shape (n,).
+        least: least cost of a change.
     """
 
     rows: Rows
@@ -119,7 +119,7 @@ HALF = named(Half, ROWS, F2, I32, int32[::1], int32[::1], float64)
     nogil=True,
     error_model="numpy",
 )
-def meet(
+def match(
     changes: Changes,
     query: Query,
     scene: Scene | None,
@@ -133,7 +133,7 @@ def meet(
     count: int,
     listed: Listed,
 ) -> int:
-    """Lists what changes of one half, and of the other, bring within the tolerances; returns how many are listed then.
+    """Matches all changes of one half with the other half; returns the number of configurations listed, -1 if full.
 
     Args:
         changes: the arm.
@@ -141,24 +141,24 @@ def meet(
         scene: obstacles.
         seed: configuration, shape (B,).
         near: costs of all states from the seed, shape (B, Kmax).
-        budget: greatest cost of both.
-        above: the changes of this half cost more than that.
+        budget: greatest cost of both changes together.
+        above: the changes of this half must cost more.
         lower: whether this half is the lower one.
         goal: position in frame F_0, shape (3,).
         half: the other half.
-        count: how many are listed.
-        listed: written, but for the sources; -1 is returned if it is full.
+        count: number of configurations listed before.
+        listed: written, without the sources.
     """
     moves, states, _, cut = changes
     modules, kinds, width = len(seed), near.shape[1], moves.shape[1]
     first, size = (0, cut) if lower else (cut, modules - cut)
-    if size == 0:  # the upper half of one module: it has no changes
+    if size == 0:  # the upper half of an arm of one module has no changes
         return count
     planar = width == 4
     per, farthest = 1.0 / (CELL * query.radius), query.radius * query.radius
     points, cells, heads, following, spent = half.points, half.cells, half.heads, half.following, half.rows.lengths
     slots = len(heads) - 1
-    # Frames from the half's bottom to each of its modules, and from there to its end while nothing changes.
+    # Frames from the half's bottom to each of its modules, and from each module to the half's end at the seed.
     frames, rest = np.zeros((size + 2, width)), np.zeros((size + 1, width))
     for a in range(2 if planar else 3, width, 2 if planar else 4):
         frames[0, a] = rest[size, a] = 1.0
@@ -188,26 +188,26 @@ def meet(
         if cost <= above:
             continue
         compose(frames, d + 1, rest, d + 1, frames, size + 1)
-        meeting_point(frames, size + 1, lower, goal, point, 0)
-        left, x, y, z = budget - cost, point[0, 0], point[0, 1], point[0, 2]
+        matching_point(frames, size + 1, lower, goal, point, 0)
+        remaining, x, y, z = budget - cost, point[0, 0], point[0, 1], point[0, 2]
         square = (x - points[0, 0]) ** 2 + (y - points[0, 1]) ** 2 + (z - points[0, 2]) ** 2
-        if left < half.least and square > farthest:
+        if remaining < half.least and square > farthest:
             continue
         x0, y0 = int(np.floor(x * per - 0.5)), int(np.floor(y * per - 0.5))
         z0 = 0 if planar else int(np.floor(z * per - 0.5))
         for corner in range(4 if planar else 8):
             u, v, w = x0 + (corner & 1), y0 + ((corner >> 1) & 1), z0 + (corner >> 2)
-            n = heads[mixed(u, v, w) & slots]
+            n = heads[hash_of(u, v, w) & slots]
             while n >= 0:
                 row, n = n, following[n]
-                if spent[row] > left or cells[row, 0] != u or cells[row, 1] != v or cells[row, 2] != w:
+                if spent[row] > remaining or cells[row, 0] != u or cells[row, 1] != v or cells[row, 2] != w:
                     continue
                 square = (x - points[row, 0]) ** 2 + (y - points[row, 1]) ** 2 + (z - points[row, 2]) ** 2
                 if square > farthest:
                     continue
                 candidate[:] = seed
                 candidate[first : first + d + 1] = chosen[: d + 1]
-                change(half.rows, row, candidate)
+                write_changes(half.rows, row, candidate)
                 if not reaches(query, candidate):
                     continue
                 if scene is not None and collides(scene, candidate):
@@ -237,14 +237,14 @@ def list_candidates(
     upper: Rows,
     listed: Listed,
 ) -> tuple[int, int, int]:
-    """Lists the configurations within the tolerances, and clear, that cost at most a budget from each source.
+    """Lists the clear configurations within the tolerances that cost at most a budget from each source.
 
-    Returns how many are listed; the first source that nothing is listed of; and whether what it lacks room for are
-    rows (1), or listed configurations (2), or nothing (0).
+    Returns the number of listed configurations; the number of sources that are done; and what has no room: rows (1),
+    configurations (2), or nothing (0).
 
-    The arm is cut in two. The changes of either half that cost at most half the budget stand in cells by the point at
-    which they meet the other half: the upper ones by the tip in frame F_cut, the lower ones by the goal as seen from
-    there. All changes of the other half are looked up among them.
+    The arm is cut in two (meet in the middle). The changes of one half that cost at most half the budget are put into
+    cells by their matching points: the tip in frame F_cut for the upper half, the goal in frame F_cut for the lower.
+    All changes of the other half are looked up in these cells; then the halves swap roles.
 
     Args:
         changes: the arm.
@@ -253,8 +253,8 @@ def list_candidates(
         goal: position in frame F_0, shape (3,).
         sources: configurations, shape (n, B).
         budgets: greatest cost from each source, shape (n,).
-        lower: room for changes of the lower half.
-        upper: as much room for the upper half.
+        lower: memory for changes of the lower half.
+        upper: memory of the same size for the upper half.
         listed: written.
     """
     moves, states, prices, cut = changes
@@ -281,16 +281,16 @@ def list_candidates(
             heads[:] = -1
             least = np.inf
             for row in range(known):
-                meeting_point(rows.frames, row, of_lower, goal, points, row)
+                matching_point(rows.frames, row, of_lower, goal, points, row)
                 for a in range(3):
                     cells[row, a] = int(np.floor(points[row, a] * per))
-                slot = mixed(cells[row, 0], cells[row, 1], cells[row, 2]) & (slots - 1)
+                slot = hash_of(cells[row, 0], cells[row, 1], cells[row, 2]) & (slots - 1)
                 following[row], heads[slot] = heads[slot], row
                 if row > 0:
                     least = min(least, rows.lengths[row])
             half = Half(rows, points, cells, heads, following, least)
             above = budget / 2 if of_lower else -1.0
-            count = meet(changes, query, scene, seed, near, budget, above, not of_lower, goal, half, count, listed)
+            count = match(changes, query, scene, seed, near, budget, above, not of_lower, goal, half, count, listed)
             if count < 0:
                 return begun, n, 2
         for k in range(begun, count):
@@ -322,16 +322,16 @@ class CandidateSets:
         most: int,
         late: Callable[[], bool],
     ) -> Listed | None:
-        """Returns all configurations within the tolerances, and clear, that cost at most a budget from a source.
+        """Returns all clear configurations within the tolerances that cost at most a budget from a source.
 
-        None if they are more than `most`, or if `late()` is true meanwhile, or a half has too many changes to list.
+        Returns None if they are more than `most`, if `late()` becomes true, or if a half has too many changes.
 
         Args:
             target: the goal.
             sources: configurations, shape (n, B).
-            budgets: greatest weighted switches from each, shape (n,).
-            most: room.
-            late: whether to give up.
+            budgets: greatest cost from each source, shape (n,).
+            most: greatest number of configurations.
+            late: whether the deadline has passed.
         """
         modules = sources.shape[1]
         listed = Listed(np.empty(most, np.int64), np.empty((most, modules), np.uint16))

@@ -151,7 +151,7 @@ def collides(scene: Scene, configuration: Configuration) -> bool:
 
 
 @njit(types.void(SCENE, int64, int64), cache=True, nogil=True)
-def stand(scene: Scene, i: int, state: int) -> None:
+def set_state(scene: Scene, i: int, state: int) -> None:
     """Sets a state of module i that is known to be clear, and writes the frame above it."""
     scene.states[i] = state
     if scene.apart >= 0:

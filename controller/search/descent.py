@@ -6,7 +6,7 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.obstacles.scene import Scene, for_scenes, module_collides, stand
+from controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
 from controller.search.frame_rows import F1, F2, I1, I2
 from controller.workspace.reachability import LEVELS, TABLES, Levels, Tables, measure
 
@@ -79,7 +79,7 @@ def descend(
         if scene is not None:
             if best < 0:
                 return np.nan, np.nan, np.nan
-            stand(scene, i, best)
+            set_state(scene, i, best)
         configuration[i] = best
         x, y, z = bx, by, bz
     return x, y, z
@@ -133,7 +133,7 @@ def beam_search(
             x, y, z = wanted[n, 0], wanted[n, 1], wanted[n, 2]
             if scene is not None:
                 for k in range(i):
-                    stand(scene, k, configurations[n, k])
+                    set_state(scene, k, configurations[n, k])
             for j in range(states[i]):
                 if scene is not None:
                     scene.states[i] = j

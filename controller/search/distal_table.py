@@ -8,7 +8,7 @@ from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import Scene, for_scenes, segment_collides, stand
+from controller.obstacles.scene import Scene, for_scenes, segment_collides, set_state
 from controller.search.frame_rows import F1, F2, F3, I1, named
 from controller.workspace.reachability import TABLES, Tables
 
@@ -248,7 +248,7 @@ def finish(
             seen = carried_back(rotations[i, configuration[i]], seen)
     if scene is not None:
         for i in range(root):
-            stand(scene, i, configuration[i])
+            set_state(scene, i, configuration[i])
     best_row, best_branch, best_cost, best_square = -1, -1, np.inf, most
     for branch in range(branches):
         if scene is not None:

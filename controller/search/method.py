@@ -46,7 +46,7 @@ def stage_costs(method: PaperMethod | Variant, manipulator: Manipulator, previou
     return np.linspace(2.0, 1.0, len(counts))[:, None] * counts
 
 
-def switching(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np.float64]) -> StageCosts:
+def switch_costs(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np.float64]) -> StageCosts:
     """Returns the cost of a switch: for each module's states (B, Kmax), the weights of the actuators that switch.
 
     Args:
@@ -60,7 +60,7 @@ def switching(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np
 
 def distances(manipulator: Manipulator, configuration: ArrayLike) -> StageCosts:
     """Returns the number of actuators (B, Kmax) of each state that differ from a configuration (B,)."""
-    return switching(manipulator, configuration, np.ones((len(manipulator.modules), manipulator.bits.shape[2])))
+    return switch_costs(manipulator, configuration, np.ones((len(manipulator.modules), manipulator.bits.shape[2])))
 
 
 def mean_cost(manipulator: Manipulator, costs: StageCosts) -> float:

@@ -14,7 +14,7 @@ from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.scene import scene_of
-from controller.search.method import Method, switching
+from controller.search.method import Method, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
 from controller.search.solution import EPSILON, Incumbent, Solution
@@ -96,7 +96,7 @@ class Solver:
             tolerance: expected tolerance of the goal.
         """
         seed = np.asarray(previous, dtype=np.int64)
-        costs = switching(self.manipulator, seed, self.weights)
+        costs = switch_costs(self.manipulator, seed, self.weights)
         return self._minimum.expect(seed, costs, tolerance)
 
     def solve(
@@ -130,7 +130,7 @@ class Solver:
         if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self._feasible(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == "minimum-switch":
-            costs = switching(self.manipulator, seed, self.weights)
+            costs = switch_costs(self.manipulator, seed, self.weights)
             patience = began + (max(deadline, patience) if target.hard else deadline)
             self._minimum.improve(Problem(target, seed, costs, patience, self._unreachable(target)), incumbent)
         else:
@@ -168,7 +168,7 @@ class Solver:
         """
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))
-        costs = switching(self.manipulator, previous, self.weights)
+        costs = switch_costs(self.manipulator, previous, self.weights)
         return self._candidates[1].find(
             self.target(goal, tolerance, angle_tolerance), np.asarray(previous, dtype=np.int64), costs
         )

@@ -131,9 +131,9 @@ def reach_when_locked(
         progress(number + 1, len(chosen))
     if not found:
         raise ValueError(f"no choice of {locks} locked actuators leaves each module a state")
-    nobody = none_locked(manipulator)
+    nothing_locked = none_locked(manipulator)
     return LockedReach(
-        reached(nobody, within), tuple(found), every, impossible, whole.pixel, whole.reference, within, least
+        reached(nothing_locked, within), tuple(found), every, impossible, whole.pixel, whole.reference, within, least
     )
 
 

@@ -42,7 +42,7 @@ def test_tips_of_the_real_arm_are_met_as_well_as_they_were_measured(tmp_path, ki
     unseen = measured(arm, real, rng, 200, noise=0.0)
     model = Model(found.description, [])
     off = np.linalg.norm((model.tips(unseen, np.zeros(0)) - unseen.tips)[:, :3, 3], axis=1)
-    assert found.aside == ()
+    assert found.outliers == ()
     assert found.noise[0] == pytest.approx(NOISE, rel=0.2)
     if oriented:
         assert found.noise[1] == pytest.approx(TURN, rel=0.2)
@@ -59,7 +59,7 @@ def test_parameters_are_as_near_as_their_deviations_say(tmp_path):
         real = erring(arm, rng)
         for change in calibrated(arm, measured(arm, real, rng, 60), each=False).changes:
             off.append((change.after - value_at(real.description, change.parameter.where)) / change.deviation)
-            assert change.told
+            assert change.determined
     assert 0.6 < np.sqrt(np.square(off).mean()) < 1.5
 
 
@@ -80,7 +80,7 @@ def test_samples_far_off_are_set_aside_and_change_nothing(tmp_path):
     samples.tips[:12, :2, 3] += rng.normal(size=(12, 2))
     samples.tips[12:20] = samples.tips[12:20] @ frames.turned([0, 0, 1], np.pi)
     found = calibrated(arm, samples, each=False)
-    assert found.aside == tuple(range(2, 22))
+    assert found.outliers == tuple(range(2, 22))
     assert_allclose(found.after.position.rms, clean.after.position.rms, rtol=1e-3)
 
 
@@ -90,7 +90,7 @@ def test_the_world_of_a_tracker_may_be_any(tmp_path, angle):
     samples = measured(arm, erring(arm, rng), rng, 60)
     away = frames.planar(20, -30, angle)
     found = calibrated(arm, replace(samples, tips=away @ samples.tips), each=False)
-    assert found.aside == ()
+    assert found.outliers == ()
     assert found.held_out.position.rms < 2.5 * NOISE
 
 
@@ -101,9 +101,9 @@ def test_what_samples_do_not_determine_stays(tmp_path):
     samples.configurations[:, 4] = 1  # the slide is never at its first stop
     found = calibrated(arm, replace(samples, tips=arm.manipulator.tips(samples.configurations)), each=False)
     unseen = {change.parameter.path: change for change in found.changes}["modules[1].lengths[0]"]
-    assert not unseen.told
+    assert not unseen.determined
     assert unseen.after == 0.1
-    assert found.loose >= 3
+    assert found.undetermined >= 3
     changes = [np.subtract(change.after, change.before) for change in found.changes]
     assert np.abs(np.hstack(changes)).max() < 1e-6  # these tips are those of the file's arm
 

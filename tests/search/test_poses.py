@@ -12,7 +12,7 @@ from controller.manipulator.frames import Frame, angle_between, turned
 from controller.manipulator.manipulator import Manipulator
 from controller.search import two_list
 from controller.search.branch_and_bound import BranchAndBound
-from controller.search.method import METHODS, switching
+from controller.search.method import METHODS, switch_costs
 from controller.search.solution import Incumbent
 from controller.search.solver import Solver
 from controller.search.target import Target
@@ -136,7 +136,7 @@ def test_a_meeting_cut_short_says_what_it_left_out(seed):
     arm = (paper_arm(4), spatial_arm(4))[seed % 2]
     centre, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, 0.3)
     target = Target(goal, goal, arm, 0.05, 0.3, 0.05 / 0.3)
-    costs = switching(arm, centre, arm.per_module(np.ones(len(arm.actuators))))
+    costs = switch_costs(arm, centre, arm.per_module(np.ones(len(arm.actuators))))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(two_list, "AT_ONCE", 5)
         both = TwoList(arm, 1000)
