@@ -1,4 +1,4 @@
-"""One board as heard on its bus: network state, heartbeats, emergencies and inputs."""
+"""One board: NMT state, heartbeats or node guarding, emergencies and inputs, as received from the bus."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from drivers.canopen.status import BoardStatus
 
 @dataclass
 class StateImage:
-    """Levels of all input lines; boards write into it.
+    """Levels of all input lines. Each board writes its own lines.
 
     Attributes:
         ends: levels of the input lines.
-        up: mask of the input lines whose board is up.
-        known: mask of the actuators whose board is up.
+        up: mask of the input lines whose board is ready.
+        known: mask of the actuators whose board is ready.
     """
 
     ends: int = 0
@@ -33,20 +33,20 @@ class Board:
     """One board.
 
     Attributes:
-        layout: its wiring.
-        state: of its network management; None if unknown.
-        frames: frames received from it.
-        boots: boot-up messages received from it.
-        input_frames: TPDOs received from it.
-        emergency: code of its last emergency; None if there is none or it is over.
-        guarded: whether it is supervised by node guarding.
-        ignored_errors: bits of its error register that stand for no fault.
-        warnings: what a person should know of it, as of its last boot, without its name.
-        expected: what its objects hold since then.
+        layout: wiring of the board.
+        state: NMT state; None if unknown.
+        frames: number of frames received from the board.
+        boots: number of boot-up messages received from it.
+        input_frames: number of TPDOs received from it.
+        emergency: error code of its last emergency; None without an emergency, or after its end.
+        guarded: whether node guarding supervises the board, in place of heartbeats.
+        ignored_errors: bits of the error register 1001h that are no fault.
+        warnings: sentences on the board's limits from its last boot, without its name.
+        expected: values of its objects at the end of the last boot.
 
     Args:
-        layout: its wiring.
-        image: takes its inputs, and whether they are known.
+        layout: wiring of the board.
+        image: takes the inputs of the board.
         report: takes faults.
     """
 
@@ -57,14 +57,14 @@ class Board:
         self._image, self.report = image, report
         self._inputs = 0
         self._ready = self._booted = self._lost = False
-        self._frames_before = 0  # when it was not ready for the first time
+        self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
         self.emergency: int | None = None
         self.guarded = False
         self.ignored_errors = 0
         self.warnings: tuple[str, ...] = ()
         self.expected: tuple[Need, ...] = ()
-        self._toggle: int | None = None  # of the last answer to node guarding
+        self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
         self.take_inputs_from(layout.tpdos)
         self._lines = sum(bit.line for bit in layout.inputs)
@@ -72,17 +72,17 @@ class Board:
 
     @property
     def name(self) -> str:
-        """For messages, e.g. "can0/5"."""
+        """Name for messages, e.g. "can0/5"."""
         return self.layout.name
 
     @property
     def heard(self) -> bool:
-        """Whether it is up, or was heard since it was lost."""
+        """Whether the board is ready, or has sent a frame since it was lost."""
         return self._ready or self.frames > self._frames_before
 
     @property
     def ready(self) -> bool:
-        """Whether it was booted and not lost since. Only then its outputs and inputs are known."""
+        """Whether the board was booted and not lost since. Only then its outputs and inputs are known."""
         return self._ready
 
     @ready.setter
@@ -98,12 +98,12 @@ class Board:
             self._image.up &= ~self._lines
 
     def forget(self) -> None:
-        """Takes its states as unknown until it is booted."""
+        """Marks outputs, inputs and NMT state as unknown until the next boot."""
         self.ready = self._booted = False
         self.state = None
 
     def fail(self, fault: Fault) -> None:
-        """Takes its states as unknown until it is booted, because of a fault."""
+        """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
         self.ready = False
         self.report(fault)
 
@@ -112,11 +112,11 @@ class Board:
         self.guarded, self._toggle = True, None
 
     def take_inputs_from(self, tpdos: Iterable[Pdo]) -> None:
-        """Takes its inputs from other TPDOs."""
+        """Sets the TPDOs that carry the inputs."""
         self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
 
     def set_input(self, sub: int, value: int) -> None:
-        """Takes one byte of 6000h that was read by SDO."""
+        """Sets one byte of the inputs, 6000h, that was read by SDO."""
         shift = 8 * (sub - 1)
         self._take_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
 
@@ -124,12 +124,12 @@ class Board:
         """Takes a frame from the board.
 
         Args:
-            cob_id: of the frame.
+            cob_id: COB-ID of the frame.
             data: 0..8 bytes.
             now: time that stands still while the loop stalls [s].
 
         Returns:
-            Whether the frame had a meaning.
+            Whether the frame was understood.
         """
         function = cob_id & 0x780
         if function == cia301.HEARTBEAT:
@@ -154,7 +154,7 @@ class Board:
         return True
 
     def tick(self, now: float, timeout: float) -> None:
-        """Finds out whether the board has been silent for `timeout` [s]."""
+        """Reports the board as lost after a silence of `timeout` [s]."""
         if self._lost or self._beat_at is None or now - self._beat_at < timeout:
             return
         self._lost = True
@@ -164,7 +164,7 @@ class Board:
             self._fault("board-lost", f"{missing} for {timeout:g} s: is it powered and wired?")
 
     def status(self, now: float) -> BoardStatus:
-        """For diagnostics."""
+        """Returns the status for diagnostics."""
         state = "unknown" if self.state is None else self.state.words
         return BoardStatus(
             bus=self.layout.bus,
@@ -180,7 +180,7 @@ class Board:
             toggle, byte = byte >> 7, byte & 0x7F
             if byte != State.BOOT_UP:
                 if toggle == self._toggle:
-                    return True  # a repetition shows nothing
+                    return True  # a repeated answer is no sign of life
                 self._toggle = toggle
         if (state := STATES.get(byte)) is None:
             return False
@@ -189,12 +189,12 @@ class Board:
         if state is State.BOOT_UP:
             self.boots += 1
             self._toggle = None
-        if state is State.BOOT_UP and self._booted:  # also if it was lost before
+        if state is State.BOOT_UP and self._booted:  # also if it was lost before that
             self.ready = self._booted = False
-            self._fault("board-rebooted", "it started anew, its outputs are unknown: check its supply, then reset")
+            self._fault("board-rebooted", "it has restarted, its outputs are unknown: check its supply, then reset")
         elif self._ready and state is not State.OPERATIONAL:
             self.ready = False
-            self._fault("board-stopped", f"it left operational by itself and is {state.words} now")
+            self._fault("board-stopped", f"it left the state operational without a command; it is {state.words} now")
         return True
 
     def _receive_emergency(self, code: int) -> None:
@@ -202,7 +202,7 @@ class Board:
             self.emergency = None
             return
         self.emergency = code
-        if self._ready:  # before, it may be an old one: the boot reads the error register
+        if self._ready:  # before, it may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}")
 
     def _take_inputs(self, inputs: int) -> None:
@@ -217,7 +217,7 @@ class Board:
         self._image.ends = ends
 
     def _refuse_inputs(self, size: int, expected: int) -> None:
-        if self._ready:  # while it boots, it may still send what it was configured for before
+        if self._ready:  # during a boot it may still send its previous mapping
             what = f"its inputs came in {size} bytes, not in {expected}"
             self._fault("wrong-length", f"{what}: does another device send its TPDO?")
 

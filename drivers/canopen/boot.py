@@ -1,4 +1,4 @@
-"""Boot of one board without switching an output: find, inspect, configure, start, read back."""
+"""The boot of one board: find, inspect, configure, start, read back. It switches no output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drivers.canopen.procedure import Ask, BoardError, Order, Procedure, Step, W
 from drivers.canopen.sdo import TIMEOUT, Outcome, Transfer
 from drivers.canopen.wiring import ErrorState, Timing
 
-_ERROR_PATIENCE = 0.5  # [s] for a standing error to end once the board hears the master
+_ERROR_PATIENCE = 0.5  # [s] in which an error may end after the board hears the master
 
 
 @dataclass
@@ -27,14 +27,14 @@ class Boot:
     """The boot of one board.
 
     Attributes:
-        index: of the board.
+        index: index of the board.
         board: the board.
         outputs: takes the outputs that are read back.
-        timing: heartbeats and boot time.
-        error_state: what a person knows of boards without an error mode.
-        it: what is read of the board.
-        kind: its device type.
-        found: its state as it was found.
+        timing: heartbeat and boot times.
+        error_state: field `error_state` of the arm's file, for boards without an error mode.
+        it: values read from the board.
+        kind: device type, 1000h.
+        found: NMT state before the boot.
     """
 
     index: int
@@ -48,7 +48,7 @@ class Boot:
 
 
 def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
-    """Boots a board; a board that is operational and rightly configured is left alone."""
+    """Boots a board. A board that is operational and correctly configured is not written to."""
     it = Inspection(board.layout)
     boot = Boot(index, board, outputs, timing, error_state, it)
     for step in _STEPS:
@@ -56,17 +56,17 @@ def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error
 
 
 def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, tuple[int, bool]]:
-    """Asks for the device type until the board answers; returns it, and whether the board was stopped before.
+    """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
 
     Args:
-        layout: of the board.
-        patience: longest time for it to answer [s].
-        board: what is heard of it; None if it is not listened to.
+        layout: wiring of the board.
+        patience: longest time until its answer [s].
+        board: the frames heard from it; None if nobody listens.
     """
     name, kind, ordered = layout.name, None, False
     before = 0 if board is None else board.frames
 
-    def stopped() -> bool:  # then it answers no SDO
+    def stopped() -> bool:  # a stopped board answers no SDO
         return board is not None and board.state is State.STOPPED and not ordered
 
     for _ in range(1 + math.ceil(patience / TIMEOUT)):
@@ -91,7 +91,7 @@ def _find(boot: Boot) -> Procedure:
 
 
 def _inspect(boot: Boot) -> Procedure:
-    """Reads what the board is and holds."""
+    """Reads identity, configuration and PDOs of the board."""
     it = boot.it
     yield from inspection.inspect(it, boot.kind, boot.timing, boot.error_state)
     board = boot.board
@@ -101,9 +101,9 @@ def _inspect(boot: Boot) -> Procedure:
 
 
 def _learn_state(boot: Boot) -> Procedure:
-    """Waits for a heartbeat, or an answer to node guarding, of a board that has only answered to SDO so far."""
+    """Waits for the first heartbeat or answer to node guarding, which tells the NMT state."""
     board, it, timing = boot.board, boot.it, boot.timing
-    period = it.held.get((0x1017, 0), 0) / 1000
+    period = it.values.get((0x1017, 0), 0) / 1000
     if it.guarded:
         ours = not it.unmet(configuration.guarding(timing)) and not period
         period = timing.heartbeat if ours else 0.0
@@ -116,50 +116,51 @@ def _learn_state(boot: Boot) -> Procedure:
 
 
 def _configure(boot: Boot) -> Procedure:
-    """Configures and starts the board, unless it is operational and configured."""
+    """Configures and starts the board, unless it is operational and correctly configured."""
     board, it = boot.board, boot.it
     if board.state is State.OPERATIONAL:
         yield from pdo_search.ask_for_sync(it)
         wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
         if not wrong and pdo_search.as_is(it):
-            board.state = None  # it may have left operational since its last heartbeat
+            board.state = None  # its NMT state may have changed since its last heartbeat
             return
     if board.state in (State.OPERATIONAL, None):
-        yield from _hold(it)
+        yield from _hold_outputs(it)
     if board.state is not State.PRE_OPERATIONAL:
         yield from _order(board.layout, Command.PRE_OPERATIONAL)
-    yield from inspection.settle(it, it.needs)
+    yield from inspection.ensure(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):
         yield from pdo_search.set_up_pdos(it, pdos)
     if not board.layout.loss[0]:
-        yield from inspection.settle(it, it.error_mode)
+        yield from inspection.ensure(it, it.error_mode)
     yield from _release(boot)
     board.guarded = False
     if it.guarded:
         board.guard()
-    board.state = None  # an older heartbeat must not count as the answer
+    board.state = None  # an earlier heartbeat must not count
     yield from _order(board.layout, Command.START)
 
 
-def _hold(it: Inspection) -> Procedure:
-    """Has the outputs hold until all is configured: some boards apply 6207h already on entering pre-operational.
+def _hold_outputs(it: Inspection) -> Procedure:
+    """Sets the error mode 6206h to hold during the configuration.
 
-    A board that does not take this may be right all the same: whether the final error mode is taken decides.
+    Some boards apply 6207h as soon as they enter pre-operational. A board that does not accept this value may still be
+    correct: the final value of 6206h decides.
     """
-    for need in it.unmet(configuration.held(it.layout)):
+    for need in it.unmet(configuration.hold_outputs(it.layout)):
         place = need.index, need.sub
-        yield from objects.write(it.name, need, need.corrected(it.held[place]))
-        it.held[place] = yield from objects.read(it.name, *place, fresh=True)
+        yield from objects.write(it.name, need, need.corrected(it.values[place]))
+        it.values[place] = yield from objects.read(it.name, *place, fresh=True)
 
 
 def _release(boot: Boot) -> Procedure:
-    """Switches off the outputs that a board may have switched off itself, so that its start energises nothing.
+    """Writes off the outputs that the board may have switched off itself, so that its start energises nothing.
 
-    A board that lost its master has applied its error mode. It may still hold the values of before in 6200h, and switch
-    them again when it is started.
+    A board that lost its master has applied its error mode. Its 6200h may still hold the earlier values, which the
+    start would switch again.
     """
     board, it, layout = boot.board, boot.it, boot.board.layout
-    if it.has_error_mode:  # boards with a loss level stop when they lose the master, by 1029h
+    if it.has_error_mode:  # boards with a loss level enter stopped when they lose the master (1029h)
         loss, levels = layout.loss if boot.found is State.STOPPED else (0, 0)
         bits = union(b.place for b in layout.outputs if loss & b.place and b.inverted == bool(levels & b.place))
     else:
@@ -170,13 +171,13 @@ def _release(boot: Boot) -> Procedure:
     for sub in subs_of(bits):
         mask, value = (number >> 8 * (sub - 1) & 0xFF for number in (bits, off))
         need = Need(layout.settings.object, sub, value & mask, 1, "outputs", mask=mask)
-        held = yield from objects.read(board.name, need.index, sub)
-        if not need.met(held):
-            yield from objects.settle(board.name, need, held)
+        present = yield from objects.read(board.name, need.index, sub)
+        if not need.met(present):
+            yield from objects.ensure(board.name, need, present)
 
 
 def _lost_master(boot: Boot) -> Generator[Step, Outcome, bool]:
-    """Returns whether a board is out of operational because it lost the master, and not by an order."""
+    """Returns whether the board has left operational because it lost the master, not by an NMT command."""
     if boot.found not in (State.STOPPED, State.PRE_OPERATIONAL):
         return False
     newest = yield from objects.find(boot.board.name, 0x1003, 1, 4)
@@ -184,9 +185,9 @@ def _lost_master(boot: Boot) -> Generator[Step, Outcome, bool]:
 
 
 def _await_operational(boot: Boot) -> Procedure:
-    """Waits for the board to be operational; configures it once more if it fell back.
+    """Waits until the board is operational; configures it again if it leaves that state.
 
-    It may have missed the heartbeat of the master before just now, and left operational because of it.
+    A board that has just missed a heartbeat of the master does so.
     """
     board, patience = boot.board, boot.timing.boot_timeout
     up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
@@ -206,12 +207,12 @@ def _await_operational(boot: Boot) -> Procedure:
 
 
 def _set_error_mode(boot: Boot) -> Procedure:
-    """Writes the error mode; until here the outputs were to hold."""
-    yield from inspection.settle(boot.it, boot.it.error_mode)
+    """Writes the final error mode, 6206h and 6207h."""
+    yield from inspection.ensure(boot.it, boot.it.error_mode)
 
 
 def _check_errors(boot: Boot) -> Procedure:
-    """Refuses a board with a standing error; one that ends because the board hears the master is waited for."""
+    """Refuses a board with an error in 1001h. An error that tells the loss of the master may end within 0.5 s."""
     board, it = boot.board, boot.it
     for _ in range(6):
         register, text, lost = yield from inspection.read_errors(it, board)
@@ -221,12 +222,12 @@ def _check_errors(boot: Boot) -> Procedure:
     if not lost:
         text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
         raise BoardError(Fault("board-error", board.name, text))
-    it.warn(f"it keeps an error of the time before this start: {text}")
-    it.kept_errors = register
+    it.warn(f"it keeps an error from before this boot: {text}")
+    it.standing_errors = register
 
 
 def _read_back(boot: Boot) -> Procedure:
-    """Adopts the outputs and inputs as they are."""
+    """Reads outputs and inputs, and adopts them."""
     board, it, inputs = boot.board, boot.it, dict[int, int]()
     rpdos, tpdos = pdo_search.adopt(it)
     values = dict[int, int]()
@@ -237,21 +238,21 @@ def _read_back(boot: Boot) -> Procedure:
     for sub in subs_of(board.layout.input_bits):
         inputs[sub] = yield from objects.read(board.name, INPUTS, sub)
     if board.state is not State.OPERATIONAL:
-        left = "its state is unknown" if board.state is None else f"it is {board.state.words}"
+        seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         raise BoardError(
-            Fault("board-stopped", board.name, f"board {board.name} left operational while booting; {left}")
+            Fault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
         )
     boot.outputs.adopt(boot.index, rpdos, values)
-    if board.input_frames == before:  # otherwise a TPDO brought newer ones
+    if board.input_frames == before:  # otherwise a TPDO has brought newer values
         for sub, value in inputs.items():
             board.set_input(sub, value)
-    board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.kept_errors
+    board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
     board.expected = _expected(it, rpdos + tpdos)
     board.ready = True
 
 
 def _value(board: Board, entry: int) -> Generator[Step, Outcome, int]:
-    """Reads an object that an RPDO carries; one that is no used output may be missing or unreadable."""
+    """Reads an object that an RPDO carries; returns 0 for an unused object that cannot be read."""
     index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
     size = (count + 7) // 8
     if index == board.layout.settings.object and board.layout.output_bits >> 8 * (sub - 1) & 0xFF:
@@ -261,12 +262,12 @@ def _value(board: Board, entry: int) -> Generator[Step, Outcome, int]:
 
 
 def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
-    """Returns what the board holds, so that a later change is noticed."""
-    needs = {(n.index, n.sub): n for n in (*it.needs, *it.error_mode) if (n.index, n.sub) in it.held}
-    for _, held in (*it.rpdos, *it.tpdos):
-        index, mapping = held.parameters, held.mapping
-        needs[index, 1] = Need(index, 1, held.cob_id & ~INVALID, 4, "COB-ID", mask=INVALID | 0x7FF)
-        needs[index, 2] = Need(index, 2, held.kind, 1, "transmission type")
+    """Returns the values of the board's objects after the boot, so that a later change is found."""
+    needs = {(n.index, n.sub): n for n in (*it.needs, *it.error_mode) if (n.index, n.sub) in it.values}
+    for _, present in (*it.rpdos, *it.tpdos):
+        index, mapping = present.parameters, present.mapping
+        needs[index, 1] = Need(index, 1, present.cob_id & ~INVALID, 4, "COB-ID", mask=INVALID | 0x7FF)
+        needs[index, 2] = Need(index, 2, present.kind, 1, "transmission type")
         needs[index + 0x200, 0] = Need(index + 0x200, 0, len(mapping), 1, "number of mapped objects")
         needs |= {
             (index + 0x200, 1 + i): Need(index + 0x200, 1 + i, entry, 4, "mapped object")

@@ -1,4 +1,4 @@
-"""Boot of all boards in parallel."""
+"""The boot of all boards in parallel."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from drivers.canopen.outputs import Outputs
 from drivers.canopen.station import Station
 from drivers.canopen.wiring import Timing, Wiring
 
-_MOST_REBOOTS = 5  # of one board while it is booted
+_MOST_REBOOTS = 5  # restarts of one board during its boot
 
 
 class Booting:
-    """Boots boards, and knows which could not be booted.
+    """Boots all boards, and collects their faults.
 
     Args:
         stations: all boards.
         outputs: takes the outputs that are read back.
-        wiring: what is known of boards without an error mode.
-        timing: heartbeats and boot time.
+        wiring: tells the error state of boards without an error mode.
+        timing: heartbeat and boot times.
     """
 
     def __init__(self, stations: Sequence[Station], outputs: Outputs, wiring: Wiring, timing: Timing) -> None:
@@ -33,16 +33,16 @@ class Booting:
 
     @property
     def under_way(self) -> bool:
-        """Whether a board is not booted yet."""
+        """Whether the boot of a board still runs."""
         return bool(self._pending)
 
     @property
     def faults(self) -> list[Fault]:
-        """One fault for each bus, then for each board, that is not up."""
+        """One fault for each lost bus, then one for each board that could not be booted."""
         return [*self._bus_faults.values(), *(fault for _, fault in sorted(self._board_faults.items()))]
 
     def begin(self, lost: Mapping[str, Fault], now: float) -> None:
-        """Begins to boot all boards but those of lost buses, in place of what is under way."""
+        """Starts the boot of all boards, except those on lost buses. A running boot is cancelled."""
         for station in self._stations:
             station.cancel()
             station.board.forget()
@@ -53,7 +53,7 @@ class Booting:
             self._start(station, now)
 
     def rebooted(self, station: Station, now: float) -> None:
-        """Boots a board again that has started anew meanwhile: what was written to it is gone."""
+        """Boots a board again that has restarted during its boot: its configuration is lost."""
         if not self._pending:
             return
         i = station.index
@@ -65,11 +65,11 @@ class Booting:
             self._start(station, now)
         else:
             name = station.board.name
-            text = f"board {name} started anew {self._reboots[i]} times while it was booted: check its supply"
+            text = f"board {name} restarted {self._reboots[i]} times during its boot: check its supply"
             self._ended(i, Fault("board-rebooted", name, text))
 
     def bus_lost(self, fault: Fault) -> None:
-        """Gives up the boards of a bus; the fault stands for all of them."""
+        """Cancels the boot of all boards of a bus; the fault of the bus replaces theirs."""
         if not self._pending:
             return
         self._bus_faults.setdefault(fault.source, fault)
@@ -94,11 +94,11 @@ class Booting:
         self._find_lost()
 
     def _find_lost(self) -> None:
-        """Finds boards, at the end, that were booted and lost again while others booted."""
+        """Finds boards that were booted and lost again while others booted; at the end."""
         if self._pending:
             return
         for station in self._stations:
             board, i = station.board, station.index
             if not board.ready and i not in self._board_faults and board.layout.bus not in self._bus_faults:
-                text = f"board {board.name} was booted, and lost again while others booted: check its supply and wires"
+                text = f"board {board.name} was lost again while other boards booted: check its supply and wires"
                 self._board_faults[i] = Fault("board-lost", board.name, text)

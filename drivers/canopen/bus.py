@@ -1,4 +1,4 @@
-"""One CAN bus over python-can, without blocking: the only module here with I/O."""
+"""One CAN bus over python-can, non-blocking. No other module of this folder imports python-can."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from drivers.canopen.events import Changed, Echoed, Event, Ignored, Received
 from drivers.canopen.faults import BusError
 from drivers.canopen.wiring import BusSettings
 
-_MOST_EVENTS = 256  # of one poll, so that a flood does not stop the caller
+_MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
-_OLDEST = 10.0  # [s]; a frame whose time stamp is older, or in the future, counts as one without
-_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
-_NOTHING = (errno.EAGAIN, errno.EINTR)  # there is no frame after all
+_OLDEST = 10.0  # [s]; an older time stamp, or one in the future, is ignored
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or deleted
+_NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
 
 # Error frames of SocketCAN, from linux/can/error.h.
 _CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100  # classes, in the identifier
@@ -30,8 +30,8 @@ class ErrorFrame(NamedTuple):
     """The content of one error frame.
 
     Attributes:
-        state: of the controller, "active", "warning", "passive" or "bus-off"; None if the frame does not tell.
-        errors: its error counters in sending and receiving; None if the frame does not tell.
+        state: controller state, "active", "warning", "passive" or "bus-off"; None if the frame does not tell.
+        errors: transmit and receive error counter; None if the frame does not tell.
     """
 
     state: str | None
@@ -58,8 +58,8 @@ class CanBus:
     A bus that goes down is opened again by `poll`, with a growing pause between attempts.
 
     Args:
-        settings: which bus.
-        clock: for the pauses [s].
+        settings: name, interface, channel and bit rate.
+        clock: time for the pauses [s].
     """
 
     def __init__(self, settings: BusSettings, clock: Callable[[], float] = time.monotonic) -> None:
@@ -70,11 +70,11 @@ class CanBus:
         self._down = False
         self._pause = _FIRST_PAUSE
         self._next_try = 0.0
-        self._events: list[Event] = []  # of opening and sending
+        self._events: list[Event] = []  # from opening and sending
 
     @property
     def name(self) -> str:
-        """Of the bus."""
+        """Name of the bus."""
         return self.settings.name
 
     def open(self) -> None:
@@ -92,9 +92,9 @@ class CanBus:
         self._events.append(Changed(self.name, "active", "", None))
 
     def fileno(self) -> int | None:
-        """Returns the file descriptor to wait on; None if there is none now: call `poll` every tick.
+        """Returns the file descriptor to wait on; None if there is none now, then call `poll` every tick.
 
-        It changes when the bus is opened again: ask after each `poll`.
+        The number changes when the bus is opened again: ask for it after each `poll`.
         """
         if self._bus is None:
             return None
@@ -105,7 +105,7 @@ class CanBus:
         return number if number >= 0 else None
 
     def send(self, frame: Frame) -> str | None:
-        """Sends a frame now or not at all; returns None, or why it was not sent. The caller tells the master."""
+        """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"
         try:
@@ -117,7 +117,7 @@ class CanBus:
         return None
 
     def poll(self) -> list[Event]:
-        """Returns what happened since the last call, at most 256 frames; if as many, call again soon."""
+        """Returns the events since the last call, at most 256 frames; after 256, call again soon."""
         events, self._events = self._events, []
         if self._bus is None and not self._closed and self._clock() >= self._next_try:
             try:
@@ -129,11 +129,11 @@ class CanBus:
                 break
             try:
                 message = self._bus.recv(0)
-            except Exception as error:  # whatever the interface raises, reading goes on when it is back
+            except Exception as error:  # interfaces raise any exception; reading continues when the bus is back
                 if getattr(error, "error_code", None) not in _NOTHING:
                     self._lose(f"reading failed ({error})")
                 break
-            if self._down:  # an interface that is down can be opened, and fails to be read
+            if self._down:  # an interface that is down can be opened, but not read
                 self._down, self._pause = False, _FIRST_PAUSE
                 events.append(Changed(self.name, "active", "", None))
             if message is None:
@@ -144,7 +144,7 @@ class CanBus:
         return events
 
     def close(self) -> None:
-        """Closes the bus; sends nothing."""
+        """Closes the bus. Sends nothing."""
         self._closed = True
         self._shut()
         self._events = [Changed(self.name, "closed", "", None)]
@@ -157,7 +157,7 @@ class CanBus:
         if (remote and message.is_rx) or message.is_extended_id or message.is_fd:
             return Ignored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
         frame = Frame(message.arbitration_id | (REMOTE if remote else 0), bytes(message.data))
-        late = time.time() - message.timestamp  # an interface may have another clock
+        late = time.time() - message.timestamp  # the interface may use another clock
         at = time.monotonic() - late if 0.0 <= late < _OLDEST else None
         return Received(self.name, frame, at) if message.is_rx else Echoed(self.name, frame, at)
 
@@ -167,13 +167,13 @@ class CanBus:
             interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=True, ignore_config=True
         )
         if (raw := getattr(bus, "socket", None)) is not None:
-            raw.setblocking(False)  # a full send buffer must fail, not wait
+            raw.setblocking(False)  # a full send buffer must fail, not block
         return bus
 
     def _shut(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
-            with contextlib.suppress(Exception):  # an interface that is gone may fail to shut
+            with contextlib.suppress(Exception):  # a missing interface may fail to shut down
                 bus.shutdown()
 
     def _lose(self, why: str) -> None:

@@ -22,14 +22,14 @@ DUMMY_BYTE = 0x0005_0008  # mapping of a byte for another board (CiA 301, 7.4.7)
 
 
 class Frame(NamedTuple):
-    """A CAN frame with an 11 bit identifier: 0..8 bytes of data, or a remote frame without data, its id with REMOTE."""
+    """A CAN frame with an 11 bit identifier: a data frame of 0..8 bytes, or a remote frame, whose id has REMOTE."""
 
     id: int
     data: bytes = b""
 
 
 class Command(IntEnum):
-    """Commands of the network management (CiA 301, 7.2.8.3.1)."""
+    """NMT commands (CiA 301, 7.2.8.3.1)."""
 
     START = 1
     STOP = 2
@@ -39,7 +39,7 @@ class Command(IntEnum):
 
 
 class State(IntEnum):
-    """States of a node, as in its heartbeat (CiA 301, 7.2.8.3.2)."""
+    """NMT states of a node, as in its heartbeat (CiA 301, 7.2.8.3.2)."""
 
     BOOT_UP = 0
     STOPPED = 4
@@ -48,7 +48,7 @@ class State(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state for messages."""
+        """The state in words, for messages."""
         return self.name.lower().replace("_", "-").replace("boot-up", "booting")
 
 
@@ -56,27 +56,27 @@ STATES = {int(state): state for state in State}
 
 
 def command(order: Command, node: int) -> Frame:
-    """A network management command to one node, or to all nodes with node 0."""
+    """Returns the frame of an NMT command to one node; node 0: all nodes."""
     return Frame(NMT, bytes((order, node)))
 
 
 def heartbeat(node: int, state: State) -> Frame:
-    """A heartbeat. With the state BOOT_UP it is the boot-up message."""
+    """Returns the frame of a heartbeat; with the state BOOT_UP it is the boot-up message."""
     return Frame(HEARTBEAT + node, bytes((state,)))
 
 
 def split(cob_id: int) -> tuple[int, int]:
-    """The function code and the node id of an 11 bit identifier."""
+    """Returns the function code and the node id of an 11 bit identifier."""
     return cob_id & 0x780, cob_id & 0x7F
 
 
 def mapping(index: int, sub: int, bits: int = 8) -> int:
-    """One entry of a PDO mapping (CiA 301, 7.5.2.36)."""
+    """Returns an entry of a PDO mapping; `bits` is its length (CiA 301, 7.5.2.36)."""
     return index << 16 | sub << 8 | bits
 
 
 def wire_bits(size: int, extended: bool = False) -> int:
-    """Bits of a data frame on the wire at worst, for 0..8 bytes of data.
+    """Returns the greatest number of bits of a data frame on the wire, for 0..8 bytes of data.
 
     All possible stuff bits and the 3 bits between frames are counted: 8 n + 47 + (34 + 8 n - 1) // 4 with an
     identifier of 11 bits, from Davis, Burns, Bril and Lukkien 2007, "Controller Area Network (CAN) schedulability
@@ -133,7 +133,7 @@ _EMERGENCY_GROUPS = {
 
 
 def emergency_words(code: int) -> str:
-    """An emergency's error code in words, e.g. "output short circuit (2320h)"."""
+    """Returns an emergency error code in words, e.g. "output short circuit (2320h)"."""
     group = code >> 8
     words = _EMERGENCIES.get(code) or _EMERGENCY_GROUPS.get(group) or _EMERGENCY_GROUPS.get(group & 0xF0)
     return f"{words or 'unknown error'} ({code:04X}h)"

@@ -1,4 +1,4 @@
-"""Commit: all RPDOs of a change, and when all have left, one SYNC a bus."""
+"""The commit of outputs: sends all changed RPDOs; when all of them were sent, one SYNC on each bus."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ _SYNC = Frame(cia301.SYNC)
 
 
 class Commit:
-    """Switches all boards of a bus at one instant.
+    """Switches all boards of a bus at the same instant.
 
-    A SYNC is handed out only when all RPDOs of all buses have left. So no SYNC waits behind a failure: what the kernel
-    still holds when a bus fails switches nothing when the bus comes back.
+    SYNC is sent only after all RPDOs of all buses were sent. So no SYNC waits in a queue when a bus fails, and the
+    frames that the kernel still holds switch nothing when the bus comes back.
 
     Attributes:
-        failed: why the last commit failed; None if it did not.
-        switched: masks of lines, with the real time when their SYNC was known to have left [s].
+        failed: reason of the last failure, as a sentence; None after a success.
+        switched: masks of switched lines, each with the real time of its SYNC [s].
 
     Args:
-        links: by name of the bus.
-        outputs: of all boards; they change when a SYNC has left.
-        note: takes each mask of lines that were switched.
-        longest: a commit that takes longer is given up [s, real time]: its SYNC would come too late.
+        links: the buses by name.
+        outputs: output lines of all boards; they change when the SYNC was sent.
+        note: takes each mask of switched lines.
+        longest: a commit that takes longer is cancelled, since its SYNC would be too late [s, real time].
     """
 
     def __init__(
@@ -39,8 +39,8 @@ class Commit:
         self._refusal: Callable[[], str | None] = lambda: None
         self._states = 0
         self._began = 0.0
-        self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that have not left
-        self._syncs: set[str] = set()  # buses whose SYNC is on its way
+        self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that were not sent yet
+        self._syncs: set[str] = set()  # buses whose SYNC was handed out and not sent yet
 
     @property
     def under_way(self) -> bool:
@@ -49,16 +49,16 @@ class Commit:
 
     @property
     def collecting(self) -> bool:
-        """Whether RPDOs are still on their way on each bus of the commit: nothing has switched by it."""
+        """Whether the commit still waits for RPDOs, so that it has switched nothing."""
         return bool(self._waiting) and not self._syncs
 
     @property
     def unknown(self) -> bool:
-        """Whether a SYNC is on its way."""
+        """Whether a SYNC was handed out and may or may not be sent."""
         return bool(self._syncs)
 
     def forget(self) -> None:
-        """Gives everything up: the boards' outputs are read back."""
+        """Cancels the commit; the caller reads the outputs back."""
         self._waiting, self._syncs, self.failed = {}, set(), None
 
     def begin(
@@ -69,12 +69,12 @@ class Commit:
         clock: float,
         now: float,
     ) -> None:
-        """Begins to switch to the states.
+        """Starts the switch to the states.
 
         Args:
             states: levels of all output lines.
-            due: RPDOs, and orders, to send on each bus that needs a SYNC, in order; not empty.
-            refusal: returns why nothing may be switched, or None.
+            due: RPDOs and NMT commands to send on each bus that needs a SYNC, in order; not empty.
+            refusal: returns why nothing may be switched now, or None.
             clock: real time [s].
             now: time that stands still while the loop stalls [s].
         """
@@ -86,24 +86,24 @@ class Commit:
                 if key is not None:
                     self._outputs.sending(key)
                 self._links[bus].send(frame, now)
-        self._sync_if_left(clock, now)
+        self._sync_when_sent(clock, now)
 
     def give_up(self, why: str) -> None:
-        """Gives up what waits; nothing of it is sent later. A SYNC that is on its way is left alone."""
+        """Cancels the RPDOs that wait; nothing of them is sent later. A SYNC that was handed out is not cancelled."""
         if self._waiting:
             self._waiting = {}
             self.failed = why
 
-    def left(self, bus: str, frame: Frame, clock: float, now: float) -> None:
-        """Notes that a frame of ours has left."""
+    def sent(self, bus: str, frame: Frame, clock: float, now: float) -> None:
+        """Records that a frame of the master was sent."""
         if frame.id == cia301.SYNC:
-            self._sync_left(bus, clock)
+            self._sync_sent(bus, clock)
         elif frame in (frames := self._waiting.get(bus, {})):
-            self._frame_left(frames.pop(frame), frame, clock)
-            self._sync_if_left(clock, now)
+            self._frame_sent(frames.pop(frame), frame, clock)
+            self._sync_when_sent(clock, now)
 
     def send_failed(self, bus: str, frame: Frame, why: str) -> None:
-        """Notes that a frame of ours was not sent."""
+        """Records that a frame of the master could not be sent."""
         if frame.id == cia301.SYNC and bus in self._syncs:
             self._syncs.remove(bus)
             self.failed = f"{bus}: the SYNC was not sent: {why}"
@@ -111,39 +111,39 @@ class Commit:
             self.give_up(f"{bus}: frame {frame.id:03X}h was not sent: {why}")
 
     def bus_lost(self, bus: str) -> None:
-        """Notes that a bus is lost. Whether its SYNC has left is unknown until its boards are booted."""
+        """Records the loss of a bus. Its outputs stay unknown until the boot if its SYNC was handed out."""
         if bus in self._syncs:
             self._syncs.remove(bus)
-            self.failed = f"{bus} was lost while its SYNC was on its way"
+            self.failed = f"{bus} was lost while its SYNC was being sent"
         elif bus in self._waiting:
             self.give_up(f"{bus} was lost")
 
     def tick(self, clock: float, now: float) -> None:
-        """Does what time brings; on a bus that gives no frames back, those that did not fail have left."""
+        """Call every period. On a bus without echoes, frames that did not fail count as sent."""
         if not self.under_way:
             return
         for bus in [bus for bus in self._syncs if not self._links[bus].echoes]:
-            self._sync_left(bus, clock)
+            self._sync_sent(bus, clock)
         for bus, frames in self._waiting.items():
             if not self._links[bus].echoes:
                 for frame, key in frames.items():
-                    self._frame_left(key, frame, clock)
+                    self._frame_sent(key, frame, clock)
                 frames.clear()
-        self._sync_if_left(clock, now)
+        self._sync_when_sent(clock, now)
 
     def _frame(self, key: Key | Frame) -> tuple[Frame, Key | None]:
         return (key, None) if isinstance(key, Frame) else (self._outputs.frame(key, self._states), key)
 
-    def _frame_left(self, key: Key | None, frame: Frame, clock: float) -> None:
+    def _frame_sent(self, key: Key | None, frame: Frame, clock: float) -> None:
         if key is not None and (mask := self._outputs.sent(key, frame, self._states)):
             self._switched(mask, clock)
 
-    def _sync_if_left(self, clock: float, now: float) -> None:
+    def _sync_when_sent(self, clock: float, now: float) -> None:
         if not self._waiting:
             return
         waiting = [bus for bus, frames in self._waiting.items() if frames]
         if clock - self._began > self._longest:
-            late = f"frames on {', '.join(waiting)} have not left" if waiting else "the executor was halted"
+            late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
             self.give_up(f"{late} for {self._longest:g} s")
         elif not waiting:
             if (refusal := self._refusal()) is not None:
@@ -154,7 +154,7 @@ class Commit:
             for bus in buses:
                 self._links[bus].send(_SYNC, now)
 
-    def _sync_left(self, bus: str, clock: float) -> None:
+    def _sync_sent(self, bus: str, clock: float) -> None:
         if bus in self._syncs:
             self._syncs.remove(bus)
             if mask := self._outputs.switched(bus, self._states):

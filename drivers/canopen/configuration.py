@@ -1,4 +1,4 @@
-"""The configuration of a board: what its objects must hold for a wiring (CiA 301, 7.5.2; CiA 401, 7)."""
+"""The configuration of a board: the values that a wiring needs in its objects (CiA 301, 7.5.2; CiA 401, 7)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CONTRACT = "with on_loss: contract, or with pulses, its outputs must go off whe
 
 
 def identity(settings: NodeSettings) -> list[Need]:
-    """1018h, as far as the arm's file names it."""
+    """Identity, 1018h, as far as the arm's file gives it."""
     named = (
         (1, "vendor", settings.vendor),
         (2, "product", settings.product),
@@ -31,9 +31,9 @@ def identity(settings: NodeSettings) -> list[Need]:
 
 
 def synchronisation() -> list[Need]:
-    """SYNC: sent on demand with the identifier 080h and without a counter."""
+    """SYNC, 1005h, 1006h and 1019h: sent on demand with the COB-ID 080h and without a counter."""
     return [
-        Need(0x1006, 0, 0, 4, "period of SYNC"),  # SYNC is sent on demand: its absence is no error
+        Need(0x1006, 0, 0, 4, "period of SYNC"),  # SYNC comes on demand: a missing SYNC is no error
         Need(0x1005, 0, 0, 4, "producing SYNC", mask=_PRODUCES),
         Need(0x1005, 0, _SYNC, 4, "COB-ID of SYNC", mask=0x7FFF_FFFF),
         Need(0x1019, 0, 0, 1, "counter of SYNC"),
@@ -41,7 +41,7 @@ def synchronisation() -> list[Need]:
 
 
 def heartbeats(timing: Timing) -> list[Need]:
-    """Supervision by heartbeats, both ways."""
+    """Supervision by heartbeats in both directions, 1016h and 1017h."""
     return [
         Need(0x1016, 1, MASTER << 16 | _ms(timing.heartbeat_timeout), 4, "heartbeat of the master"),
         Need(0x1017, 0, _ms(timing.heartbeat), 2, "period of its heartbeat"),
@@ -49,7 +49,7 @@ def heartbeats(timing: Timing) -> list[Need]:
 
 
 def guarding(timing: Timing) -> list[Need]:
-    """Supervision by node guarding: the life time is the heartbeat time-out, a few milliseconds more at most."""
+    """Supervision by node guarding, 100Ch and 100Dh; the life time is the heartbeat timeout, rounded up."""
     factor = math.ceil(timing.heartbeat_timeout / timing.heartbeat)
     time = math.ceil(_ms(timing.heartbeat_timeout) / factor)
     return [
@@ -59,17 +59,17 @@ def guarding(timing: Timing) -> list[Need]:
 
 
 def on_master_lost(board: BoardLayout) -> Need:
-    """1029h: what the board does to its state if the master is no longer heard."""
+    """Error behaviour, 1029h: the NMT state that the board enters when it loses the master."""
     # A board that lost the master must leave operational: otherwise RPDOs and SYNC of a dying master still switch it.
-    # To hold, pre-operational: it still answers SDO. To contract, stopped: the one state in which every vendor applies
-    # 6207h.
+    # Boards that hold enter pre-operational, in which they answer SDO. Boards that contract enter stopped, the only
+    # state in which the boards of every vendor apply 6207h.
     falls = board.loss[0] != 0
     state = _STOPPED if falls else _PRE_OPERATIONAL
     return Need(0x1029, 1, state, 1, "error behaviour", required=_CONTRACT if falls else None)
 
 
 def polarity(board: BoardLayout) -> list[Need]:
-    """6202h: the outputs are not inverted by the board. Writing it would switch them."""
+    """Polarity, 6202h: the board inverts no output. A write would switch the outputs."""
     advice = "the board inverts outputs; write this while nothing can move, for it switches them"
     return [
         Need(0x6202, sub, 0, 1, "polarity of the outputs", mask=_byte(board.output_bits, sub), fixed=advice)
@@ -77,14 +77,14 @@ def polarity(board: BoardLayout) -> list[Need]:
     ]
 
 
-def held(board: BoardLayout) -> list[Need]:
-    """Error mode: the outputs keep their values."""
+def hold_outputs(board: BoardLayout) -> list[Need]:
+    """Error mode, 6206h: the outputs keep their values when the board loses the master."""
     bits = board.output_bits
     return [Need(0x6206, sub, 0, 1, "error mode", mask=_byte(bits, sub)) for sub in subs_of(bits)]
 
 
 def error_mode(board: BoardLayout) -> list[Need]:
-    """Error mode: what the outputs do if the master is no longer heard."""
+    """Error mode and value, 6206h and 6207h: the outputs take their loss level when the board loses the master."""
     bits, (taken, levels) = board.output_bits, board.loss
     needs = [
         Need(0x6207, sub, _byte(levels, sub), 1, "error value", mask=_byte(taken, sub), required=_CONTRACT)
@@ -97,13 +97,13 @@ def error_mode(board: BoardLayout) -> list[Need]:
 
 
 def filters(board: BoardLayout) -> list[Need]:
-    """6208h: the board takes over all used outputs."""
+    """Output filter, 6208h: the board accepts all used outputs."""
     bits = board.output_bits
     return [Need(0x6208, s, _byte(bits, s), 1, "output filter", mask=_byte(bits, s)) for s in subs_of(bits)]
 
 
 def interrupts(board: BoardLayout) -> list[Need]:
-    """6005h and 6006h: the board sends its inputs when one changes."""
+    """Interrupts, 6005h and 6006h: the board sends its inputs when one changes."""
     bits = board.input_bits
     return [Need(0x6005, 0, 1, 1, "input interrupts")] * bool(bits) + [
         Need(0x6006, s, _byte(bits, s), 1, "interrupt at any change", mask=_byte(bits, s)) for s in subs_of(bits)

@@ -1,4 +1,4 @@
-"""Conversations with boards outside the executor: they block until they are over."""
+"""Runs a conversation with boards for commands outside the executor; blocks until its end."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from drivers.canopen.bus import CanBus
 from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Event
 
-_POLL = 0.001  # [s] between two looks at the buses
+_POLL = 0.001  # [s] between two polls of the buses
 
 
 class Conversation(Protocol):
-    """Frames in, frames out; pure like the master."""
+    """Takes events and time, and hands out frames. Like the master, it has no I/O and no clock."""
 
     @property
     def over(self) -> bool:
-        """Whether nothing more is to be asked or awaited."""
+        """Whether the conversation has ended."""
 
     def start(self, now: float) -> None:
-        """Begins; all buses are open."""
+        """Begins. All buses are open."""
 
     def take(self, event: Event, now: float) -> None:
         """Takes an event of a bus."""
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
-        """Notes that a frame was not sent."""
+        """Records that a frame could not be sent."""
 
     def tick(self, now: float) -> None:
-        """Does what time brings."""
+        """Call every millisecond: handles timeouts."""
 
 
 def converse(it: Conversation, outbox: list[tuple[str, Frame]], buses: Sequence[CanBus]) -> None:
-    """Leads a conversation on some buses until it is over.
+    """Runs a conversation until its end.
 
     Args:
         it: the conversation.
-        outbox: into which it puts its frames, with the names of their buses.
-        buses: closed; they are opened, and closed again.
+        outbox: the frames that the conversation hands out, with the names of their buses.
+        buses: its buses, still closed; they are opened here, and closed at the end.
 
     Raises:
         BusError: a bus cannot be opened.

@@ -1,4 +1,4 @@
-"""What a wiring needs of a board, against the electronic data sheet (EDS) of its maker; without a bus (CiA 306-1)."""
+"""Compares the needs of a wiring with the electronic data sheet (EDS) of a board, without a bus (CiA 306-1)."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, carried_bits, subs_of
 from drivers.canopen.pdo_setup import ON_CHANGE, ON_SYNC, pdo_words
 from drivers.canopen.wiring import ErrorState, Timing
 
-_PROFILE = 0x191  # of 1000h
-_PDOS = 32  # that are looked through
+_PROFILE = 0x191  # CiA 401, in 1000h
+_PDOS = 32  # PDOs of a direction that are searched
 _MOST_ENTRIES = 8
 
 
 class UnreadableEds(ValueError):
-    """The file is no EDS; the text says why."""
+    """The file cannot be read as an EDS; the text says why."""
 
 
 class Lack(NamedTuple):
-    """A need that a board does not meet by its EDS.
+    """A need of the wiring that the board does not meet, according to its EDS.
 
     Attributes:
         object: index and sub-index, in words.
-        says: what the EDS says of it.
+        says: what the EDS says about this object.
         needed: what is needed, and why.
     """
 
@@ -46,11 +46,11 @@ class Eds:
     """The object dictionary of an EDS.
 
     Args:
-        path: of the file.
+        path: path of the file.
         node: node id, which is part of COB-IDs.
 
     Raises:
-        UnreadableEds: the file is missing, or is no EDS.
+        UnreadableEds: the file is missing, or cannot be read as an EDS.
     """
 
     def __init__(self, path: Path, node: int) -> None:
@@ -59,29 +59,29 @@ class Eds:
                 self._objects = canopen.import_od(file, node)
         except OSError as error:
             raise UnreadableEds(error.strerror or str(error)) from None
-        except Exception as error:  # the library passes on whatever its parser raises
+        except Exception as error:  # the parser of the library raises many types
             raise UnreadableEds(f"no EDS: {type(error).__name__}: {error}") from None
         if not len(self._objects):
             raise UnreadableEds("no EDS: it describes no object")
 
     def find(self, index: int, sub: int) -> ODVariable | None:
-        """Returns an entry; None if there is none."""
+        """Returns an entry of the dictionary; None if it is absent."""
         found = self._objects.indices.get(index)
         if found is None or isinstance(found, ODVariable):
             return found if sub == 0 else None
         entry = found.subindices.get(sub)
         if entry is None and 1 in found.subindices and 0 < sub <= (self.default(index, 0) or 0):
-            entry = found[sub]  # like the first: an array that is described once
+            entry = found[sub]  # an array that is described once: all entries are like the first
         return entry if isinstance(entry, ODVariable) else None
 
     def default(self, index: int, sub: int) -> int | None:
-        """Returns the value as delivered; None if the EDS does not tell."""
+        """Returns the default value; None if the EDS does not tell."""
         entry = self.find(index, sub)
         value = None if entry is None else entry.default
         return value if isinstance(value, int) else None
 
     def says(self, index: int, sub: int) -> str:
-        """Returns what is said of an entry, in words."""
+        """Returns what the EDS says about an entry, in words."""
         entry, default = self.find(index, sub), self.default(index, sub)
         if entry is None:
             return "nothing of it"
@@ -89,19 +89,19 @@ class Eds:
         return f"AccessType={entry.access_type}, PDOMapping={int(bool(entry.pdo_mappable))}{value}"
 
     def writable(self, index: int, sub: int) -> bool:
-        """Whether an entry is there and can be written."""
+        """Returns whether an entry exists and can be written."""
         entry = self.find(index, sub)
         return entry is not None and bool(entry.writable)
 
 
 def lacks(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
-    """Returns all that a board lacks by its EDS.
+    """Returns all unmet needs of a board's wiring, according to its EDS.
 
     Args:
-        eds: of the board.
-        board: its wiring.
-        timing: of heartbeats.
-        error_state: what a person knows of boards without an error mode.
+        eds: electronic data sheet of the board.
+        board: wiring of the board.
+        timing: heartbeat times.
+        error_state: field `error_state` of the arm's file, for boards without an error mode.
     """
     return [
         *_identity(eds, board),
@@ -122,12 +122,12 @@ def _identity(eds: Eds, board: BoardLayout) -> Iterable[Lack]:
         yield Lack("1000h sub 0 (device type)", f"{kind:08X}h", "profile 0191h (CiA 401) is needed")
     for need in configuration.identity(board.settings):
         value = eds.default(need.index, need.sub)
-        if value and not need.met(value):  # 0 in many an EDS, as the device tells it
+        if value and not need.met(value):  # many an EDS has 0: only the device tells the value
             yield Lack(need.place, need.words(value), f"the arm's file says {need.words(need.value)}")
 
 
 def _bytes(eds: Eds, index: int, bits: int, what: str) -> Iterable[Lack]:
-    """Checks that the bytes of used outputs or inputs are there, readable and mappable."""
+    """Checks that the bytes of the used outputs or inputs exist and are readable."""
     for sub in subs_of(bits):
         place = f"{index:04X}h sub {sub} ({what}s {8 * sub - 8} to {8 * sub - 1})"
         entry = eds.find(index, sub)
@@ -162,12 +162,12 @@ def _error_mode(eds: Eds, board: BoardLayout, error_state: ErrorState | None) ->
 
 
 def _unmet(eds: Eds, needs: Iterable[Need], must: bool = False) -> Iterable[Lack]:
-    """Yields the needs that the values as delivered do not meet and that cannot be written.
+    """Yields the needs that the default values do not meet and that cannot be written.
 
     Args:
-        eds: of the board.
-        needs: of its objects.
-        must: whether absent objects are lacks, too.
+        eds: electronic data sheet of the board.
+        needs: values that its objects need.
+        must: absent objects count as unmet, too.
     """
     for need in needs:
         default, says = eds.default(need.index, need.sub), eds.says(need.index, need.sub)
@@ -185,7 +185,7 @@ def _unmet(eds: Eds, needs: Iterable[Need], must: bool = False) -> Iterable[Lack
 
 
 def _pdos(eds: Eds, board: BoardLayout, wanted: Iterable[Pdo]) -> Iterable[Lack]:
-    """Yields what keeps the wanted PDOs from being set up."""
+    """Yields why the wanted PDOs cannot be set up."""
     taken = set[int]()
     for pdo in wanted:
         first = pdo.parameters & 0xFF00
@@ -200,7 +200,7 @@ def _pdos(eds: Eds, board: BoardLayout, wanted: Iterable[Pdo]) -> Iterable[Lack]
 
 
 def _pdo(eds: Eds, board: BoardLayout, wanted: Pdo, parameters: int) -> Iterable[Lack]:
-    """Yields what keeps one PDO from carrying what is wanted."""
+    """Yields why one PDO cannot be set up as wanted."""
     rpdo, mapping, number = parameters < 0x1800, parameters + 0x200, pdo_words(parameters)
     base = board.settings.object if rpdo else INPUTS
     entries = [eds.default(mapping, 1 + i) or 0 for i in range(min(eds.default(mapping, 0) or 0, _MOST_ENTRIES))]
@@ -219,7 +219,7 @@ def _pdo(eds: Eds, board: BoardLayout, wanted: Pdo, parameters: int) -> Iterable
 
 
 def _mapping(eds: Eds, wanted: Pdo, mapping: int, number: str) -> Iterable[Lack]:
-    """Yields what keeps a PDO from being mapped anew."""
+    """Yields why the mapping of a PDO cannot be changed."""
     for sub in (0, *range(1, 1 + len(wanted.mapping))):
         if not eds.writable(mapping, sub):
             entries = " ".join(f"{entry:08X}h" for entry in wanted.mapping)
@@ -229,5 +229,5 @@ def _mapping(eds: Eds, wanted: Pdo, mapping: int, number: str) -> Iterable[Lack]
     for entry in wanted.mapping:
         index, sub = entry >> 16, entry >> 8 & 0xFF
         found = eds.find(index, sub)
-        if index > 7 and found is not None and not found.pdo_mappable:  # 0001h to 0007h are dummies
+        if index > 7 and found is not None and not found.pdo_mappable:  # 0001h to 0007h are dummy entries
             yield Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), f"{number} must map it: PDOMapping=1")

@@ -1,4 +1,4 @@
-"""What happens on a CAN bus, as plain data: `bus.CanBus` makes these events, `master.Master` takes them."""
+"""Events of a CAN bus, as plain data. `bus.CanBus` makes them, `master.Master` takes them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Received(NamedTuple):
     Attributes:
         bus: name.
         frame: the frame.
-        at: when it was on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell.
+        at: time on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell.
     """
 
     bus: str
@@ -22,11 +22,11 @@ class Received(NamedTuple):
 
 
 class Ignored(NamedTuple):
-    """Another frame: extended, remote or CAN FD.
+    """A received frame of another kind: extended, remote or CAN FD.
 
     Attributes:
         bus: name.
-        bits: on the wire at worst.
+        bits: greatest number of bits on the wire.
     """
 
     bus: str
@@ -34,12 +34,12 @@ class Ignored(NamedTuple):
 
 
 class Echoed(NamedTuple):
-    """A frame left this computer: a frame of ours, or of another program on the same interface.
+    """A frame was sent by this computer: by the master, or by another program on the same interface.
 
     Attributes:
         bus: name.
         frame: the frame.
-        at: as of `Received`.
+        at: see `Received`.
     """
 
     bus: str
@@ -48,7 +48,7 @@ class Echoed(NamedTuple):
 
 
 class SendFailed(NamedTuple):
-    """A frame was not sent and is not kept."""
+    """A frame could not be sent and is dropped."""
 
     bus: str
     frame: Frame
@@ -56,13 +56,13 @@ class SendFailed(NamedTuple):
 
 
 class Changed(NamedTuple):
-    """The state of the bus, or its error counters.
+    """The state of the bus or its error counters have changed.
 
     Attributes:
         bus: name.
         state: "active", "warning", "passive", "bus-off", "down" or "closed"; None if it did not change.
-        why: a sentence, or "".
-        errors: error counters in sending and receiving, None if unknown.
+        why: the reason as a sentence, or "".
+        errors: transmit and receive error counter; None if unknown.
     """
 
     bus: str

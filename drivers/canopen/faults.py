@@ -1,4 +1,4 @@
-"""Faults of buses and boards, each reported once."""
+"""Faults of buses and boards, and a log that reports each one once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class BusError(Exception):
 
 
 class Busy(Exception):
-    """A commit is refused: another is under way, or a bus or a board is not up."""
+    """A commit is refused: another one runs, or a bus or a board is not ready."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Fault:
             "wrong-device", "wrong-length", "sdo-refused", "emergency", "bus-off", "bus-down", "bus-busy",
             "bus-passive", "foreign-master" and "halted"; the executor adds "stuck", "unexpected-motion" and others.
         source: a board ("can0/5"), a bus ("can0") or an actuator ("5.left (can0/5 output 0)").
-        message: a sentence for a person.
+        message: a sentence for the user.
     """
 
     code: str
@@ -31,9 +31,9 @@ class Fault:
 
 
 class FaultLog:
-    """Faults that were not taken yet. A code and source is reported once, until `clear`.
+    """Faults that the caller has not taken yet. Each pair of code and source is reported once, until `clear`.
 
-    Only the first fault of one code and source counts: a board can send 65,280 different emergencies, 8,000 a second.
+    A limit is needed: a board can send 65,280 different emergencies, 8,000 a second.
     """
 
     def __init__(self) -> None:
@@ -53,6 +53,6 @@ class FaultLog:
         return new
 
     def clear(self) -> None:
-        """Forgets all faults; what is still wrong is reported again."""
+        """Forgets all faults; a fault that persists is reported again."""
         self._reported.clear()
         self._new = []

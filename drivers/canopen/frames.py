@@ -1,4 +1,4 @@
-"""RPDO frames of the master, assembled from the RPDOs of the boards that take them."""
+"""RPDO frames of the master, assembled from the RPDOs of the boards that receive them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from drivers.canopen.pdo import Bit, Carried, Pdo, carries, union
 
 
 class Run(NamedTuple):
-    """Neighbouring lines on neighbouring bits, to copy them at once.
+    """Successive lines on successive bits, which are copied at once.
 
     Attributes:
-        line: index of the first.
-        mask: of as many bits as there are lines, from bit 0.
-        place: bit of the first.
+        line: index of the first line.
+        mask: as many bits as there are lines, from bit 0.
+        place: bit of the first line in the frame.
     """
 
     line: int
@@ -26,19 +26,21 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class RpdoFrame:
-    """One RPDO frame of the master; several boards may take it.
+    """One RPDO frame of the master, which several boards may receive.
+
+    The bytes of the frame are one little-endian number.
 
     Attributes:
         bus: name of its bus.
         cob_id: its COB-ID.
-        size: [bytes].
-        on_sync: whether a SYNC applies it.
-        boards: indices of the boards that take it.
+        size: length [bytes].
+        on_sync: whether the boards apply it at the next SYNC, not at once.
+        boards: indices of the boards that receive it.
         lines: mask of the lines in it.
-        used: mask of their bits, in the number that its bytes make.
-        inverted: mask of the bits among them that are inverted.
-        bits: the lines in that number.
-        runs: the same, in runs.
+        used: mask of their bits in the number.
+        inverted: mask of the inverted bits among them.
+        bits: lines and their bits in the number.
+        runs: the same lines as runs.
     """
 
     bus: str
@@ -83,7 +85,7 @@ def assemble(boards: Iterable[BoardLayout], rpdos: Mapping[int, tuple[Pdo, ...]]
 
 
 def _placed(bit: int, carried: Iterable[Carried]) -> int:
-    """Returns the mask of a board's bit in a PDO, 0 if that does not carry it."""
+    """Returns the mask of a board's bit in a PDO; 0 if the PDO does not carry it."""
     number = bit.bit_length() - 1
     return union(1 << c.place + number - c.bit for c in carried if c.bit <= number < c.bit + c.width)
 

@@ -1,4 +1,4 @@
-"""What a board is and holds, against what its wiring needs: the reads and verdicts of boot and of `check --bus`."""
+"""Reads a board's objects and compares them with the needs of its wiring, for the boot and for `check --bus`."""
 
 from __future__ import annotations
 
@@ -11,58 +11,58 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.objects import Need
 from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
-from drivers.canopen.pdo_setup import Held
+from drivers.canopen.pdo_setup import PdoState
 from drivers.canopen.procedure import BoardError, Step
 from drivers.canopen.quirks import NONE, VENDORS, Quirk, quirk_of
 from drivers.canopen.sdo import Outcome
 from drivers.canopen.wiring import ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
-MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # emergency, and the bits of 1001h that it sets
+MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # error code, and the bits of 1001h that it sets
 
 
 @dataclass
 class Inspection:
-    """What was read of one board, and what is to be done with it.
+    """The values read from one board, and the needs of its wiring.
 
     Attributes:
-        layout: its wiring.
-        quirk: what is special about it.
-        warnings: what a person should know of the board; a sentence each, without its name.
-        held: values read or written, by index and sub-index.
-        needs: that must be met, in the order of writing; PDOs and error mode are apart.
-        error_mode: needs that must be met once the board is operational.
+        layout: wiring of the board.
+        quirk: peculiarities of the device.
+        warnings: sentences on the limits of the board, without its name.
+        values: values read or written, by index and sub-index.
+        needs: needs in the order of writing, without PDOs and error mode.
+        error_mode: needs that are written when the board is operational.
         has_error_mode: whether it has 6206h.
-        synchronous: whether it takes SYNC.
-        refuses_sync: whether it has refused RPDOs that wait for SYNC.
-        kept_errors: bits of its error register that it keeps without a present cause.
-        guarded: whether it is supervised by node guarding, instead of heartbeats.
-        rpdos: the wanted RPDOs, and as they are.
-        tpdos: the wanted TPDOs, and as they are.
+        synchronous: whether it has 1005h, so that it receives SYNC.
+        refuses_sync: whether it has refused a synchronous transmission type of its RPDOs.
+        standing_errors: bits of 1001h that stay set without a present cause.
+        guarded: whether node guarding supervises it, in place of heartbeats.
+        rpdos: the wanted RPDOs, each with its present state.
+        tpdos: the wanted TPDOs, likewise.
     """
 
     layout: BoardLayout
     quirk: Quirk = NONE
     warnings: list[str] = field(default_factory=list)
-    held: dict[tuple[int, int], int] = field(default_factory=dict)
+    values: dict[tuple[int, int], int] = field(default_factory=dict)
     needs: list[Need] = field(default_factory=list)
     error_mode: list[Need] = field(default_factory=list)
     has_error_mode: bool = False
     synchronous: bool = True
     refuses_sync: bool = False
-    kept_errors: int = 0
+    standing_errors: int = 0
     guarded: bool = False
-    rpdos: list[tuple[Pdo, Held]] = field(default_factory=list)
-    tpdos: list[tuple[Pdo, Held]] = field(default_factory=list)
+    rpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)
+    tpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)
 
     @property
     def name(self) -> str:
-        """Of the board."""
+        """Name of the board."""
         return self.layout.name
 
     def unmet(self, needs: Iterable[Need]) -> list[Need]:
-        """Returns the needs that are not met, without those of objects that the board does not have."""
-        return [n for n in needs if (n.index, n.sub) in self.held and not n.met(self.held[n.index, n.sub])]
+        """Returns the unmet needs of those objects that the board has."""
+        return [n for n in needs if (n.index, n.sub) in self.values and not n.met(self.values[n.index, n.sub])]
 
     def warn(self, text: str) -> None:
         """Adds a warning."""
@@ -74,22 +74,22 @@ Reading = Generator[Step, Outcome, None]
 
 
 def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState | None) -> Reading:
-    """Reads all that matters but PDOs, and changes nothing.
+    """Reads all objects that matter, without the PDOs, and writes nothing.
 
     Args:
-        it: takes what is read.
-        kind: the board's device type, 1000h.
-        timing: of heartbeats.
-        error_state: what a person knows of boards without an error mode.
+        it: takes the values.
+        kind: device type of the board, 1000h.
+        timing: heartbeat times.
+        error_state: field `error_state` of the arm's file, for boards without an error mode.
 
     Raises:
-        BoardError: the board cannot do what its wiring needs, or does not answer.
+        BoardError: the board cannot meet a need of its wiring, or does not answer.
     """
     yield from _identify(it)
     yield from _check_type(it, kind)
     yield from _supervision(it, timing)
     yield from _read(it, configuration.synchronisation())
-    if (0x1005, 0) not in it.held:
+    if (0x1005, 0) not in it.values:
         it.synchronous = False
         it.warn("it has no 1005h sub 0 (COB-ID of SYNC): its outputs switch at once with their frame, not on SYNC")
     if it.layout.outputs:
@@ -101,8 +101,8 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     """Reads the error register and, if it is set, the newest entry of the error history.
 
     Returns:
-        The bits of 1001h that stand for a fault; all in words, with the emergency that was heard; and whether the error
-        is that the master was not heard, which ends when its heartbeats return.
+        The bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the error
+        is the loss of the master, which ends when its heartbeats return.
     """
     register = yield from objects.read(it.name, 0x1001, 0, fresh=True)
     register &= ~it.quirk.ignored_errors
@@ -119,11 +119,11 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     return register, text, lost
 
 
-def settle(it: Inspection, needs: list[Need]) -> Reading:
-    """Writes what differs, and reads it back."""
+def ensure(it: Inspection, needs: list[Need]) -> Reading:
+    """Writes the values that differ, and reads them back."""
     for need in it.unmet(needs):
-        yield from objects.settle(it.name, need, it.held[need.index, need.sub])
-        it.held[need.index, need.sub] = need.corrected(it.held[need.index, need.sub])
+        yield from objects.ensure(it.name, need, it.values[need.index, need.sub])
+        it.values[need.index, need.sub] = need.corrected(it.values[need.index, need.sub])
 
 
 def _identify(it: Inspection) -> Reading:
@@ -136,7 +136,10 @@ def _identify(it: Inspection) -> Reading:
 
 
 def _check_type(it: Inspection, kind: int) -> Reading:
-    """Checks 1000h, and how many bytes of outputs and inputs there are: not every coupler sets the bits of 1000h."""
+    """Checks the device type, 1000h, and the number of output and input bytes.
+
+    The bits of 1000h alone do not suffice: not every coupler sets them.
+    """
     settings = it.layout.settings
     if settings.object == OUTPUTS and kind & 0xFFFF != _PROFILE:
         text = (
@@ -162,12 +165,12 @@ def _check_type(it: Inspection, kind: int) -> Reading:
 
 
 def _supervision(it: Inspection, timing: Timing) -> Reading:
-    """Chooses heartbeats, or node guarding where the board lacks one of the two objects of heartbeats."""
+    """Selects heartbeats, or node guarding if the board lacks 1016h or 1017h."""
     beats, guard = configuration.heartbeats(timing), configuration.guarding(timing)
     yield from _read(it, [*beats, guard[0]], [])
-    if (guard[0].index, guard[0].sub) in it.held:
+    if (guard[0].index, guard[0].sub) in it.values:
         yield from _read(it, guard[1:], [])
-    beating, guarding = (all((n.index, n.sub) in it.held for n in needs) for needs in (beats, guard))
+    beating, guarding = (all((n.index, n.sub) in it.values for n in needs) for needs in (beats, guard))
     it.guarded = guarding and (it.quirk.guarding or not beating)
     if not (beating or guarding):
         text = (
@@ -175,22 +178,22 @@ def _supervision(it: Inspection, timing: Timing) -> Reading:
             " would not notice that the executor has ended, and would not be noticed if it fails"
         )
         raise BoardError(Fault("wrong-device", it.name, text))
-    # Some boards allow only one of the two at a time: the other is switched off first.
+    # Some boards allow only one of the two: the other one is switched off first.
     off = [Need(n.index, n.sub, 0, n.size, n.what) for n in (beats if it.guarded else guard)]
     it.needs = [*off, *(guard if it.guarded else beats), *it.needs]
     lost = configuration.on_master_lost(it.layout)
     yield from _read(it, [lost])
-    if (lost.index, lost.sub) not in it.held:
-        it.warn(f"it has no {lost.place}; it is taken to go pre-operational when the master is lost, as CiA 301 has it")
+    if (lost.index, lost.sub) not in it.values:
+        it.warn(f"it has no {lost.place}; CiA 301 makes it enter pre-operational when the master is lost")
 
 
 def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
-    """Checks polarity, filter and error mode; a maker's object has none of them."""
+    """Checks polarity, filter and error mode of the outputs; a maker's object has none of these."""
     layout = it.layout
     if layout.settings.object == OUTPUTS:
         yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
         yield from _read(it, configuration.error_mode(layout), it.error_mode)
-    it.has_error_mode = any(index == 0x6206 for index, _ in it.held)
+    it.has_error_mode = any(index == 0x6206 for index, _ in it.values)
     if it.has_error_mode:
         return
     missing = "6206h (error mode)" if layout.settings.object == OUTPUTS else "error mode for its maker's object"
@@ -209,12 +212,12 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
 
 
 def _read(it: Inspection, needs: list[Need], into: list[Need] | None = None) -> Reading:
-    """Reads the objects of needs, and keeps the needs."""
+    """Reads the objects of needs, and collects the needs that may be written."""
     for need in needs:
         place = need.index, need.sub
-        if place not in it.held:
-            held = yield from objects.check(it.name, need)
-            if held is not None:
-                it.held[place] = held
+        if place not in it.values:
+            present = yield from objects.check(it.name, need)
+            if present is not None:
+                it.values[place] = present
     target = it.needs if into is None else into
     target += [need for need in needs if need.fixed is None]

@@ -1,4 +1,4 @@
-"""Layout of the process data: each line's bit on its board, and the PDOs that are to carry the bits."""
+"""Layout of the process data: the bit of each line on its board, and the PDOs that carry the bits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
 from drivers.canopen.wiring import Line, NodeSettings, Wiring
 
 _PDO_BYTES = 8
-_MOST_PDOS = 4  # of one board and direction: there are as many COB-IDs with its node id
+_MOST_PDOS = 4  # of one board and direction: four COB-IDs contain its node id
 
 
 @dataclass(frozen=True)
@@ -19,15 +19,15 @@ class BoardLayout:
     """The wiring of one board.
 
     Attributes:
-        settings: what the arm's file says of it, or defaults.
-        outputs: its output lines, their places as bits of 6200h or of the maker's object.
-        inputs: its input lines, their places as bits of 6000h.
-        rpdos: wanted to carry its outputs.
-        tpdos: wanted to carry its inputs.
-        shared: whether its RPDO is shared with other boards.
+        settings: its entry in the arm's file, or defaults.
+        outputs: its output lines with their bits of 6200h or of the maker's object.
+        inputs: its input lines with their bits of 6000h.
+        rpdos: the RPDOs that carry its outputs.
+        tpdos: the TPDOs that carry its inputs.
+        shared: whether other boards share its RPDO.
         actuators: mask of its actuators.
         sensed: mask of its output lines whose actuators have an end-stop.
-        loss: output bits that take a certain level if the master is lost, as a mask, and those levels.
+        loss: mask of the output bits with a loss level, and these levels.
     """
 
     settings: NodeSettings
@@ -52,7 +52,7 @@ class BoardLayout:
 
     @property
     def name(self) -> str:
-        """For messages, e.g. "can0/5"."""
+        """Name for messages, e.g. "can0/5"."""
         return f"{self.settings.bus}/{self.settings.node}"
 
     @property
@@ -76,8 +76,8 @@ class Layout:
     """All boards of an arm.
 
     Attributes:
-        boards: by bus, in the order of the wiring, and node id.
-        board_of: index of each actuator's board.
+        boards: all boards, by bus in the order of the wiring, then by node id.
+        board_of: index of the board of each actuator.
     """
 
     boards: tuple[BoardLayout, ...]
@@ -112,7 +112,7 @@ def lay_out(wiring: Wiring) -> Layout:
         rpdos = _shared(group, place, outputs, settings.object) if len(group) > 1 else None
         bits = tuple(bit.place for bit in out)
         levels = [(bit, wiring.loss_levels[bit.line.bit_length() - 1]) for bit in out]
-        held = [(bit, level) for bit, level in levels if level is not None]
+        defined = [(bit, level) for bit, level in levels if level is not None]
         boards.append(
             BoardLayout(
                 settings=settings,
@@ -124,8 +124,8 @@ def lay_out(wiring: Wiring) -> Layout:
                 actuators=sum(1 << k for k, c in enumerate(wiring.channels) if (c.bus, c.node) == place),
                 sensed=sum(bit.line for bit in out) & sensed,
                 loss=(
-                    sum(bit.place for bit, _ in held),
-                    sum(bit.place for bit, level in held if level != bit.inverted),
+                    sum(bit.place for bit, _ in defined),
+                    sum(bit.place for bit, level in defined if level != bit.inverted),
                 ),
             )
         )
@@ -157,7 +157,7 @@ def _pdos(place: _Place, parameters: int, cob_id: int, index: int, bits: tuple[i
 
 
 def _shared(group: list[_Place], place: _Place, outputs: Mapping[_Place, list[Bit]], index: int) -> tuple[Pdo, ...]:
-    """The RPDO of a board whose frame other boards take as well."""
+    """Returns the RPDO of a board that shares its frame with other boards."""
     mapping: list[int] = []
     for other in group:
         subs = subs_of(union(bit.place for bit in outputs[other]))
@@ -166,7 +166,7 @@ def _shared(group: list[_Place], place: _Place, outputs: Mapping[_Place, list[Bi
 
 
 def _groups(outputs: Mapping[_Place, list[Bit]], shared: bool) -> dict[_Place, list[_Place]]:
-    """Boards whose bytes share a frame: of one bus only, and no board in two frames."""
+    """Returns the boards that share a frame with each board: on one bus only, and no board in two frames."""
     groups: list[list[_Place]] = []
     room = 0
     for place, bits in outputs.items():

@@ -1,4 +1,4 @@
-"""One CAN bus as the master sees it: its state, what is on its way, and frames that wait for their turn."""
+"""One CAN bus from the master's side: its state, the frames being sent, and the frames that wait."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ from drivers.canopen.status import BusStatus, Traffic
 from drivers.canopen.tx_echo import TxPending
 from drivers.canopen.wiring import BusSettings
 
-_MOST_UNSENT = 4  # queued frames that are on their way at once; a SocketCAN interface holds 10 by default
+_MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _UNUSABLE = ("closed", "down", "bus-off")
 _BUS_OFF = "the controller is bus-off after too many errors; check cable, termination, bit rate"
 
 
 class Outgoing:
-    """A frame that waits for its turn, and is sent again if the bus was full.
+    """A queued frame, which is sent again if the bus was full.
 
     Attributes:
-        frame: to send.
-        first_at: when it was handed out first [s]; None while it waits.
-        left: whether it has left, as far as is known.
-        cancelled: it is not sent any more.
+        frame: the frame.
+        first_at: time when it was handed out first [s]; None while it waits.
+        sent: whether it was sent, as far as is known.
+        cancelled: it will not be sent any more.
     """
 
-    __slots__ = ("cancelled", "first_at", "frame", "left")
+    __slots__ = ("cancelled", "first_at", "frame", "sent")
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self.first_at: float | None = None
-        self.left = self.cancelled = False
+        self.sent = self.cancelled = False
 
 
 class Link:
     """One CAN bus.
 
-    It is armed by `rearm`, and disarmed when the bus is lost: bus-off, down, or stuck. RPDOs and SYNC are sent only
-    while it is armed: frames that the kernel still holds go out when the bus comes back.
+    `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
+    it is armed: the kernel sends the frames that it still holds when the bus comes back.
 
     Attributes:
-        settings: of the bus.
+        settings: name, interface, channel and bit rate.
         state: "closed", "active", "warning", "passive", "bus-off" or "down".
-        armed: see above.
-        pending: frames that were handed out and did not come back.
+        armed: whether RPDOs and SYNC may be sent.
+        pending: frames that were handed out and have not been echoed.
 
     Args:
-        settings: of the bus.
+        settings: name, interface, channel and bit rate.
         send: hands out a frame for a bus, by its name.
-        stuck_after: the bus is lost if no frame was sent, or one did not leave, for this time [s].
+        stuck_after: the bus counts as lost if no frame could be sent for this time [s].
     """
 
     def __init__(self, settings: BusSettings, send: Callable[[str, Frame], None], stuck_after: float) -> None:
@@ -64,34 +64,34 @@ class Link:
         self._failing_since: float | None = None
         self._sent_since_tick = self._failed_since_tick = False
         self._queue: deque[Outgoing] = deque()
-        self._unsent: dict[Frame, Outgoing] = {}  # of the queue, on their way
+        self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
         self._meter = Meter()
         self._errors = 0, 0
         self._dropped = self._ignored = 0
 
     @property
     def usable(self) -> bool:
-        """Whether frames can reach the wire, as far as is known."""
+        """Whether the bus can send frames, as far as is known."""
         return self.state not in _UNUSABLE
 
     @property
     def failing(self) -> bool:
-        """Whether a frame could not be sent lately."""
+        """Whether the last frames could not be sent."""
         return self._failing_since is not None
 
     @property
     def echoes(self) -> bool:
-        """Whether the interface gives frames back that have left."""
+        """Whether the interface echoes frames that were sent."""
         return self.pending.last_echo is not None
 
     def fit(self, now: float) -> bool:
-        """Whether frames reach the wire again since the bus was lost."""
+        """Returns whether the bus sends frames again after its loss."""
         last = self.pending.last_echo
         heard = last is None or last > self._lost_at
         return self.usable and heard and not self.failing and self._stuck_for(now) <= self._stuck_after
 
     def rearm(self) -> Fault | None:
-        """Arms the bus and forgets what waits; returns a fault if it is not usable."""
+        """Arms the bus and drops waiting frames; returns a fault if the bus is not usable."""
         self.clear()
         self.armed = self.usable
         if self.armed:
@@ -102,7 +102,7 @@ class Link:
         return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
     def clear(self) -> None:
-        """Forgets the frames that wait for their turn."""
+        """Drops the queued frames."""
         for outgoing in (*self._queue, *self._unsent.values()):
             outgoing.cancelled = True
         self._queue.clear()
@@ -116,7 +116,7 @@ class Link:
         self._hand_out(self.name, frame)
 
     def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
-        """Hands out a frame when its turn comes; an urgent one before the others."""
+        """Queues a frame; an urgent one before the others."""
         if urgent:
             self._queue.appendleft(outgoing)
         else:
@@ -124,28 +124,28 @@ class Link:
         self._pump(now)
 
     def received(self, bits: int) -> None:
-        """Counts a received frame of so many bits."""
+        """Counts a received frame of `bits` on the wire."""
         self._meter.received(bits)
-        if self.state == "bus-off":  # the error frame of its restart was lost
+        if self.state == "bus-off":  # the error frame of its restart was missed
             self.state = "active"
 
     def ignored(self) -> None:
-        """Counts a received frame without a meaning."""
+        """Counts a received frame that was not understood."""
         self._ignored += 1
 
     def echoed(self, frame: Frame, now: float) -> bool:
-        """Takes a frame that left this computer; returns whether it was ours."""
+        """Takes the echo of a sent frame; returns whether the master had sent it."""
         if not self.pending.came_back(frame, now):
             return False
         if self.state == "bus-off":
             self.state = "active"
         if (outgoing := self._unsent.pop(frame, None)) is not None:
-            outgoing.left = True
+            outgoing.sent = True
         self._pump(now)
         return True
 
     def send_failed(self, frame: Frame, now: float) -> None:
-        """Notes that a frame was not sent; one of the queue is sent again after the next tick."""
+        """Records that a frame could not be sent; a queued frame is sent again after the next tick."""
         if not self.pending.failed(frame):
             return
         self._dropped += 1
@@ -157,14 +157,14 @@ class Link:
             self._queue.appendleft(outgoing)
 
     def answered(self, outgoing: Outgoing, now: float) -> None:
-        """Notes that a board answered to a frame of the queue, which has left therefore."""
-        outgoing.left = True
+        """Records that a board has answered a queued frame, which was therefore sent."""
+        outgoing.sent = True
         if self._unsent.get(outgoing.frame) is outgoing:
             del self._unsent[outgoing.frame]
             self._pump(now)
 
     def changed(self, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> Fault | None:
-        """Notes a new state and new error counters; returns a fault if the bus is lost."""
+        """Takes a new state and new error counters; returns a fault if the bus is lost."""
         if errors is not None:
             self._errors = errors
         if state is None:
@@ -179,7 +179,7 @@ class Link:
         return None
 
     def tick(self, now: float, clock: float) -> Fault | None:
-        """Does what time brings; returns a fault if the bus is stuck.
+        """Call every period; returns a fault if the bus is stuck.
 
         Args:
             now: time that stands still while the loop stalls [s].
@@ -188,28 +188,28 @@ class Link:
         if self._sent_since_tick and not self._failed_since_tick:
             self._failing_since = None
         self._sent_since_tick = self._failed_since_tick = False
-        if not self.echoes:  # what did not fail until now counts as left
+        if not self.echoes:  # frames that have not failed count as sent
             for outgoing in self._unsent.values():
-                outgoing.left = True
+                outgoing.sent = True
             self._unsent.clear()
         self.pending.tick(now)
         self._meter.tick(clock)
         if self.armed and self._stuck_for(now) > self._stuck_after:
-            why = f"no frame left for {self._stuck_after:g} s: is the bus full, and does another node acknowledge?"
+            why = f"no frame was sent for {self._stuck_after:g} s: is the bus full, and does another node acknowledge?"
             return self._lose(self.state, why, now)
         self._pump(now)
         return None
 
     def passive(self) -> Fault | None:
-        """Returns a warning while the controller is error-passive, which stops nothing."""
+        """Returns a warning while the controller is error-passive; it does not stop the arm."""
         if self.state != "passive":
             return None
-        errors = f"{self._errors[0]} errors in sending and {self._errors[1]} in receiving"
+        errors = f"{self._errors[0]} transmit and {self._errors[1]} receive errors"
         text = f"{self.name} is error-passive after {errors}: check cable, termination, bit rate before it is bus-off"
         return Fault("bus-passive", self.name, text)
 
     def status(self, worst_case: Traffic) -> BusStatus:
-        """State and counters, beside the computed worst case."""
+        """Returns state and counters, with the computed worst case."""
         meter = self._meter
         return BusStatus(
             name=self.name,
@@ -227,7 +227,7 @@ class Link:
         )
 
     def _pump(self, now: float) -> None:
-        """Hands out what may go: SDO transfers that fill a slow bus must not keep the heartbeat off it."""
+        """Hands out queued frames, a few at a time: SDO transfers must not delay the heartbeat on a slow bus."""
         if self.pending.count > len(self._unsent) or self._failed_since_tick or not self.usable:
             return
         while self._queue and len(self._unsent) < _MOST_UNSENT:
@@ -239,7 +239,7 @@ class Link:
                 self.send(outgoing.frame, now)
 
     def _stuck_for(self, now: float) -> float:
-        """For how long no frame has left that should have [s]."""
+        """Returns for how long a frame has been waiting to be sent [s]."""
         since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
         return now - min(since) if since else 0.0
 

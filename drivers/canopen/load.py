@@ -1,4 +1,4 @@
-"""The load of a bus: counted, and computed at worst from an arm's wiring."""
+"""The load of a bus: measured, and the worst case computed from an arm's wiring."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from drivers.canopen.layout import Layout
 from drivers.canopen.status import Traffic
 from drivers.canopen.wiring import BusSettings, Timing
 
-BITS = tuple(cia301.wire_bits(size) for size in range(9))  # of a frame with so many bytes of data
+BITS = tuple(cia301.wire_bits(size) for size in range(9))  # on the wire, by bytes of data
 
 
 class Meter:
@@ -16,8 +16,8 @@ class Meter:
     Attributes:
         tx_frames: frames sent.
         rx_frames: frames received.
-        frames_per_second: sent and received, over about the last second.
-        bits_per_second: of those frames, with the greatest possible number of stuff bits.
+        frames_per_second: sent and received frames, over about the last second.
+        bits_per_second: bits of those frames, with the greatest possible number of stuff bits.
     """
 
     def __init__(self) -> None:
@@ -27,17 +27,17 @@ class Meter:
         self._counted: tuple[float, int, int] | None = None
 
     def sent(self, size: int) -> None:
-        """Counts a frame of ours of so many bytes of data."""
+        """Counts a sent frame of `size` bytes of data."""
         self.tx_frames += 1
         self._bits += BITS[min(size, 8)]
 
     def unsent(self, size: int) -> None:
-        """Takes back a frame of ours that could not be sent."""
+        """Subtracts a frame that could not be sent."""
         self.tx_frames -= 1
         self._bits -= BITS[min(size, 8)]
 
     def received(self, bits: int) -> None:
-        """Counts a received frame of so many bits."""
+        """Counts a received frame of `bits` on the wire."""
         self.rx_frames += 1
         self._bits += bits
 
@@ -56,14 +56,14 @@ class Meter:
 def worst_case(layout: Layout, timing: Timing, bus: BusSettings) -> Traffic:
     """Returns the greatest traffic of boards and master on a bus without faults.
 
-    Each frame has the greatest number of stuff bits. Transitions follow one another without a pause, one each travel
-    time. Each transition sends all RPDOs and switches all actuators; each end-stop sends a TPDO of its own. SDO
-    transfers at boot and emergencies are not counted.
+    Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause. Each
+    transition sends all RPDOs and switches all actuators; each end-stop causes its own TPDO. SDO transfers and
+    emergencies are not counted.
 
     Args:
-        layout: of all buses.
-        timing: of boards and actuators; a travel time below 1 ms counts as 1 ms.
-        bus: which.
+        layout: boards of all buses.
+        timing: times of boards and actuators; a travel time below 1 ms counts as 1 ms.
+        bus: the bus.
     """
     boards = [board for board in layout.boards if board.bus == bus.name]
     frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}

@@ -1,4 +1,4 @@
-"""Node ids and bit rates by LSS, the layer setting services: the master of the package canopen (CiA 305)."""
+"""Node ids and bit rates by LSS, the layer setting services (CiA 305), with the LSS master of the package canopen."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from drivers.canopen.cia301 import Frame
 from drivers.canopen.events import Received
 
 _REQUEST, _ANSWER = LssMaster.LSS_TX_COBID, LssMaster.LSS_RX_COBID
-_PATIENCE, _SCAN_PATIENCE = 2.0, 0.2  # [s] for an answer; in a fast scan, where silence is an answer
-_MORE = 0.05  # [s] for answers of further boards
+_PATIENCE, _SCAN_PATIENCE = 2.0, 0.2  # [s] for an answer; and in a fast scan, where silence is an answer
+_MORE = 0.05  # [s] for the answers of other boards after the first one
 _POLL = 0.001  # [s]
 _MOST_BOARDS = 127
 BIT_TIMINGS = {  # index by bit rate [bit/s]
@@ -44,15 +44,15 @@ _PARTS = (
     CS_INQUIRE_SERIAL_NUMBER,
 )
 
-Exchange = Callable[[bytes, float], list[bytes]]  # request and time for an answer [s], 0 if none is due -> answers
+Exchange = Callable[[bytes, float], list[bytes]]  # request, time for an answer [s] (0: none is expected) -> answers
 
 
 class Refused(Exception):
-    """A board does not answer, or refuses; the text says what."""
+    """A board does not answer, or refuses; the text says which request."""
 
 
 class Identity(NamedTuple):
-    """What tells boards apart: 1018h."""
+    """The identity of a board, 1018h."""
 
     vendor: int
     product: int
@@ -67,17 +67,17 @@ class Lss:
     """Talks to LSS slaves.
 
     Args:
-        exchange: sends a request and returns the answers, of several boards if they answer.
+        exchange: sends a request and returns the answers of all boards.
     """
 
     def __init__(self, exchange: Exchange) -> None:
         self._master = cast(Any, LssMaster())
-        self._master.network = self  # of a network, the master uses nothing but send_message
-        self._master.RESPONSE_TIMEOUT = 0.001  # the answers are there before it looks
+        self._master.network = self  # the package's master uses only send_message of its network
+        self._master.RESPONSE_TIMEOUT = 0.001  # the answers are there before it waits
         self._exchange, self._patience = exchange, _PATIENCE
 
     def send_message(self, cob_id: int, data: bytes, remote: bool = False) -> None:
-        """Sends a request of the package's master and hands it the answers.
+        """Sends a request of the package's master and passes the answer to it.
 
         Raises:
             Refused: several boards answer differently.
@@ -90,7 +90,7 @@ class Lss:
             self._master.on_message_received(_ANSWER, answer, 0.0)
 
     def unconfigured(self) -> list[Identity]:
-        """Returns the boards that have no node id yet, by fast scan."""
+        """Returns the boards without a node id, by LSS fast scan."""
         self._patience = _SCAN_PATIENCE
         found: list[Identity] = []
         try:
@@ -98,17 +98,17 @@ class Lss:
                 one, numbers = self._master.fast_scan()
                 if not one:
                     break
-                found.append(Identity(*numbers))  # it does not take part in the next scan
+                found.append(Identity(*numbers))  # this board is silent in the next scan
         finally:
             self._patience = _PATIENCE
             self.release()
         return found
 
     def select(self, identity: Identity | None) -> tuple[Identity, int]:
-        """Lets one board be configured; returns its identity and node id.
+        """Selects one board for configuration; returns its identity and node id.
 
         Args:
-            identity: of the board; None: the only one on the bus.
+            identity: identity of the board; None: the only board on the bus.
 
         Raises:
             Refused: no such board answers, or several do.
@@ -121,7 +121,7 @@ class Lss:
         return Identity(*told), self._ask("inquire node id", self._master.inquire_node_id)
 
     def configure(self, node: int | None, bitrate: int | None) -> None:
-        """Sets and stores node id and bit rate [bit/s] of the selected board; None: as it is.
+        """Sets and stores node id and bit rate [bit/s] of the selected board; None: unchanged.
 
         Raises:
             Refused: the board refuses.
@@ -134,7 +134,7 @@ class Lss:
         self._ask("store", self._master.store_configuration)
 
     def release(self) -> None:
-        """Lets no board be configured any more."""
+        """Returns all boards to the LSS waiting state."""
         self._master.send_switch_state_global(LssMaster.WAITING_STATE)
 
     def _ask(self, what: str, request: Callable[[], object]) -> int:
@@ -147,7 +147,7 @@ class Lss:
 
 
 def over(bus: CanBus) -> Exchange:
-    """Returns what exchanges frames over an open bus."""
+    """Returns an `Exchange` over an open bus."""
 
     def exchange(request: bytes, patience: float) -> list[bytes]:
         bus.poll()

@@ -1,4 +1,4 @@
-"""All buses and boards of an arm, and the states that are known of them."""
+"""All buses and boards of an arm, and their known states."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Network:
     """Buses, boards and actuator states.
 
     Attributes:
-        layout: of the process data.
-        links: the buses, by name.
+        layout: layout of the process data.
+        links: the buses by name.
         stations: the boards.
-        outputs: of all boards.
-        image: states from the end-stops, and which states are known.
-        log: faults that were not taken yet.
+        outputs: output lines of all boards.
+        image: levels of the input lines, and which are known.
+        log: faults that the caller has not taken yet.
         sensed: mask of the actuators that have an end-stop.
 
     Args:
@@ -43,7 +43,7 @@ class Network:
         self._extended = sum(1 << k for k, c in enumerate(channels) if c.input is not None)
         self._actuators = (1 << len(channels)) - 1
         self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
-        stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards miss the master
+        stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
         self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
         self.stations = [
             Station(i, Board(board, self.image, self.log.report), self.links[board.bus])
@@ -53,25 +53,25 @@ class Network:
 
     @property
     def all_known(self) -> bool:
-        """Whether all boards are up."""
+        """Whether all boards are ready."""
         return all(station.board.ready for station in self.stations)
 
     @property
     def ready(self) -> bool:
-        """Whether all boards are up, and all buses are armed."""
+        """Whether all boards are ready, and all buses are armed."""
         return self.all_known and all(link.armed for link in self.links.values())
 
     @property
     def measured(self) -> int:
-        """States of plain actuators: from the end-stop at the extended end, else the output; 0 where unknown."""
+        """States of actuators with one output: the end-stop at the extended end, else the output; 0 where unknown."""
         ends, outputs = self.image.ends & self._extended, self.outputs.states & ~self._extended
         return (ends | outputs) & self._actuators & self.image.known
 
     def refusal(self, lines: int | None = None) -> str | None:
-        """Returns why nothing may be switched, or None.
+        """Returns why nothing may be switched now, or None.
 
         Args:
-            lines: that only go off; a board that is not heard may still hear, so only its bus counts. None: any.
+            lines: mask of lines that only go off: a lost board may still hear, so only its bus counts. None: any.
         """
         stations = [s for s in self.stations if lines is None or s.board.layout.output_lines & lines]
         buses = self.links if lines is None else {station.board.layout.bus for station in stations}
@@ -80,14 +80,14 @@ class Network:
                 return f"{link.name} is {link.state} or was lost: nothing is sent until its boards are booted"
         for station in stations if lines is None else ():
             if not station.board.ready:
-                return f"board {station.board.name} is not up: nothing is sent until it is booted"
+                return f"board {station.board.name} is not ready: nothing is sent until it is booted"
         return None
 
     def frames_of(self, bus: str, keys: list[Key], lines: int | None) -> list[Key | Frame]:
-        """Returns the frames for boards that are up, after orders for the others to leave operational.
+        """Returns the frames for ready boards, after NMT commands for lost boards to leave operational.
 
-        A SYNC would switch a board that was lost as well, if it is operational and has latched a frame. A lost board of
-        `lines`, which only go off, takes its frame like those that are up.
+        A SYNC would also switch a lost board that is operational and has latched a frame. A lost board of `lines`,
+        which only go off, gets its frame like a ready one.
         """
         here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
         lost = {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
@@ -95,40 +95,40 @@ class Network:
         return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
 
     def warnings(self) -> tuple[Fault, ...]:
-        """Returns what is to be known of boards that are up, a fault for each."""
+        """Returns a warning for each ready board with limits."""
         boards = [station.board for station in self.stations if station.board.ready and station.board.warnings]
         return tuple(Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards)
 
     def rearm(self) -> dict[str, Fault]:
-        """Arms all buses; returns a fault for each that is not usable, by its name."""
+        """Arms all buses; returns a fault for each unusable bus, by its name."""
         return {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
 
     def back(self, now: float) -> bool:
-        """Whether frames leave on all buses, and all boards are heard."""
+        """Returns whether all buses send frames, and all boards are heard."""
         fit = all(link.fit(now) for link in self.links.values())
         return fit and all(station.board.heard for station in self.stations)
 
     def probe_silent(self, now: float) -> None:
-        """Asks the boards that are not heard."""
+        """Asks each silent board for its device type."""
         for station in self.stations:
             if not station.board.heard and self.links[station.board.layout.bus].usable:
                 station.probe(now)
 
     def forget(self, bus: str | None = None) -> None:
-        """Takes the states of all boards, or of the boards of one bus, as unknown until they are booted."""
+        """Marks the states of all boards, or of those of one bus, as unknown until their boot."""
         for station in self.stations:
             if bus in (None, station.board.layout.bus):
                 station.cancel()
                 station.board.ready = False
 
     def tick(self, now: float, heartbeat_timeout: float) -> None:
-        """Does what time brings to the boards; `now` stands still while the loop stalls [s]."""
+        """Handles the timeouts of all boards; `now` stands still while the loop stalls [s]."""
         for station in self.stations:
             station.board.tick(now, heartbeat_timeout)
             station.runner.tick(now)
 
     def status(self, now: float) -> Status:
-        """State and counters for diagnostics."""
+        """Returns state and counters for diagnostics."""
         return Status(
             buses=tuple(link.status(self._worst_case[name]) for name, link in self.links.items()),
             boards=tuple(station.board.status(now) for station in self.stations),

@@ -17,7 +17,7 @@ _STUCK_AFTER = 0.5  # [s]
 
 
 class NodeReset:
-    """The reset of one node; pure like the master.
+    """The reset of one node; without I/O and clock, like the master.
 
     Attributes:
         booted_after: time from the reset to the boot-up message [s]; None if none came.
@@ -26,7 +26,7 @@ class NodeReset:
     Args:
         bus: the bus.
         node: node id.
-        patience: for the boot-up message [s].
+        patience: longest wait for the boot-up message [s].
         send: hands out a frame for a bus, by its name; must not call this object.
     """
 
@@ -40,11 +40,11 @@ class NodeReset:
 
     @property
     def over(self) -> bool:
-        """Whether it has booted, or nothing more is awaited."""
+        """Whether the node has booted, or is not waited for any more."""
         return self._silent or self.booted_after is not None or self.fault is not None
 
     def start(self, now: float) -> None:
-        """Sends the command; the bus is open."""
+        """Sends the command. The bus is open."""
         self._begun = now
         self._note(self._link.changed("active", "", None, now))
         self._link.queue(Outgoing(cia301.command(Command.RESET_NODE, self._node)), now)
@@ -59,12 +59,12 @@ class NodeReset:
             self.booted_after = now - self._begun
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
-        """Notes that a frame was not sent."""
+        """Records that a frame could not be sent."""
         self._link.send_failed(frame, now)
 
     def tick(self, now: float) -> None:
-        """Does what time brings."""
-        self._link.armed = self._link.usable  # only so that a stuck bus is found
+        """Call every millisecond: handles timeouts."""
+        self._link.armed = self._link.usable  # so that a stuck bus is found
         self._note(self._link.tick(now, now))
         self._silent = now - self._begun >= self._patience
 
@@ -73,7 +73,7 @@ class NodeReset:
 
 
 def reset_node(bus: BusSettings, node: int, patience: float) -> NodeReset:
-    """Resets a node, and blocks until it has booted or is given up.
+    """Resets a node; blocks until its boot-up message or the timeout.
 
     Raises:
         BusError: the bus cannot be opened.

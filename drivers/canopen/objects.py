@@ -1,4 +1,4 @@
-"""Unsigned numbers in a board's object dictionary, read, compared and written by SDO as parts of a procedure."""
+"""Unsigned numbers in a board's object dictionary: read, compare and write by SDO, as steps of a procedure."""
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ _WORDS = {
 
 
 def abort_words(code: int) -> str:
-    """An abort code in words, e.g. "object does not exist (abort 06020000h)"."""
+    """Returns an abort code in words, e.g. "object does not exist (abort 06020000h)"."""
     return f"{_WORDS.get(code, 'reason unknown')} (abort {code:08X}h)"
 
 
 @dataclass(frozen=True)
 class Need:
-    """A value that one object must hold.
+    """A value that an object needs.
 
     Attributes:
-        index: of the object.
+        index: index of the object.
         sub: sub-index.
-        value: unsigned; bits outside `mask` are 0.
-        size: [bytes].
+        value: unsigned value; bits outside `mask` are 0.
+        size: length [bytes].
         what: the object in words, for messages.
-        mask: of the bits that matter; the others are left as they are.
-        required: why the object must be there, as a sentence; None: it need not be.
-        fixed: what a person must do if it holds another value, as a sentence; None: it may be written.
+        mask: mask of the bits that matter; the others are not changed.
+        required: why the object must exist, as a sentence; None: it may be absent.
+        fixed: what the user must do if the value differs, as a sentence; None: the boot writes it.
     """
 
     index: int
@@ -80,20 +80,20 @@ class Need:
         return f"{self.index:04X}h sub {self.sub}" + (f" ({self.what})" if self.what else "")
 
     def words(self, value: int) -> str:
-        """A value of the object for messages."""
+        """Returns a value of the object for messages."""
         return f"{value:0{2 * self.size}X}h"
 
-    def met(self, held: int) -> bool:
-        """Whether a value is right."""
-        return held & self.mask == self.value & self.mask
+    def met(self, present: int) -> bool:
+        """Returns whether a value meets the need."""
+        return present & self.mask == self.value & self.mask
 
-    def corrected(self, held: int) -> int:
-        """The value to be written."""
-        return (held & ~self.mask | self.value & self.mask) & (1 << 8 * self.size) - 1
+    def corrected(self, present: int) -> int:
+        """Returns the value to write in place of the present one."""
+        return (present & ~self.mask | self.value & self.mask) & (1 << 8 * self.size) - 1
 
 
 def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, Outcome, int]:
-    """Reads an unsigned value of `size` bytes; `board` is its name for messages.
+    """Reads an unsigned value of `size` bytes; `board` is the name for messages.
 
     Raises:
         BoardError: the board refuses, does not answer, or answers in another size.
@@ -103,7 +103,7 @@ def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -
 
 
 def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Outcome, int | None]:
-    """Reads an unsigned value as `read` does; returns None if the board has no such object.
+    """Reads an unsigned value like `read`; returns None if the board has no such object.
 
     Raises:
         BoardError: the board refuses, does not answer, or answers in another size.
@@ -133,7 +133,7 @@ def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int
 
 
 def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | None]:
-    """Writes a value; returns None, or the abort code with which the board refuses.
+    """Writes a value; returns None, or the abort code of the board.
 
     Raises:
         BoardError: the board does not answer.
@@ -145,39 +145,40 @@ def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | 
     return outcome.abort
 
 
-def settle(board: str, need: Need, held: int) -> Generator[Step, Outcome, None]:
-    """Writes what is needed into an object that holds another value, and reads it back.
+def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, None]:
+    """Writes the needed value into an object that holds another one, and reads it back.
 
     Raises:
         BoardError: the board refuses, does not answer, or holds another value afterwards.
     """
-    value = need.corrected(held)
+    value = need.corrected(present)
     abort = yield from write(board, need, value)
     if abort is not None:
-        raise refused(board, need, held, abort)
-    kept = yield from read(board, need.index, need.sub, need.size, fresh=True)
-    if not need.met(kept):
-        text = f"board {board} holds {need.words(kept)} in {need.place} after {need.words(value)} was written"
+        raise refused(board, need, present, abort)
+    confirmed = yield from read(board, need.index, need.sub, need.size, fresh=True)
+    if not need.met(confirmed):
+        text = f"board {board} holds {need.words(confirmed)} in {need.place} after {need.words(value)} was written"
         raise BoardError(Fault("sdo-refused", board, f"{text}: does another program write to it?"))
 
 
-def refused(board: str, need: Need, held: int, abort: int) -> BoardError:
+def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
     """Returns the error of a board that refuses a value."""
-    text = f"board {board} holds {need.words(held)} in {need.place}; {need.words(need.corrected(held))} is needed"
+    text = f"board {board} holds {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
     return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
 
 def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
-    """Reads an object; returns what it holds, None if the board has no such object.
+    """Reads an object; returns its value, or None if the board has no such object.
 
     Raises:
-        BoardError: the object is absent or wrong, and that cannot be mended.
+        BoardError: the object is required and absent, or its value is wrong and must not be written.
     """
-    held = yield from find(board, need.index, need.sub, need.size)
-    if held is None and need.required is not None:
+    present = yield from find(board, need.index, need.sub, need.size)
+    if present is None and need.required is not None:
         text = f"board {board} has no {need.place}; {need.words(need.value)} is needed there: {need.required}"
         raise BoardError(Fault("wrong-device", board, text))
-    if held is not None and need.fixed is not None and not need.met(held):
-        text = f"board {board} holds {need.words(held)} in {need.place}; {need.words(need.corrected(held))} is needed"
-        raise BoardError(Fault("wrong-device", board, f"{text}: {need.fixed}"))
-    return held
+    if present is not None and need.fixed is not None and not need.met(present):
+        needed = need.words(need.corrected(present))
+        text = f"board {board} holds {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
+        raise BoardError(Fault("wrong-device", board, text))
+    return present

@@ -1,4 +1,4 @@
-"""Output lines of all boards: as switched by the last SYNC, and as latched in the boards for the next."""
+"""Output lines of all boards: levels after the last SYNC, and the frames that the boards have latched for the next."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Key = tuple[str, int]  # bus and COB-ID of a frame
 class Outputs:
     """The output lines of all boards.
 
-    The bytes of a frame are one little-endian number. Bits that are no line's keep the value that was read back.
+    The bytes of a frame are one little-endian number. Bits without a line keep the value that was read back.
 
     Attributes:
-        states: levels of the lines as of the last SYNC.
-        changes: how often the lines of each board have changed, or may have.
+        states: levels of the lines after the last SYNC.
+        changes: number of changes, also possible ones, of the lines of each board.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -30,13 +30,13 @@ class Outputs:
         self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
         self._frames: dict[Key, RpdoFrame] = {}
         self._image: dict[Key, int] = {}
-        # What the boards take over with the next SYNC. None: unknown, so the frame is sent before any SYNC.
+        # The bytes that the boards apply at the next SYNC. None: unknown, so the frame is sent before any SYNC.
         self._latched: dict[Key, int | None] = {}
-        self._uncertain: set[Key] = set()  # frames that may have left: they may switch with the next SYNC
+        self._uncertain: set[Key] = set()  # frames that may have been sent: the next SYNC may apply them
         self._assemble()
 
     def adopt(self, i: int, rpdos: tuple[Pdo, ...], values: Mapping[int, int]) -> None:
-        """Takes over the RPDOs of board `i`, and the values that were read back, by mapping entry."""
+        """Sets the RPDOs of board `i`, and the values that were read back, by mapping entry."""
         if self._rpdos[i] != rpdos:
             self._rpdos[i] = rpdos
             self._assemble()
@@ -59,15 +59,15 @@ class Outputs:
     def due(self, states: int, only_changed: bool = False) -> dict[str, list[Key]]:
         """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
 
-        A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames whose
-        latched bytes are unknown or others are sent, for the SYNC switches them as well.
+        A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames with
+        unknown or other latched bytes are sent too, since the SYNC applies them as well.
 
         Args:
             states: levels of all lines.
-            only_changed: leave out buses on which no output changes.
+            only_changed: skip buses on which no output changes.
 
         Raises:
-            ValueError: a bit of `states` is no line's.
+            ValueError: `states` has a bit that is no line.
         """
         if states & ~self._lines or states < 0:
             raise ValueError(f"outputs {states:#x}: there are {self._lines.bit_count()} lines")
@@ -89,11 +89,11 @@ class Outputs:
         return due
 
     def frame(self, key: Key, states: int) -> Frame:
-        """Returns a frame for the states."""
+        """Returns the frame that commands the states."""
         return Frame(key[1], self._wanted(key, states).to_bytes(self._frames[key].size, "little"))
 
     def takers(self, key: Key) -> frozenset[int]:
-        """Returns the indices of the boards that take a frame."""
+        """Returns the indices of the boards that receive a frame."""
         return self._frames[key].boards
 
     def sends(self, bus: str, cob_id: int) -> bool:
@@ -101,23 +101,23 @@ class Outputs:
         return (bus, cob_id) in self._frames
 
     def sending(self, key: Key) -> None:
-        """Notes that a frame is on its way: what is latched is unknown until `sent`."""
+        """Records that a frame is handed out: the latched bytes are unknown until `sent`."""
         self._latched[key] = None
         self._uncertain.add(key)
         self._changed(self._frames[key].boards)
 
     def sent(self, key: Key, frame: Frame, states: int) -> int:
-        """Notes that a frame for the states has left; returns the mask of the lines that it switched without SYNC."""
+        """Records that a frame was sent; returns the mask of the lines that it switched without SYNC."""
         self._latched[key] = int.from_bytes(frame.data, "little")
         self._uncertain.discard(key)
         return 0 if self._frames[key].on_sync else self._switch(key, states)
 
     def switched(self, bus: str, states: int) -> int:
-        """Notes that the SYNC of a bus has left; returns the mask of the lines that it switched."""
+        """Records that the SYNC of a bus was sent; returns the mask of the lines that it switched."""
         return union(self._switch(key, states) for key, frame in self._frames.items() if frame.bus == bus)
 
     def bits(self, i: int) -> int:
-        """Returns what the used output bits of board `i` should be."""
+        """Returns the expected levels of the used output bits of board `i`."""
         return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
 
     def _switch(self, key: Key, states: int) -> int:
@@ -140,7 +140,7 @@ class Outputs:
         self._uncertain &= set(self._frames)
 
     def _wanted(self, key: Key, states: int) -> int:
-        """The bytes of a frame for the states."""
+        """Returns the bytes of a frame for the states, as a number."""
         frame = self._frames[key]
         levels = 0
         for line, mask, place in frame.runs:

@@ -1,4 +1,4 @@
-"""PDOs: which bits of a board their mapping carries."""
+"""PDOs, and the bits of a board that their mappings carry."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class Pdo(NamedTuple):
 
     Attributes:
         parameters: index of its communication parameters, from 1400h or 1800h; its mapping is 200h above.
-        cob_id: of its frame.
-        mapping: entries, dummies included.
-        on_sync: whether a SYNC applies it; otherwise its frame does.
+        cob_id: COB-ID of its frame.
+        mapping: entries of its mapping, dummy entries included.
+        on_sync: whether a SYNC applies it; otherwise its frame does at once.
     """
 
     parameters: int
@@ -25,16 +25,16 @@ class Pdo(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Of its frame [bytes]."""
+        """Length of its frame [bytes]."""
         return (sum(entry & 0xFF for entry in self.mapping) + 7) // 8
 
 
 class Carried(NamedTuple):
-    """Neighbouring bits of a board in the number that the bytes of a PDO make.
+    """Successive bits of a board in a PDO, whose bytes are one little-endian number.
 
     Attributes:
-        bit: the first one, as in the wiring.
-        place: of that bit in the number.
+        bit: the first bit, as in the wiring.
+        place: position of this bit in the number.
         width: number of bits.
     """
 
@@ -44,7 +44,7 @@ class Carried(NamedTuple):
 
 
 class Bit(NamedTuple):
-    """A line in a number that is made of little-endian bytes."""
+    """A line and its bit in a number of little-endian bytes."""
 
     line: int  # mask of one bit
     place: int  # mask of one bit
@@ -52,9 +52,9 @@ class Bit(NamedTuple):
 
 
 def carries(mapping: Iterable[int], base: int) -> list[Carried]:
-    """Returns which bits of a board a PDO's mapping carries; `base` is 6200h, 6000h or a maker's object.
+    """Returns the bits of a board that a mapping carries; `base` is 6200h, 6000h or a maker's object.
 
-    CiA 401 has the same bits as bytes, single bits, words and double words.
+    CiA 401 offers the same bits as bytes, single bits, words and double words.
     """
     widths = {base: 8}
     if base in (OUTPUTS, INPUTS):

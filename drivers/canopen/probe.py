@@ -1,4 +1,4 @@
-"""Asks each board of a wiring what it is and holds, as the boot does, and changes nothing on it."""
+"""Checks each board of a wiring as the boot does, and changes nothing (`check --bus`)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from drivers.canopen.layout import BoardLayout, lay_out
 from drivers.canopen.link import Link
 from drivers.canopen.objects import Need
 from drivers.canopen.pdo import Pdo
-from drivers.canopen.pdo_setup import Held, pdo_words, usable
+from drivers.canopen.pdo_setup import PdoState, pdo_words, usable
 from drivers.canopen.procedure import BoardError, Procedure, Runner
 from drivers.canopen.wiring import Timing, Wiring
 
 _STUCK_AFTER = 0.5  # [s]
 _PATIENCE = 1.0  # [s] for the first answer of a board
-_MOST_CHANGES = 4  # that are told in full
+_MOST_CHANGES = 4  # changes that the answer lists
 _HARMLESS = (0x1029, 0x6206, 0x6207)
 
 
@@ -32,9 +32,9 @@ class Answer:
     """The answer of one board.
 
     Attributes:
-        board: its name, e.g. "can0/5".
-        ok: whether it can be booted, and reports no error.
-        text: what it is, what the boot will write and what is to be known; or what is wrong.
+        board: name of the board, e.g. "can0/5".
+        ok: whether it can be booted and reports no error.
+        text: its device type, the values that the boot will write, and its limits; or what is wrong.
     """
 
     board: str
@@ -43,11 +43,11 @@ class Answer:
 
 
 class Probe:
-    """Asks all boards of a wiring in parallel; pure like the master.
+    """Asks all boards of a wiring in parallel; without I/O and clock, like the master.
 
     Args:
         wiring: buses and boards.
-        timing: of heartbeats.
+        timing: heartbeat times.
         send: hands out a frame for a bus, by its name; must not call the probe.
     """
 
@@ -60,18 +60,18 @@ class Probe:
 
     @property
     def answers(self) -> tuple[Answer, ...] | None:
-        """The answers in the order of the boards; None while one is missing."""
+        """The answers in the order of the boards; None until all are there."""
         if len(self._answers) < len(self._boards):
             return None
         return tuple(self._answers[board.name] for board in self._boards)
 
     @property
     def over(self) -> bool:
-        """Whether all boards have answered or are given up."""
+        """Whether all boards have answered or timed out."""
         return self.answers is not None
 
     def start(self, now: float) -> None:
-        """Begins to ask; all buses are open."""
+        """Starts to ask. All buses are open."""
         for link in self._links.values():
             link.changed("active", "", None, now)
         for board in self._boards:
@@ -93,13 +93,13 @@ class Probe:
                 runner.check(now)
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
-        """Notes that a frame was not sent."""
+        """Records that a frame could not be sent."""
         self._links[bus].send_failed(frame, now)
 
     def tick(self, now: float) -> None:
-        """Does what time brings."""
+        """Call every millisecond: handles timeouts."""
         for link in self._links.values():
-            link.armed = link.usable  # nothing here moves: only so that a stuck bus is found
+            link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
             if (fault := link.tick(now, now)) is not None:
                 self._give_up(fault)
         for runner in self._runners.values():
@@ -111,15 +111,15 @@ class Probe:
         yield from inspection.inspect(it, kind, self._timing, self._error_state)
         yield from pdo_search.read_pdos(it, in_full=True)
         unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
-        changes = [f"{n.place} {n.words(it.held[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
+        changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
         for need in unmet:
             yield from _try(it, need)
         for pdos in (it.rpdos, it.tpdos):
             yield from _try_mappings(it, pdos)
-        for wanted, held in it.rpdos + it.tpdos:
-            if not held.fits(wanted):
+        for wanted, present in it.rpdos + it.tpdos:
+            if not present.fits(wanted):
                 changes.append(
-                    f"{held.parameters:04X}h and {held.parameters + 0x200:04X}h ({pdo_words(held.parameters)})"
+                    f"{present.parameters:04X}h and {present.parameters + 0x200:04X}h ({pdo_words(present.parameters)})"
                 )
         register, errors, lost = yield from inspection.read_errors(it, None)
         text = f"device type {kind:08X}h, "
@@ -147,25 +147,26 @@ class Probe:
 
 
 def _try(it: Inspection, need: Need) -> Reading:
-    """Refuses an object that cannot be written: a write of what it holds changes nothing, and shows it.
+    """Refuses an object that cannot be written: writes its present value, which changes nothing.
 
-    What matters in the error state only is written for a moment, for some boards confirm it and do not take it.
+    Objects that count in the error state only get the needed value for a moment, and are read back: some boards confirm
+    the write and ignore it.
     """
-    held = it.held[need.index, need.sub]
+    present = it.values[need.index, need.sub]
     if need.index in _HARMLESS:
-        yield from objects.settle(it.name, need, held)
-        yield from objects.settle(it.name, replace(need, value=held, mask=0xFF), need.corrected(held))
+        yield from objects.ensure(it.name, need, present)
+        yield from objects.ensure(it.name, replace(need, value=present, mask=0xFF), need.corrected(present))
         return
-    if (abort := (yield from objects.write(it.name, need, held))) == objects.READ_ONLY:
-        raise objects.refused(it.name, need, held, abort)
+    if (abort := (yield from objects.write(it.name, need, present))) == objects.READ_ONLY:
+        raise objects.refused(it.name, need, present, abort)
 
 
-def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, Held]]) -> Reading:
-    """Refuses PDOs that cannot be mapped as is wanted, unless others carry the process data as they are."""
+def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:
+    """Refuses PDOs that cannot be mapped as wanted, unless other PDOs carry the process data already."""
     try:
-        for wanted, held in pdos:
-            if not held.fits(wanted):
-                yield from _try_mapping(it, wanted, held)
+        for wanted, present in pdos:
+            if not present.fits(wanted):
+                yield from _try_mapping(it, wanted, present)
     except BoardError:
         other = None if it.layout.shared else (yield from pdo_search.cover(it, pdos))
         if other is None:
@@ -173,23 +174,23 @@ def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, Held]]) -> Reading:
         pdos[:] = other[0]
 
 
-def _try_mapping(it: Inspection, wanted: Pdo, held: Held) -> Reading:
-    """Refuses a mapping that does not carry what is needed and cannot be written."""
+def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
+    """Refuses a mapping that lacks needed bits and cannot be written."""
     base = 0x200 if wanted.parameters < 0x1800 else 0x180
-    enabled = held._replace(cob_id=base + it.layout.node, kind=255, timer=None)
+    enabled = present._replace(cob_id=base + it.layout.node, kind=255, timer=None)
     why = usable(it.layout, wanted, enabled)
-    if it.layout.shared and wanted.parameters < 0x1800 and held.mapping != wanted.mapping:
+    if it.layout.shared and wanted.parameters < 0x1800 and present.mapping != wanted.mapping:
         why = f"{pdo_words(wanted.parameters)} cannot be shared with other boards as the arm's file says (shared_rpdo)"
     if why is None:
         return
-    need = Need(held.parameters + 0x200, 0, held.entries)
-    if (abort := (yield from objects.write(it.name, need, held.entries))) == objects.READ_ONLY:
+    need = Need(present.parameters + 0x200, 0, present.entries)
+    if (abort := (yield from objects.write(it.name, need, present.entries))) == objects.READ_ONLY:
         text = f"board {it.name}: {why}; it refuses to be mapped anew: {objects.abort_words(abort)}"
         raise BoardError(Fault("sdo-refused", it.name, text))
 
 
 def probe(wiring: Wiring, timing: Timing, open_bus: Callable[..., CanBus] = CanBus) -> tuple[Answer, ...]:
-    """Asks all boards, and blocks until they have answered or are given up.
+    """Asks all boards; blocks until they have answered or timed out.
 
     Raises:
         BusError: a bus cannot be opened.

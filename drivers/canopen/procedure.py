@@ -1,4 +1,4 @@
-"""Procedures with one board: sequences of SDO transfers, orders and waits, driven by frames and time."""
+"""Procedures with one board: sequences of SDO transfers, NMT commands and waits, driven by frames and time."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.link import Link, Outgoing
 from drivers.canopen.sdo import Outcome, SdoClient, Transfer
 
-_ORDER_TIMEOUT = 1.0  # [s] for an order to leave
+_ORDER_TIMEOUT = 1.0  # [s] until the command must have been sent
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """An order to the board's network management; it ends when its frame has left."""
+    """An NMT command to the board; the step ends when its frame was sent."""
 
     command: Command
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Waits until a condition holds, at most for `patience` [s]; looks after each frame of the board and each tick."""
+    """Waits for a condition, at most `patience` [s]; checks it after each frame of the board and at each tick."""
 
     until: Callable[[], bool]
     patience: float
@@ -31,7 +31,7 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A transfer that is given up if a condition holds."""
+    """A transfer that is cancelled if a condition becomes true."""
 
     transfer: Transfer
     unless: Callable[[], bool]
@@ -44,7 +44,7 @@ DONE = Outcome(data=b"")
 
 
 class BoardError(Exception):
-    """A procedure cannot go on; `fault` says why."""
+    """A procedure cannot continue; `fault` says why."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault.message)
@@ -52,11 +52,7 @@ class BoardError(Exception):
 
 
 class Runner:
-    """Runs one procedure at a time with one board.
-
-    Attributes:
-        running: whether a procedure is under way.
-    """
+    """Runs one procedure at a time with one board."""
 
     def __init__(self, node: int, link: Link) -> None:
         self._node, self._link = node, link
@@ -64,22 +60,22 @@ class Runner:
         self._procedure: Procedure | None = None
         self._ended: Callable[[Fault | None, float], None] = lambda fault, now: None
         self._step: Step | None = None
-        self._outgoing: Outgoing | None = None  # of an order
+        self._outgoing: Outgoing | None = None  # frame of an NMT command
         self._since = 0.0  # when the step began
 
     @property
     def running(self) -> bool:
-        """Whether a procedure is under way."""
+        """Whether a procedure is running."""
         return self._procedure is not None
 
     def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None], now: float) -> None:
-        """Begins a procedure in place of the one under way; `ended` takes its fault, or None, and the time."""
+        """Starts a procedure in place of the running one; `ended` takes its fault, or None, and the time."""
         self.cancel()
         self._procedure, self._ended = procedure, ended
         self._resume(None, now)
 
     def cancel(self) -> None:
-        """Gives the procedure up; its `ended` is not called."""
+        """Cancels the procedure; its `ended` is not called."""
         if self._procedure is not None:
             self._procedure.close()
         self._procedure = self._step = None
@@ -89,22 +85,22 @@ class Runner:
             self._outgoing = None
 
     def receive_sdo(self, data: bytes, now: float) -> None:
-        """Takes an SDO answer of 8 bytes; `check` is to be called afterwards."""
+        """Takes an SDO answer of 8 bytes. Call `check` afterwards."""
         self._sdo.receive(data, now)
 
     def tick(self, now: float) -> None:
-        """Does what time brings."""
+        """Call every period: handles timeouts."""
         if self._procedure is not None:
             self._sdo.tick(now)
             self.check(now)
 
     def check(self, now: float) -> None:
-        """Goes on if the step has ended; to be called after each frame of the board."""
+        """Continues if the step has ended. Call after each frame of the board."""
         if self._procedure is not None and (outcome := self._outcome(now)) is not None:
             self._resume(outcome, now)
 
     def _resume(self, outcome: Outcome | None, now: float) -> None:
-        """Goes on until a step has to wait."""
+        """Continues until a step must wait."""
         procedure, fault = self._procedure, None
         assert procedure is not None
         try:
@@ -131,20 +127,20 @@ class Runner:
             self._link.queue(self._outgoing, now)
 
     def _outcome(self, now: float) -> Outcome | None:
-        """The outcome of the step, None while it is under way."""
+        """Returns the outcome of the step; None while it runs."""
         step = self._step
         if isinstance(step, Transfer):
             return self._sdo.outcome
         if isinstance(step, Ask):
             if self._sdo.outcome is None and step.unless():
                 self._sdo.cancel()
-                return Outcome(silence="given up")
+                return Outcome(silence="cancelled")
             return self._sdo.outcome
         if isinstance(step, Wait):
             if step.until():
                 return DONE
             return Outcome(silence="timed out") if now - self._since >= step.patience else None
-        if self._outgoing is None or self._outgoing.left:
+        if self._outgoing is None or self._outgoing.sent:
             return DONE
         if now - self._since < _ORDER_TIMEOUT:
             return None

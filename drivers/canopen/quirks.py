@@ -1,4 +1,4 @@
-"""What is special about single devices, by their identity (1018h); nothing else in the driver names a device."""
+"""Peculiarities of devices, by their identity 1018h. No other file of the driver names a device."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 
 class Quirk(NamedTuple):
-    """What is special about a device.
+    """The peculiarities of a device.
 
     Attributes:
         device: name, for messages.
-        source: where this is from.
-        further_rpdos: number of the first RPDO that may carry outputs beyond the first 64; RPDOs before are for analog
+        source: document with this information.
+        further_rpdos: number of the first RPDO that may carry outputs after the first 64; lower ones carry analog
             outputs.
-        ignored_errors: bits of the error register 1001h that this device sets without a fault.
-        guarding: node guarding although it has the objects of heartbeats as well.
+        ignored_errors: bits of the error register 1001h that the device sets without a fault.
+        guarding: use node guarding although the device has the objects of heartbeats.
     """
 
     device: str
@@ -26,7 +26,7 @@ class Quirk(NamedTuple):
 
 NONE = Quirk("", "")
 
-# By vendor and product (1018h sub 1 and 2); product None: all of the vendor.
+# By vendor and product, 1018h sub 1 and 2; product None: all products of the vendor.
 QUIRKS: dict[tuple[int, int | None], Quirk] = {
     (0x21, None): Quirk(
         device="WAGO 750",
@@ -39,7 +39,7 @@ VENDORS = frozenset(vendor for vendor, _ in QUIRKS)
 
 
 def quirk_of(vendor: int | None, product: int | None) -> Quirk:
-    """Returns what is special about a device; None stands for an identity that it does not tell."""
+    """Returns the peculiarities of a device; None: the device does not tell this number."""
     if vendor is None:
         return NONE
     return QUIRKS.get((vendor, product)) or QUIRKS.get((vendor, None)) or NONE

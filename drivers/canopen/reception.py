@@ -1,4 +1,4 @@
-"""Frames of one bus: to the boards, or a fault if another master sends them."""
+"""Reception on one bus: passes frames to the boards, and reports a foreign master."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from drivers.canopen.wiring import MASTER
 
 
 def receptions(network: Network, rebooted: Callable[[Station, float], None]) -> dict[str, Reception]:
-    """Returns a reception for each bus, by its name; `rebooted` is called with a board that has started anew."""
+    """Returns a reception for each bus, by its name; `rebooted` is called with each restarted board."""
     outputs, stations, report = network.outputs, network.stations, network.log.report
     return {bus: Reception(bus, outputs, stations, rebooted, report) for bus in network.links}
 
 
 class Reception:
-    """Passes the frames of one bus on.
+    """Passes the frames of one bus to its boards.
 
     Args:
-        bus: its name.
-        outputs: know the RPDO frames of the master.
+        bus: name of the bus.
+        outputs: tells which frames are RPDOs of the master.
         stations: boards of all buses.
-        rebooted: called with a board that has started anew.
+        rebooted: called with each restarted board.
         report: takes faults.
     """
 
@@ -44,7 +44,7 @@ class Reception:
         self._outputs = outputs
 
     def receive(self, frame: Frame, now: float) -> bool:
-        """Takes a frame of another node; returns whether it had a meaning."""
+        """Takes a frame of another node; returns whether it was understood."""
         cob_id, data = frame
         what = self._masters.get(cob_id) or ("an RPDO" if self._outputs.sends(self._bus, cob_id) else None)
         if what is not None:

@@ -11,7 +11,7 @@ from drivers.canopen.cia301 import Frame
 from drivers.canopen.link import Link, Outgoing
 
 TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
-_PATIENCE, _LONGEST = 2.5, 3.0  # the time-out of a slow board: so many times its longest answer, at most so long [s]
+_PATIENCE, _LONGEST = 2.5, 3.0  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
 _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
@@ -22,12 +22,12 @@ class Transfer:
     """One read or write of an object.
 
     Attributes:
-        index: of the object.
+        index: index of the object.
         sub: sub-index.
-        data: to write, 1..4 bytes; None to read.
-        timeout: of one attempt [s]; longer with a board that was slower before.
-        tries: attempts.
-        fresh: a late answer to an earlier reading does not count.
+        data: 1..4 bytes to write; None: read.
+        timeout: timeout of one attempt [s]; longer for a board that answers slowly.
+        tries: number of attempts.
+        fresh: a late answer to an earlier read must not count.
     """
 
     index: int
@@ -39,11 +39,11 @@ class Transfer:
 
 
 class Outcome(NamedTuple):
-    """The end of a transfer: exactly one of its fields is set.
+    """The result of a transfer: exactly one of its fields is set.
 
     Attributes:
-        data: what was read; empty after a write.
-        abort: abort code with which the board refused.
+        data: the bytes read; empty after a write.
+        abort: SDO abort code of the board.
         silence: why there is no answer.
     """
 
@@ -55,12 +55,12 @@ class Outcome(NamedTuple):
 class SdoClient:
     """Reads and writes objects of one board.
 
-    Answers are matched with the request by index and sub-index; late answers to another object are dropped. A request
-    that was repeated may be answered twice: such a late answer must not pass for the answer to a later write of the
-    same object, or to a later reading of what was written.
+    Answers are matched with requests by index and sub-index; late answers to other objects are dropped. A repeated
+    request may be answered twice. Such a late answer must not count for a later write of the same object, or for a
+    later read of the written value.
 
     Attributes:
-        outcome: of the last transfer; None while it is under way.
+        outcome: result of the last transfer; None while it runs.
     """
 
     def __init__(self, node: int, link: Link) -> None:
@@ -74,13 +74,13 @@ class SdoClient:
         self._segments: bytes | None = None  # received so far; None outside a segmented answer
         self._expected = 0  # segments received
         self._asked = 0  # requests of this transfer
-        self._asked_at = 0.0  # the first of them
-        self._slowest = 0.0  # longest time that an answer took [s]
-        self._owed: dict[bytes, tuple[int, float]] = {}  # answers that may come late, by object, and until when
-        self._skip = 0  # late answers to be passed over
+        self._asked_at = 0.0  # time of the first of them
+        self._slowest = 0.0  # longest answer time [s]
+        self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers that may come, and until when
+        self._skip = 0  # late answers to ignore
 
     def begin(self, transfer: Transfer, now: float) -> None:
-        """Begins a transfer; one under way is given up."""
+        """Starts a transfer; a running one is cancelled."""
         self.cancel()
         self._transfer, self._tries = transfer, transfer.tries
         self._multiplexer = struct.pack("<HB", transfer.index, transfer.sub)
@@ -90,7 +90,7 @@ class SdoClient:
         self._request(now)
 
     def cancel(self) -> None:
-        """Gives the transfer up, without an outcome."""
+        """Cancels the transfer, without an outcome."""
         if self._outgoing is not None:
             self._outgoing.cancelled = True
         self._transfer = self._outgoing = self._segments = self.outcome = None
@@ -109,7 +109,7 @@ class SdoClient:
         if data[1:4] != self._multiplexer:
             self._take_late(data[1:4])
             return
-        if self._skip > 0:  # late, or the right one: the answer to another request is right in both cases
+        if self._skip > 0:  # late or not: the answer to a new request is right in both cases
             self._skip -= 1
             self._take_late(data[1:4])
             self._link.answered(outgoing, now)
@@ -133,7 +133,7 @@ class SdoClient:
                 self._send(bytes((0x60, 0, 0, 0, 0, 0, 0, 0)), now)
 
     def tick(self, now: float) -> None:
-        """Tries again, or gives up, if the answer is late."""
+        """Repeats the request, or ends the transfer, after the timeout."""
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
             return
@@ -162,7 +162,7 @@ class SdoClient:
             self._send(bytes((kind,)) + self._multiplexer + data.ljust(4, b"\0"), now)
 
     def _owe(self, answers: int, now: float) -> None:
-        """Notes answers that may still come."""
+        """Records answers that may still come."""
         owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
         self._owed[self._multiplexer] = owed + answers, now + _LATE
 
@@ -177,7 +177,7 @@ class SdoClient:
     def _take_segment(self, data: bytes, now: float) -> None:
         assert self._segments is not None
         if data[0] >> 4 & 1 != self._expected & 1:
-            return  # a repetition
+            return  # a repeated segment
         self._segments += data[1 : 8 - (data[0] >> 1 & 7)]
         self._expected += 1
         if data[0] & 1:

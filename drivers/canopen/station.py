@@ -1,4 +1,4 @@
-"""A board and the procedures that run with it; questions for its inputs and its presence."""
+"""A board, the procedures that run with it, and questions for its inputs and its presence."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class Station:
     """One board on its bus.
 
     Attributes:
-        index: of the board.
-        board: what is known of it.
-        runner: of the procedures with it.
-        questioning: whether a question for its inputs is neither answered nor timed out.
+        index: index of the board.
+        board: the state of the board.
+        runner: runs procedures with it.
+        questioning: whether a question for its inputs waits for the answer.
     """
 
     def __init__(self, index: int, board: Board, link: Link) -> None:
@@ -28,12 +28,12 @@ class Station:
         self._again = False
 
     def cancel(self) -> None:
-        """Gives up whatever runs."""
+        """Cancels the running procedure."""
         self.runner.cancel()
         self.questioning = self._again = False
 
     def question(self, now: float) -> None:
-        """Asks for the inputs, once more if a question is under way: its answer may be too old."""
+        """Asks for the inputs; asks again after a running question, whose answer may be too old."""
         if self.questioning:
             self._again = True
         elif self.board.ready and self.board.layout.inputs:
@@ -41,7 +41,7 @@ class Station:
             self.runner.start(_ask_inputs(self.board), lambda fault, now: self._answered(now), now)
 
     def probe(self, now: float) -> None:
-        """Asks for the device type; any answer shows that the board is back."""
+        """Asks for the device type, 1000h; any answer shows that the board is back."""
         if not self.runner.running:
             self.runner.start(_ask_presence(), lambda fault, now: None, now)
 
@@ -55,7 +55,7 @@ def _ask_inputs(board: Board) -> Procedure:
     before = board.input_frames
     for sub in subs_of(board.layout.input_bits):
         outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE, tries=2, fresh=True)
-        if outcome.data and board.input_frames == before:  # otherwise a TPDO brought newer ones
+        if outcome.data and board.input_frames == before:  # otherwise a TPDO has brought newer values
             board.set_input(sub, outcome.data[0])
 
 

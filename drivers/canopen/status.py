@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Traffic:
-    """The traffic of an arm on one bus at worst, see `load.worst_case`.
+    """The worst-case traffic of an arm on one bus, see `load.worst_case`.
 
     Attributes:
-        heartbeats: of the boards and the master [bit/s].
-        sync: of the master [bit/s].
-        rpdos: commands [bit/s].
-        tpdos: end-stops [bit/s].
-        load: their sum as a share of the bit rate; above 1 the bus cannot carry it.
+        heartbeats: heartbeats of the boards and the master [bit/s].
+        sync: SYNC [bit/s].
+        rpdos: RPDOs, the commands [bit/s].
+        tpdos: TPDOs, the end-stops [bit/s].
+        load: sum as a fraction of the bit rate; the bus cannot carry more than 1.
     """
 
     heartbeats: float
@@ -36,11 +36,11 @@ class BusStatus:
         tx_errors: transmit error counter of the controller, as of the last error frame.
         rx_errors: receive error counter, likewise.
         dropped: frames that could not be sent.
-        ignored: frames received without a meaning here (remote, extended, too short, other nodes).
-        frames_per_second: sent and received, by anybody, over about the last second.
-        bits_per_second: of those frames, with the greatest possible number of stuff bits.
-        load: these bits as a share of the bit rate, 0..1.
-        worst_case: computed, of the traffic of this arm.
+        ignored: received frames that were not understood (remote, extended, too short, other nodes).
+        frames_per_second: all sent and received frames, over about the last second.
+        bits_per_second: bits of those frames, with the greatest possible number of stuff bits.
+        load: these bits as a fraction of the bit rate, 0..1.
+        worst_case: computed worst-case traffic of this arm.
     """
 
     name: str
@@ -64,9 +64,9 @@ class BoardStatus:
     Attributes:
         bus: its bus.
         node: its node id.
-        state: of its network management in words; "unknown" before the first heartbeat, "lost" after a time-out.
-        heartbeat_age: time since its last heartbeat [s], None before the first.
-        emergency: its last emergency in words; None if there is none or it is over.
+        state: NMT state in words; "unknown" before the first heartbeat, "lost" after a timeout.
+        heartbeat_age: time since its last heartbeat [s]; None before the first.
+        emergency: its last emergency in words; None without an emergency, or after its end.
     """
 
     bus: str

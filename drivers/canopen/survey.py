@@ -1,4 +1,4 @@
-"""Finds the nodes of a bus without knowing any, and reads what matters of each; writes nothing."""
+"""Finds all nodes of a bus, and reads the important objects of each; writes nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.canopen.conversation import converse
 from drivers.canopen.events import Changed, Echoed, Event, Received
 from drivers.canopen.faults import Fault
 from drivers.canopen.link import Link
-from drivers.canopen.pdo_setup import Held, read_pdo
+from drivers.canopen.pdo_setup import PdoState, read_pdo
 from drivers.canopen.procedure import BoardError, Procedure, Runner, Step
 from drivers.canopen.sdo import Outcome, Transfer
 from drivers.canopen.wiring import MASTER, BusSettings
@@ -21,8 +21,8 @@ NODES = range(1, 128)
 _FIRST, _TRIES = 0.5, 2  # [s] for the first answer of a node, and attempts
 _LISTEN = 1.2  # [s] for heartbeats, at least
 _STUCK_AFTER = 0.5  # [s]
-_PDOS = 32  # RPDOs and TPDOs that are looked for
-_MOST_SUBS = 32  # of an array that are read
+_PDOS = 32  # RPDOs and TPDOs that are searched
+_MOST_SUBS = 32  # entries of an array that are read
 
 TEXTS = (0x1008, 0x1009, 0x100A)
 _NUMBERS = (
@@ -37,7 +37,7 @@ _NUMBERS = (
     (0x1029, 1),
 )
 _ARRAYS = (0x1003, 0x1016, 0x1018, 0x6202, 0x6206, 0x6207)
-_COUNTS = (0x6000, 0x6200)  # arrays of which sub-index 0 is read only
+_COUNTS = (0x6000, 0x6200)  # arrays whose sub-index 0 alone is read
 
 
 @dataclass
@@ -45,15 +45,15 @@ class Found:
     """One node of a bus.
 
     Attributes:
-        node: its id.
-        state: as last heard; None if no heartbeat came.
-        answers: whether it answers to SDO.
+        node: node id.
+        state: last NMT state; None if no heartbeat came.
+        answers: whether it answers SDO requests.
         numbers: unsigned numbers by index and sub-index.
-        texts: by index.
-        refused: abort codes, by index and sub-index, of objects that are there and not read.
-        rpdos: as it holds them.
-        tpdos: likewise.
-        trouble: why the reading ended early, as a sentence.
+        texts: texts by index.
+        refused: SDO abort codes of objects that exist and cannot be read, by index and sub-index.
+        rpdos: its RPDOs.
+        tpdos: its TPDOs.
+        trouble: why the survey of this node ended early, as a sentence.
     """
 
     node: int
@@ -62,13 +62,13 @@ class Found:
     numbers: dict[tuple[int, int], int] = field(default_factory=dict)
     texts: dict[int, str] = field(default_factory=dict)
     refused: dict[tuple[int, int], int] = field(default_factory=dict)
-    rpdos: list[Held] = field(default_factory=list)
-    tpdos: list[Held] = field(default_factory=list)
+    rpdos: list[PdoState] = field(default_factory=list)
+    tpdos: list[PdoState] = field(default_factory=list)
     trouble: str | None = None
 
 
 class Survey:
-    """Asks all nodes of a bus in parallel, and listens to heartbeats and boot-up messages; pure like the master.
+    """Asks all nodes of a bus in parallel, and listens to heartbeats; without I/O and clock, like the master.
 
     Attributes:
         master_heard: whether a master, such as an executor, sends its heartbeat.
@@ -77,8 +77,8 @@ class Survey:
     Args:
         bus: the bus.
         send: hands out a frame for a bus, by its name; must not call the survey.
-        nodes: ids to ask.
-        in_full: read all that matters; otherwise only 1000h and 1018h.
+        nodes: node ids to ask.
+        in_full: read all important objects; otherwise only 1000h and 1018h.
     """
 
     def __init__(
@@ -99,18 +99,18 @@ class Survey:
 
     @property
     def over(self) -> bool:
-        """Whether all nodes have answered or are given up, and heartbeats had their time."""
+        """Whether all nodes have answered or timed out, and the time for heartbeats is over."""
         if self.fault is not None:
             return True
         return self._until == -1.0 and not any(runner.running for runner in self._runners.values())
 
     @property
     def found(self) -> list[Found]:
-        """The nodes that answer, or were heard, by id."""
+        """The nodes that have answered or were heard, by node id."""
         return [node for node in self._nodes.values() if node.answers or node.state is not None]
 
     def start(self, now: float) -> None:
-        """Begins to ask; the bus is open."""
+        """Starts to ask. The bus is open."""
         self._until = now + _LISTEN
         self._link.changed("active", "", None, now)
         for node, runner in self._runners.items():
@@ -134,12 +134,12 @@ class Survey:
                     self._nodes[node].state = STATES.get(data[0] & 0x7F)
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
-        """Notes that a frame was not sent."""
+        """Records that a frame could not be sent."""
         self._link.send_failed(frame, now)
 
     def tick(self, now: float) -> None:
-        """Does what time brings."""
-        self._link.armed = self._link.usable  # nothing here moves: only so that a stuck bus is found
+        """Call every millisecond: handles timeouts."""
+        self._link.armed = self._link.usable  # so that a stuck bus is found; nothing is switched here
         self._give_up(self._link.tick(now, now))
         for runner in self._runners.values():
             runner.tick(now)
@@ -151,41 +151,41 @@ class Survey:
         if outcome.silence is not None:
             return
         it.answers = True
-        self._keep(it, 0x1000, 0, outcome)
+        self._store(it, 0x1000, 0, outcome)
         yield from self._array(it, 0x1018)
         if not self._in_full:
             return
         for index, sub in _NUMBERS:
-            self._keep(it, index, sub, (yield Transfer(index, sub)))
+            self._store(it, index, sub, (yield Transfer(index, sub)))
         for index in _COUNTS:
-            self._keep(it, index, 0, (yield Transfer(index, 0)))
+            self._store(it, index, 0, (yield Transfer(index, 0)))
         for index in _ARRAYS:
             yield from self._array(it, index)
         for index in TEXTS:
             outcome = yield Transfer(index, 0)
             if outcome.data is not None:
                 it.texts[index] = outcome.data.decode("latin-1").rstrip("\0 ")
-        for first, held in ((0x1400, it.rpdos), (0x1800, it.tpdos)):
+        for first, pdos in ((0x1400, it.rpdos), (0x1800, it.tpdos)):
             for parameters in range(first, first + _PDOS):
                 if (pdo := (yield from read_pdo(str(it.node), parameters))) is not None:
-                    held.append(pdo)
+                    pdos.append(pdo)
 
     def _array(self, it: Found, index: int) -> Generator[Step, Outcome, None]:
         if (index, 0) not in it.numbers:
-            self._keep(it, index, 0, (yield Transfer(index, 0)))
+            self._store(it, index, 0, (yield Transfer(index, 0)))
         for sub in range(1, 1 + min(it.numbers.get((index, 0), 0), _MOST_SUBS)):
-            self._keep(it, index, sub, (yield Transfer(index, sub)))
+            self._store(it, index, sub, (yield Transfer(index, sub)))
 
-    def _keep(self, it: Found, index: int, sub: int, outcome: Outcome) -> None:
-        """Keeps what was read of an object.
+    def _store(self, it: Found, index: int, sub: int, outcome: Outcome) -> None:
+        """Stores the value or the refusal of an object.
 
         Raises:
-            BoardError: the node has fallen silent.
+            BoardError: the node does not answer any more.
         """
         if outcome.data is not None:
             it.numbers[index, sub] = int.from_bytes(outcome.data, "little")
         elif outcome.abort is None:
-            text = f"it fell silent at {index:04X}h sub {sub}: {outcome.silence}"
+            text = f"it stopped answering at {index:04X}h sub {sub}: {outcome.silence}"
             raise BoardError(Fault("board-missing", str(it.node), text))
         elif outcome.abort not in (objects.NO_OBJECT, objects.NO_SUB_INDEX):
             it.refused[index, sub] = outcome.abort
@@ -205,7 +205,7 @@ class Survey:
 
 
 def survey(bus: BusSettings, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> Survey:
-    """Asks the nodes of a bus, and blocks until they have answered or are given up.
+    """Asks the nodes of a bus; blocks until they have answered or timed out.
 
     Raises:
         BusError: the bus cannot be opened.

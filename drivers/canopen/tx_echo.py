@@ -1,4 +1,4 @@
-"""Transmit echo: frames that were handed out and have not come back from the interface."""
+"""Transmit echo: frames that were handed out and not yet echoed by the interface."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from drivers.canopen.cia301 import Frame
 
 
 class TxPending:
-    """Frames on their way to the wire.
+    """The frames that wait for their echo.
 
-    SocketCAN gives each frame back when it has left (receive_own_messages). Frames are matched by identifier and data,
-    for controllers with several mailboxes do not keep the order. Some interfaces never give frames back: nothing counts
+    SocketCAN echoes each frame when it was sent (receive_own_messages). Frames are matched by identifier and data,
+    since controllers with several mailboxes do not keep the order. Some interfaces never echo frames: no frame counts
     as pending until the first echo.
 
     Attributes:
         last_echo: time of the last echo [s]; None before the first.
 
     Args:
-        longest: a frame is given up after this time [s]: its echo may have been lost.
+        longest: a frame is not waited for any longer [s]: its echo may have been lost.
     """
 
     def __init__(self, longest: float) -> None:
@@ -40,22 +40,22 @@ class TxPending:
 
     @property
     def oldest(self) -> float | None:
-        """When the oldest pending frame was handed out [s]; None if no frame is pending."""
+        """Time when the oldest pending frame was handed out [s]; None if no frame is pending."""
         if not self._count or self.last_echo is None:
             return None
         return min(times[0] for times in self._pending.values())
 
     def sent(self, frame: Frame, now: float) -> None:
-        """Notes a frame that is handed out."""
+        """Records a frame that is handed out."""
         self._pending.setdefault(frame, []).append(now)
         self._count += 1
 
     def failed(self, frame: Frame) -> bool:
-        """Takes back a frame that was not sent; returns whether it was pending."""
+        """Removes a frame that could not be sent; returns whether it was pending."""
         return self._take(frame)
 
     def came_back(self, frame: Frame, now: float) -> bool:
-        """Takes an echo; returns whether the frame was one of ours."""
+        """Takes an echo; returns whether the master had sent the frame."""
         ours = self._take(frame)
         if not ours and frame in self._given_up:
             self._given_up[frame] -= 1
@@ -66,17 +66,17 @@ class TxPending:
         return ours
 
     def tick(self, now: float) -> None:
-        """Gives up frames that have been pending for too long."""
+        """Stops to wait for frames that are pending for longer than `longest`."""
         for old in [frame for frame, times in self._pending.items() if now - times[0] > self._longest]:
             self._give_up(old)
 
     def give_up(self) -> None:
-        """Gives up all pending frames; their echoes are still known as ours."""
+        """Stops to wait for all pending frames; their echoes are still recognized."""
         for frame in list(self._pending):
             self._give_up(frame)
 
     def forget(self) -> None:
-        """Forgets all frames: a bus that was opened again cannot give them back."""
+        """Forgets all frames: a bus that was opened again cannot echo them."""
         self._pending.clear()
         self._given_up.clear()
         self._count = 0

@@ -1,4 +1,4 @@
-"""Verification: boards are read back while they run, to notice what does not switch and what somebody else changes."""
+"""Verification: reads boards back while they run, to find outputs that did not switch and foreign changes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from drivers.canopen.procedure import Step, Wait
 from drivers.canopen.sdo import Outcome, Transfer
 from drivers.canopen.station import Station
 
-_SHARE, _SHORTEST = 0.01, 0.05  # of the bit rate, and the time between two readings of one bus [s]
+_SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time between two reads on one bus [s]
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch
-_PAUSE, _TRIES = 0.05, 8  # between two looks at outputs that are not yet right [s]
+_PAUSE, _TRIES = 0.05, 8  # [s] between two reads of outputs that are not yet right, and number of reads
 
 
 class Verification:
-    """Reads back outputs after switches, and by and by all that the boot has read.
+    """Reads back outputs after switches, and all objects of the boot in turn.
 
     Attributes:
-        blocking: indices of boards without end-stops whose first switch since their boot is being read back.
-        failed: why the last of those did not switch; None if they did.
+        blocking: indices of boards without end-stops whose first switch after the boot is being read back.
+        failed: why the outputs of such a board did not switch; None if they did.
 
     Args:
         network: the boards.
@@ -34,9 +34,9 @@ class Verification:
         self.blocking: set[int] = set()
         self.failed: str | None = None
         self._network = network
-        self._unverified = set(range(len(network.stations)))  # not since their boot
-        self._due: dict[int, None] = {}  # boards with outputs to be read back, the oldest first
-        self._next = dict.fromkeys(network.links, 0.0)  # reading of each bus
+        self._unverified = set(range(len(network.stations)))  # boards not verified since their boot
+        self._due: dict[int, None] = {}  # boards whose outputs must be read back, the oldest first
+        self._next = dict.fromkeys(network.links, 0.0)  # time of the next read on each bus
         self._turns = dict.fromkeys(network.links, 0)
         self._of_bus = {
             name: [station for station in network.stations if station.board.layout.bus == name]
@@ -46,14 +46,14 @@ class Verification:
         self._pace = {name: max(_SHORTEST, 2 * wire_bits(8) / (_SHARE * rate)) for name, rate in bitrates.items()}
 
     def begin(self) -> None:
-        """Notes that all boards are booted anew."""
+        """Records that a boot of all boards has begun."""
         self._unverified = set(range(len(self._network.stations)))
         self._due.clear()
         self.blocking.clear()
         self.failed = None
 
     def switched(self, lines: int) -> None:
-        """Notes that output lines were switched."""
+        """Records that output lines were switched."""
         for station in self._network.stations:
             layout, i = station.board.layout, station.index
             if switched := layout.output_lines & lines:
@@ -62,7 +62,7 @@ class Verification:
                     self.blocking.add(i)
 
     def tick(self, now: float) -> None:
-        """Starts the readings that are due; `now` stands still while the loop stalls [s]."""
+        """Starts the reads that are due; `now` stands still while the loop stalls [s]."""
         stations = self._network.stations
         for i in [i for i in self._due if not stations[i].board.ready]:
             self._end(i)
@@ -84,7 +84,7 @@ class Verification:
                     break
 
     def _take_turn(self, bus: str, now: float) -> None:
-        """Reads one object of one board: each board in turn, and of each all objects in turn."""
+        """Reads one object of one board: all boards in turn, and all objects of each in turn."""
         stations = self._of_bus[bus]
         if not stations:
             return
@@ -111,19 +111,19 @@ class Verification:
         self.blocking.discard(i)
 
     def _outputs(self, station: Station) -> Generator[Step, Outcome, None]:
-        """Compares the outputs of a board with what was switched; a board may take some time to follow."""
+        """Compares the outputs of a board with the switched levels; a board may need some time."""
         board, i = station.board, station.index
         layout, outputs = board.layout, self._network.outputs
         for _ in range(_TRIES):
             changes, bits = outputs.changes[i], 0
             for sub in subs_of(layout.output_bits):
                 outcome = yield Transfer(layout.settings.object, sub, fresh=True)
-                if not outcome.data:  # whether the board is there, its heartbeats tell
+                if not outcome.data:  # its heartbeats tell whether the board is there
                     self._end(i)
                     return
                 bits |= outcome.data[0] << 8 * (sub - 1)
             if outputs.changes[i] != changes:
-                return  # it was switched meanwhile: once more
+                return  # it was switched meanwhile: read again later
             should = outputs.bits(i)
             if bits & layout.output_bits == should:
                 self._end(i)
@@ -148,21 +148,21 @@ class Verification:
         board.fail(Fault("not-switched", board.name, text))
 
     def _object(self, station: Station, need: Need) -> Generator[Step, Outcome, None]:
-        """Looks whether an object still holds what it held at the end of the boot."""
+        """Checks that an object still has its value from the end of the boot."""
         board = station.board
         for _ in range(2):
             outcome = yield Transfer(need.index, need.sub, fresh=True)
-            if outcome.data is None or need.met(held := int.from_bytes(outcome.data[: need.size], "little")):
+            if outcome.data is None or need.met(present := int.from_bytes(outcome.data[: need.size], "little")):
                 return
         if board.ready:
             text = (
-                f"board {board.name} holds {need.words(held)} in {need.place}; {need.words(need.value)} is needed and"
-                " was there: another program writes to it, or it has started anew; reset configures it again"
+                f"board {board.name} holds {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
+                " and was there: another program writes to it, or it has restarted; reset configures it again"
             )
             board.fail(Fault("board-changed", board.name, text))
 
     def _errors(self, station: Station) -> Generator[Step, Outcome, None]:
-        """Looks for a standing error of which no emergency has told."""
+        """Checks the error register, 1001h, for an error without an emergency."""
         board = station.board
         for _ in range(2):
             outcome = yield Transfer(0x1001, 0, fresh=True)

@@ -19,9 +19,9 @@ class BusSettings:
     """One CAN bus.
 
     Attributes:
-        name: as in the arm's file and in messages, e.g. "can0".
-        interface: of python-can, e.g. "socketcan" or "virtual".
-        channel: of that interface, e.g. "can0".
+        name: name in the arm's file and in messages, e.g. "can0".
+        interface: interface of python-can, e.g. "socketcan" or "virtual".
+        channel: channel of that interface, e.g. "can0".
         bitrate: [bit/s]. On SocketCAN only the load figure uses it; the system configures the interface.
     """
 
@@ -37,8 +37,8 @@ class Line(NamedTuple):
     Attributes:
         bus: name of its bus.
         node: node id of its board.
-        bit: of 6200h or 6000h.
-        inverted: whether it is electrically 0 where its level is 1.
+        bit: bit of 6200h or 6000h.
+        inverted: whether it is electrically 0 while its level is 1.
     """
 
     bus: str
@@ -49,10 +49,10 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True)
 class Channel:
-    """The wiring of one actuator. Its place in `Wiring.channels` is the actuator's index and its bit in masks.
+    """The wiring of one actuator. Its position in `Wiring.channels` is the actuator's index and its bit in masks.
 
-    An actuator with `output_off` has two outputs, of which one is on at most: it stays where it is while both are off.
-    All its outputs and inputs are on one board.
+    An actuator with `output_off` has two outputs. At most one of them is on; while both are off, the actuator stays
+    where it is. All its outputs and inputs are on one board.
 
     Attributes:
         actuator: label for messages, e.g. "5.left".
@@ -60,13 +60,13 @@ class Channel:
         node: node id of the board, 1..126 (127 is the master).
         output: bit of 6200h that extends it, 0..2031 (sub-index 1 + bit // 8).
         input: bit of 6000h that reads 1 while the actuator is extended; None without that end-stop.
-        output_off: bit of 6200h that contracts it; None: a spring does as soon as `output` is off.
+        output_off: bit of 6200h that contracts it; None: a spring contracts it while `output` is off.
         input_contracted: bit of 6000h that reads 1 while the actuator is contracted; None without that end-stop.
-        inverted: names of those of the four fields above whose bit is electrically 0 where its level is 1.
-        pulse: an output is on for this long at a switch, then off [s]; None: it stays on.
+        inverted: names of the fields among these four whose bit is electrically 0 while its level is 1.
+        pulse: an output is on for this time after a switch [s]; None: it stays on.
         travel: longest times to the contracted and to the extended end [s]; None: `Timing.travel_time`.
-        settle_margin: [s]; None: `Timing.settle_margin`.
-        on_loss: as in `Wiring`, of this actuator alone; None: as there.
+        settle_margin: margin after the travel time [s]; None: `Timing.settle_margin`.
+        on_loss: as in `Wiring`, for this actuator alone; None: as in `Wiring`.
 
     Raises:
         ValueError: a number is out of its range, or the fields contradict each other.
@@ -108,14 +108,14 @@ class Channel:
 
 @dataclass(frozen=True)
 class Interlock:
-    """An input that is closed, level 1, while motion is allowed: an emergency stop, air pressure, a guard door.
+    """An input that must be closed, level 1, while anything moves: emergency stop, air pressure, guard door.
 
     Attributes:
-        name: for messages.
+        name: name for messages.
         bus: name of a bus.
         node: node id of its board.
         input: bit of 6000h.
-        inverted: whether it is electrically 0 while closed.
+        inverted: whether the bit is 0 while the interlock is closed.
     """
 
     name: str
@@ -126,23 +126,23 @@ class Interlock:
 
     @property
     def line(self) -> Line:
-        """Its line."""
+        """The input line."""
         return Line(self.bus, self.node, self.input, self.inverted)
 
 
 @dataclass(frozen=True)
 class NodeSettings:
-    """What an arm's file says of one board beyond the places of its actuators.
+    """The entry of one board in `boards.nodes` of the arm's file.
 
     Attributes:
         bus: name of a bus.
         node: node id.
         object: index of its outputs, an array of bytes from sub-index 1: 6200h, or 2000h..5FFFh of a maker.
-        vendor: 1018h sub 1 that the board must hold; None: any.
+        vendor: needed value of 1018h sub 1; None: any.
         product: 1018h sub 2, likewise.
         revision: 1018h sub 3, likewise.
         serial: 1018h sub 4, likewise.
-        error_state: as in `Wiring`, of this board alone; None: as of all boards.
+        error_state: as in `Wiring`, for this board alone; None: as in `Wiring`.
 
     Raises:
         ValueError: a number is out of its range.
@@ -169,16 +169,16 @@ class Wiring:
     Attributes:
         buses: the CAN buses.
         channels: one for each actuator.
-        on_loss: what the boards do with their outputs when they no longer hear the master.
+        on_loss: what the outputs do when the boards lose the master.
         shared_rpdo: boards of a bus share frames of up to 8 output bytes (dummy mapping, CiA 301, 7.4.7).
-        error_state: what the outputs of boards without 6206h and 6207h do if the master is no longer heard: go "off" or
-            "hold", as a person knows it, or whatever the "device" does; None: such boards are refused.
-        nodes: boards of which more is to be said.
+        error_state: what the outputs of boards without 6206h and 6207h do when the boards lose the master, as the user
+            knows it: they go "off", "hold", or do what the "device" is set to; None: such boards are refused.
+        nodes: further settings of single boards.
         interlocks: inputs that must be closed while anything moves.
 
     Raises:
-        ValueError: a name, output, input or node is there twice, a channel, node or interlock names an unknown bus, or
-            an actuator with pulses is to contract on loss.
+        ValueError: a name, output, input or node occurs twice, a channel, node or interlock names an unknown bus, or
+            an actuator with pulses has on_loss "contract".
     """
 
     buses: tuple[BusSettings, ...]
@@ -213,12 +213,12 @@ class Wiring:
 
     @cached_property
     def paired(self) -> tuple[int, ...]:
-        """Indices of the actuators with two outputs: output line A + i is that of the i-th of them."""
+        """Indices of the actuators with two outputs; output line A + i is the `output_off` of the i-th of them."""
         return tuple(k for k, channel in enumerate(self.channels) if channel.output_off is not None)
 
     @cached_property
     def ended(self) -> tuple[int, ...]:
-        """Indices of the actuators with an `input_contracted`: input line A + i is that of the i-th of them."""
+        """Indices of the actuators with an `input_contracted`; input line A + i is that of the i-th of them."""
         return tuple(k for k, channel in enumerate(self.channels) if channel.input_contracted is not None)
 
     @cached_property
@@ -234,9 +234,9 @@ class Wiring:
 
     @cached_property
     def loss_levels(self) -> tuple[int | None, ...]:
-        """What each output line does if the master is no longer heard: it goes to this level; None: it keeps its own.
+        """The level that each output line takes when its board loses the master; None: it keeps its level.
 
-        Lines of actuators with pulses go off: a pulse under way would not end otherwise.
+        Lines of actuators with pulses go off: otherwise a running pulse would not end.
         """
         pairs = [self.channels[k] for k in self.paired]
         return tuple(self._loss_level(c, 0) for c in self.channels) + tuple(self._loss_level(c, 1) for c in pairs)
@@ -258,7 +258,7 @@ class Timing:
         heartbeat: period of the heartbeats of the boards (1017h) and of the master.
         heartbeat_timeout: a board silent for this long is lost; the boards get the same for the master (1016h).
         boot_timeout: longest time that boards need to boot, and to become operational.
-        travel_time: longest time of an actuator from end-stop to end-stop.
+        travel_time: longest time of an actuator from end to end.
         settle_margin: added to the travel time before the measured state is compared with the commanded one.
 
     Raises:

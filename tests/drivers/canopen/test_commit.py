@@ -102,7 +102,7 @@ def test_a_commit_back_to_the_old_states_overwrites_what_is_latched():
 def test_a_commit_during_another_is_refused():
     world = World().up()
     world.master.commit(1, world.now)
-    with pytest.raises(Busy, match="on their way"):
+    with pytest.raises(Busy, match="not sent yet"):
         world.master.commit(2, world.now)
 
 
@@ -131,10 +131,10 @@ def test_without_an_end_stop_the_output_counts_as_measured():
 
 def test_rpdos_that_do_not_leave_in_time_end_the_commit():
     world = World().up()
-    world.buses["can0"].held = True
+    world.buses["can0"].blocked = True
     world.commit(1, 0)
-    assert "have not left" in world.master.commit_failed
-    world.buses["can0"].held = False
+    assert "were not sent" in world.master.commit_failed
+    world.buses["can0"].blocked = False
     world.buses["can0"].next()
     world.run(0.1)
     assert (0x080, "") not in world.frames()
@@ -149,7 +149,7 @@ def test_no_sync_follows_a_stall_of_the_loop():
     world.flush()
     world.stall(0.2)
     assert not world.master.committing
-    assert "halted" in world.master.commit_failed or "not left" in world.master.commit_failed
+    assert "halted" in world.master.commit_failed or "not sent" in world.master.commit_failed
     world.run(0.1)
     assert (0x080, "") not in world.frames()
     assert world.faults == []
@@ -157,14 +157,14 @@ def test_no_sync_follows_a_stall_of_the_loop():
 
 def test_frames_that_never_leave_make_the_bus_stuck():
     world = World().up()
-    world.buses["can0"].held = True
+    world.buses["can0"].blocked = True
     world.run(0.5)
     assert world.codes()[0] == "bus-busy"
     assert world.measured() == [-1, -1]
     assert not world.master.back
     with pytest.raises(Busy, match="can0"):
         world.master.commit(1, world.now)
-    world.buses["can0"].held = False
+    world.buses["can0"].blocked = False
     world.buses["can0"].next()
 
     def back():

@@ -96,14 +96,14 @@ def test_nothing_is_sent_if_nothing_changes():
 def test_no_sync_is_sent_on_any_bus_before_all_rpdos_have_left_on_all():
     world = World(two_buses()).up()
     world.frames("can1")
-    world.buses["can1"].held = True
+    world.buses["can1"].blocked = True
     world.master.commit(3, world.now)
     world.flush()
     world.run(0.02)
     assert (world.frames(), world.frames("can1")) == ([(0x205, "01")], [])
     assert world.master.committing
     assert world.master.outputs == 0
-    world.buses["can1"].held = False
+    world.buses["can1"].blocked = False
     world.buses["can1"].next()
     world.run(0.1)
     assert world.frames()[0] == (0x080, "")

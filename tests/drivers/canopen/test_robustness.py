@@ -187,7 +187,7 @@ def test_outputs_change_only_by_commits_whatever_fails(steps, on_loss):
             world.master.boot(world.now)
             world.flush()
         elif what in ("hold", "release"):
-            bus.held = what == "hold"
+            bus.blocked = what == "hold"
             bus.next()
         elif what in ("full", "room"):
             bus.room = 0 if what == "full" else None
@@ -207,7 +207,7 @@ def test_outputs_change_only_by_commits_whatever_fails(steps, on_loss):
         world.run(0.03 * number)
         for k, state in enumerate(driven()):  # what was asked for last, or contracted by a cut or a lost master
             assert state in (before[k], states[k], 0)
-    bus.held, bus.room = False, None
+    bus.blocked, bus.room = False, None
     bus.next()
     for board in boards:
         board.silent = False

@@ -76,10 +76,10 @@ def test_late_answers_to_another_object_are_dropped():
 
 def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another_no_confirmation():
     need = Need(0x1017, 0, 600, 2, "period of its heartbeat")
-    fault = Line(*[[ABORT_OF_OTHER]] * 3).run(objects.settle("can0/5", need, 0))
+    fault = Line(*[[ABORT_OF_OTHER]] * 3).run(objects.ensure("can0/5", need, 0))
     assert fault.code == "board-missing"
     fault = Line([b"\x60\x16\x10\x01\0\0\0\0", b"\x80\x17\x10\x00\x30\x00\x09\x06"]).run(
-        objects.settle("can0/5", need, 0)
+        objects.ensure("can0/5", need, 0)
     )
     assert fault.code == "sdo-refused"
     assert fault.message == (
@@ -123,10 +123,10 @@ def test_an_absent_object_is_none_and_told_if_it_is_required(absent):
 def test_what_was_written_is_read_back():
     need = Need(0x6206, 1, 0x01, 1, "error mode", mask=0x03)
     line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfd\0\0\0"])
-    assert line.run(objects.settle("can0/5", need, 0xFE)) is None
+    assert line.run(objects.ensure("can0/5", need, 0xFE)) is None
     assert line.requests == ["2f 06 62 01 fd 00 00 00", "40 06 62 01 00 00 00 00"]
     line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfe\0\0\0"])
-    fault = line.run(objects.settle("can0/5", need, 0xFE))
+    fault = line.run(objects.ensure("can0/5", need, 0xFE))
     assert "holds FEh in 6206h sub 1 (error mode) after FDh was written" in fault.message
 
 
@@ -146,10 +146,10 @@ def test_a_late_confirmation_of_a_repeated_write_does_not_hide_a_refusal():
 
 def test_answers_that_never_come_late_do_not_delay_what_follows():
     need = Need(0x6206, 1, 1)
-    confirmed, held = b"\x60\x06\x62\x01\0\0\0\0", b"\x4f\x06\x62\x01\x01\0\0\0"
-    line = Line([], [confirmed], [held], [held])  # the answer to the first request was lost
+    confirmed, present = b"\x60\x06\x62\x01\0\0\0\0", b"\x4f\x06\x62\x01\x01\0\0\0"
+    line = Line([], [confirmed], [present], [present])  # the answer to the first request was lost
     begun = line.now
-    assert line.run(objects.settle("can0/5", need, 0)) is None
+    assert line.run(objects.ensure("can0/5", need, 0)) is None
     assert line.now - begun < 0.6  # one time-out, of the first request
     assert line.requests == ["2f 06 62 01 01 00 00 00"] * 2 + ["40 06 62 01 00 00 00 00"] * 2
 

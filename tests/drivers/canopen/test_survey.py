@@ -127,7 +127,7 @@ def test_a_node_that_falls_silent_is_told() -> None:
     world.until(lambda: (0x1005, 0) in asking._nodes[5].numbers)
     world.boards["can0", 5].silent = True
     world.until(lambda: asking.over, 60.0)
-    assert "it fell silent at" in asking.found[0].trouble
+    assert "it stopped answering at" in asking.found[0].trouble
 
 
 def test_a_bus_that_is_down_ends_it() -> None:

@@ -26,7 +26,7 @@ class SimulatedBus:
 
     Attributes:
         log: frames on the wire, as identifier and data.
-        held: the master's frames do not leave.
+        blocked: the master's frames do not leave.
         room: frames that the master's interface still takes; None without a limit but its queue.
         echo: whether the master's interface gives frames back.
     """
@@ -34,7 +34,7 @@ class SimulatedBus:
     def __init__(self, world: World, name: str, bitrate: int) -> None:
         self.world, self.name, self.bitrate = world, name, bitrate
         self.log: list[Frame] = []
-        self.held = self.busy = False
+        self.blocked = self.busy = False
         self.room: int | None = None
         self.echo = True
         self.queues: dict[object, deque[Frame]] = {}
@@ -54,7 +54,7 @@ class SimulatedBus:
         heads = [
             (queue[0].id, i, sender)
             for i, (sender, queue) in enumerate(self.queues.items())
-            if queue and not (sender is MASTER and self.held)
+            if queue and not (sender is MASTER and self.blocked)
         ]
         if self.busy or not heads:
             return

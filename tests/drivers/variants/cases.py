@@ -46,7 +46,7 @@ _CONTRACT, _HOLD, _OFF = {"on_loss": "contract"}, {"error_state": "hold"}, {"err
 _MAKER = {"nodes": (NodeSettings("can0", 5, object=0x2201, error_state="off"),)}
 _MAKER_UNKNOWN = {"nodes": (NodeSettings("can0", 5, object=0x2201),)}
 _NO_MODE = ("has no 6206h (error mode)", "set boards.error_state to off, hold or device")
-_NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); it is taken to go pre-operational when the master is lost"
+_NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); CiA 301 makes it enter pre-operational when the master is lost"
 _NO_BEHAVIOUR_REFUSED = ("has no 1029h sub 1 (error behaviour); 02h is needed", "on_loss: contract")
 _NO_VALUE_REFUSED = ("has no 6207h sub 1 (error value); 00h is needed", "on_loss: contract")
 
