@@ -1,4 +1,4 @@
-"""A simulated two-state actuator: a valve with one coil or two, a piston that it moves, and an end-stop at each end."""
+"""A simulated two-state actuator: a valve with one or two coils, a piston, and an end-stop switch at each end."""
 
 from __future__ import annotations
 
@@ -6,36 +6,36 @@ import math
 
 CONTRACTED, EXTENDED = 0, 1
 
-_OPENS = 0.05  # share of the stroke after which the switch of the end that was left opens
-_NEAR = 1e-9  # [s], and share of the stroke, that count as none
+_OPENS = 0.05  # fraction of the stroke after which the switch of the old end opens
+_NEAR = 1e-9  # [s], or fraction of the stroke, that counts as zero
 
 
 class Actuator:
     """Moves at a constant speed between its ends, 0 contracted and 1 extended.
 
-    With one coil, a spring returns it to its rest end when the coil, or the supply, is off. With two coils its valve
-    stays as it is without energy: the coil `on` switches it to extended, the coil `off` to contracted. While both coils
-    are energised the valve stays as it was, and both heat.
+    With one coil, a spring returns the actuator to its rest end while the coil or the supply is off. With two coils,
+    the valve stays as it is without energy: the coil `on` switches it to extended, the coil `off` to contracted. The
+    valve does not switch while both coils are energised.
 
-    An end-stop switch closes when the actuator arrives at its end, and opens when the actuator has left that end by 5 %
-    of the stroke. In mid-stroke both switches are open.
+    An end-stop switch closes when the actuator arrives at its end. It opens when the actuator has moved 5 % of the
+    stroke away from that end. In mid-stroke both switches are open.
 
     Args:
-        label: as in the wiring.
-        travel_time: from end to end [s].
-        contract_time: from extended to contracted [s]; None: `travel_time`.
+        label: label in the wiring.
+        travel_time: time from end to end [s].
+        contract_time: time from extended to contracted [s]; None: `travel_time`.
         coils: 1 or 2.
-        least_pulse: time that a coil of two must be energised to switch the valve [s].
-        rest: end to which the spring of one coil goes.
-        inverted: whether the wires of the switches at the contracted and the extended end read 0 while closed.
+        least_pulse: shortest time for which one of two coils must be energised to switch the valve [s].
+        rest: end to which the spring returns the actuator.
+        inverted: whether the switches at the contracted and the extended end read 0 while closed.
 
     Attributes:
         position: 0..1.
-        driven: end that the valve drives it to.
-        switches: how often the valve switched.
-        coils: which coils are energised: on, off.
-        both_on: how often both coils came to be energised at once.
-        longest_pulse: longest time that a coil of two was energised [s].
+        driven: end to which the valve drives the actuator.
+        switches: number of switches of the valve.
+        coils: whether the coils `on` and `off` are energised.
+        both_on: number of times when both coils were energised.
+        longest_pulse: longest time for which one of two coils was energised [s].
     """
 
     def __init__(
@@ -65,20 +65,20 @@ class Actuator:
         self._slowness = 1.0
         self._stuck: int | None = None
         self._jam: float | None = None
-        self._wire: int | tuple[int, int] | None = None  # a level of both wires, or what the switches read for good
+        self._wire: int | tuple[int, int] | None = None  # level of both wires, or the frozen readings of the switches
         self._energised_at = 0.0
         self._flips_at = math.inf
         self._now: float | None = None
 
     def reads(self, end: int) -> int:
-        """The level on the wire of the switch at an end: 1 while the switch is closed, or 0 if it is inverted."""
+        """Returns the level of the switch at an end: 1 while it is closed, or 0 if it is inverted."""
         if isinstance(self._wire, tuple):
             return self._wire[end]
         return self._closed[end] ^ self._inverted[end] if self._wire is None else self._wire
 
     @property
     def due(self) -> float:
-        """When its valve switches, a switch opens, or it arrives [s]; infinity if nothing of it is under way."""
+        """Time of the next change of valve, switch or arrival [s]; infinity if there is none."""
         target = self._target
         way = abs(target - self.position)
         if self._now is None or way == 0.0:
@@ -86,13 +86,13 @@ class Actuator:
         time = self._time(target)
         next_ = self._now + way * time
         for end in (CONTRACTED, EXTENDED):
-            left = _OPENS - abs(self.position - end)
-            if self._closed[end] and 0.0 < left < way and abs(target - end) > abs(self.position - end):
-                next_ = min(next_, self._now + left * time)
+            rest = _OPENS - abs(self.position - end)  # of the stroke, until the switch opens
+            if self._closed[end] and 0.0 < rest < way and abs(target - end) > abs(self.position - end):
+                next_ = min(next_, self._now + rest * time)
         return min(next_, self._flips_at)
 
     def drive(self, on: int, now: float, off: int = 0) -> None:
-        """Energises its coils, 1, or not, 0."""
+        """Energises the coils (1) or not (0)."""
         self.step(now)
         if (on, off) == self.coils:
             return
@@ -109,7 +109,7 @@ class Actuator:
             self._flips_at = math.inf
 
     def step(self, now: float) -> None:
-        """Moves it on to the time `now` [s]."""
+        """Moves the actuator up to the time `now` [s]."""
         if self._flips_at <= now + _NEAR:
             self._advance(self._flips_at)
             self._flips_at = math.inf
@@ -117,7 +117,7 @@ class Actuator:
         self._advance(now)
 
     def position_at(self, now: float) -> float:
-        """Returns where it is at a time between the last step and `due` [s]."""
+        """Returns the position at a time between the last step and `due` [s]."""
         target = self._target
         way = target - self.position
         if way == 0.0 or self._now is None:
@@ -128,40 +128,40 @@ class Actuator:
     # --- faults, and their ends
 
     def stick(self, state: int) -> None:
-        """Lets it go to an end and stay there, whatever its valve does."""
+        """Makes the actuator go to an end and stay there, whatever the valve does."""
         self._stuck = state
 
     def jam(self, position: float | None = None) -> None:
-        """Holds it at a position as soon as it comes there; where it is now if None."""
+        """Blocks the actuator at a position when it arrives there; None: at its present position."""
         self._jam = self.position if position is None else position
 
     def release(self) -> None:
-        """Lets it follow its valve again."""
+        """Makes the actuator follow its valve again."""
         self._stuck = self._jam = None
 
     def slow(self, factor: float) -> None:
-        """Makes its travel longer by a factor; 1 is as built."""
+        """Multiplies the travel times by a factor; 1 is normal."""
         self._slowness = factor
 
     def lose_sensor(self) -> None:
-        """Freezes what the end-stop switches read."""
+        """Freezes the readings of the end-stop switches."""
         self._wire = self.reads(CONTRACTED), self.reads(EXTENDED)
 
     def short_wires(self) -> None:
-        """Lets the wires of both end-stop switches read 1."""
+        """Makes both end-stop switches read 1."""
         self._wire = 1
 
     def cut_wires(self) -> None:
-        """Lets the wires of both end-stop switches read 0."""
+        """Makes both end-stop switches read 0."""
         self._wire = 0
 
     def restore_sensor(self) -> None:
-        """Lets the end-stop switches read again."""
+        """Ends the faults of the end-stop switches."""
         self._wire = None
 
     @property
     def _target(self) -> float:
-        """Where it is going: an end, or the position at which it is held."""
+        """The position to which it moves: an end, or the position at which it is blocked."""
         end = self.driven if self._stuck is None else self._stuck
         if self._jam is None:
             return float(end)
@@ -169,7 +169,7 @@ class Actuator:
         return self._jam if low <= self._jam <= high or abs(self.position - self._jam) < _NEAR else float(end)
 
     def _time(self, target: float) -> float:
-        """From end to end in the direction of the target [s]."""
+        """Returns the time from end to end in the direction of the target [s]."""
         return self._times[target > self.position] * self._slowness
 
     def _switch(self, end: int) -> None:

@@ -1,4 +1,4 @@
-"""All simulated boards and actuators of an arm, on their buses: no threads, no clock, no I/O."""
+"""All simulated boards and actuators of an arm on their buses, without threads, clock and I/O."""
 
 from __future__ import annotations
 
@@ -13,27 +13,24 @@ from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
 from drivers.simulation.variants import STANDARD, Variant
 
-_ORDINARY = 0.5  # travel time of an actuator in good order, as a share of the greatest travel time
-_LEAST_PULSE = 0.005  # [s] that a coil of two must be energised
+_ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
+_LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised
 
 
 class SimulatedBuses:
     """The boards of a wiring, each on its bus, with their actuators.
 
-    The caller brings frames by `receive` and time by `step`, and hands in `send` what takes the frames of the boards.
+    The caller passes frames to `receive` and the time to `step`. `send` takes the frames of the boards.
     A board answers before `receive` returns. Times never decrease. Faults take effect at the time of the last call.
-
-    An executor that runs these boards in its own event loop needs two lines: a frame that it sends goes into its events
-    as its own echo and then to `receive`, and `send` puts frames of the boards into its events.
 
     Args:
         wiring: buses, boards and actuators.
-        timing: the actuators take half of its travel time, or of their own.
+        timing: gives the travel time; simulated actuators take half of it.
         send: takes the name of a bus and a frame that a board sends on it.
-        variants: of boards, by name, e.g. "can0/5"; others are standard boards.
+        variants: variants of boards by name, e.g. "can0/5"; the other boards are standard boards.
 
     Raises:
-        KeyError: there is no such board.
+        KeyError: `variants` names an unknown board.
     """
 
     def __init__(
@@ -64,12 +61,12 @@ class SimulatedBuses:
         self._due = dict.fromkeys(self._by_name.values(), 0.0)
 
     def receive(self, bus: str, frame: Frame, now: float) -> None:
-        """Brings a data or remote frame with an 11 bit identifier to the boards of a bus; `now` in [s]."""
+        """Passes a data or remote frame with an 11 bit identifier to the boards of a bus; `now` in [s]."""
         self._now = now
         boards = self._boards[bus]
-        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only; most frames of a boot are
+        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only, as most frames of a boot
             node = frame.id & 0x7F
-            if node in boards and boards[node].node == node:  # it may have another id by LSS
+            if node in boards and boards[node].node == node:  # LSS may have changed its node id
                 boards = {node: boards[node]}
         for board in boards.values():
             if self._due[board] <= now:
@@ -78,7 +75,7 @@ class SimulatedBuses:
             self._due[board] = board.timer
 
     def step(self, now: float) -> None:
-        """Does what time brings up to `now` [s]; the first call switches the supply of all boards on."""
+        """Advances the boards to `now` [s]; the first call switches their supply on."""
         self._now = now
         if not self._booted:
             self._booted = True
@@ -90,42 +87,42 @@ class SimulatedBuses:
                 self._due[board] = board.timer
 
     def next_due(self) -> float:
-        """When `step` is to be called at the latest [s]; infinity if only a frame can bring anything."""
+        """Returns when `step` must be called at the latest [s]; infinity if only a frame can change anything."""
         if not self._booted:
             return self._now
         return min(self._due.values(), default=float("inf"))
 
     def positions(self) -> list[float]:
-        """(A,) position of each actuator at the time of the last call, 0 contracted to 1 extended."""
+        """Returns the position of each actuator at the last call, 0 contracted to 1 extended, shape (A,)."""
         return [actuator.position_at(self._now) for actuator in self._actuators.values()]
 
     def drives(self) -> list[int]:
-        """(A,) end to which each actuator's valve drives it, 0 or 1."""
+        """Returns the end to which each valve drives its actuator, 0 or 1, shape (A,)."""
         return [actuator.driven for actuator in self._actuators.values()]
 
     def switches(self) -> list[int]:
-        """(A,) how often each actuator's valve switched."""
+        """Returns the number of switches of each valve, shape (A,)."""
         return [actuator.switches for actuator in self._actuators.values()]
 
     def coils(self) -> list[tuple[int, int]]:
-        """(A,) whether each actuator's coils are energised: on, off."""
+        """Returns whether the coils `on` and `off` of each actuator are energised, shape (A, 2)."""
         return [actuator.coils for actuator in self._actuators.values()]
 
     def both_on(self) -> list[int]:
-        """(A,) how often both coils of each actuator came to be energised at once."""
+        """Returns how often both coils of each actuator were energised at once, shape (A,)."""
         return [actuator.both_on for actuator in self._actuators.values()]
 
     def longest_pulses(self) -> list[float]:
-        """(A,) longest time that a coil of each actuator with two was energised [s]."""
+        """Returns the longest time for which one of two coils of each actuator was energised, shape (A,) [s]."""
         return [actuator.longest_pulse for actuator in self._actuators.values()]
 
     @property
     def labels(self) -> list[str]:
-        """(A,) labels of the actuators."""
+        """Labels of the actuators, shape (A,)."""
         return list(self._actuators)
 
     def board(self, name: str) -> SimulatedBoard:
-        """A board by its name, e.g. "can0/5".
+        """Returns a board by its name, e.g. "can0/5".
 
         Raises:
             KeyError: there is no such board.
@@ -137,27 +134,27 @@ class SimulatedBuses:
     # --- faults, and their ends
 
     def silence(self, board: str) -> None:
-        """Cuts a board, e.g. "can0/5", off from the bus."""
+        """Disconnects a board, e.g. "can0/5", from the bus."""
         self.board(board).silent = True
 
     def unsilence(self, board: str) -> None:
-        """Connects a board with the bus again."""
+        """Connects a board to the bus again."""
         self.board(board).silent = False
 
     def power_cut(self, board: str) -> None:
-        """Takes a board's supply away; springs return its actuators."""
+        """Cuts the supply of a board; springs return its actuators."""
         it = self.board(board)
         it.power_cut(self._now)
         self._due[it] = it.timer
 
     def power_on(self, board: str) -> None:
-        """Gives a board its supply back; it boots with its outputs off."""
+        """Restores the supply of a board; it boots with its outputs off."""
         it = self.board(board)
         it.power_on(self._now)
         self._due[it] = it.timer
 
     def error(self, board: str, code: int) -> None:
-        """Gives a board an error with the code of its emergency, e.g. 2320h: a short circuit at an output."""
+        """Starts an error of a board, with the error code of its emergency, e.g. 2320h: short circuit of an output."""
         self.board(board).emergencies.report(code)
 
     def error_over(self, board: str, code: int) -> None:
@@ -183,7 +180,7 @@ class SimulatedBuses:
 
     @contextmanager
     def actuator(self, label: str) -> Iterator[Actuator]:
-        """Gives an actuator, at the time of the last call, to be changed; then the boards read their inputs.
+        """Yields an actuator at the time of the last call, for a change; then the boards read their inputs.
 
         Raises:
             KeyError: there is no such actuator.
@@ -202,7 +199,7 @@ class SimulatedBuses:
 
 
 def build_actuator(channel: Channel, timing: Timing) -> Actuator:
-    """The actuator of a channel, in good order."""
+    """Returns the actuator of a channel, without faults."""
     to_contracted, to_extended = channel.travel or (timing.travel_time, timing.travel_time)
     single = channel.output_off is None
     return Actuator(
@@ -217,13 +214,13 @@ def build_actuator(channel: Channel, timing: Timing) -> Actuator:
 
 
 def wire(channel: Channel, actuator: Actuator) -> Wired:
-    """An actuator on the outputs and inputs of its channel."""
+    """Returns an actuator with the outputs and inputs of its channel."""
     inverted = "output" in channel.inverted, "output_off" in channel.inverted
     outputs = channel.output, channel.output_off
     return Wired(actuator, outputs[0], channel.input, outputs[1], channel.input_contracted, inverted)
 
 
 def board_names(wiring: Wiring) -> list[str]:
-    """The names of the boards of a wiring, e.g. "can0/5"."""
+    """Returns the names of the boards of a wiring, e.g. "can0/5"."""
     places = {(c.bus, c.node) for c in wiring.channels} | {(lock.bus, lock.node) for lock in wiring.interlocks}
     return [f"{bus}/{node}" for bus, node in sorted(places)]

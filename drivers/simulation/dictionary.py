@@ -1,4 +1,4 @@
-"""The object dictionary of a simulated board as data: the standard board's from its EDS, with a variant's changes."""
+"""The object dictionary of a simulated board: that of the standard board, board.eds, with the changes of a variant."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class Object(NamedTuple):
     """One entry of an object dictionary.
 
     Attributes:
-        size: of its value [bytes].
-        default: its value after a reset, little-endian.
+        size: length of its value [bytes].
+        default: value after a reset, little-endian.
         relative: whether the node id is added to the default value, as in COB-IDs.
-        readable: by SDO.
-        writable: by SDO.
-        mappable: into a PDO.
+        readable: whether SDO can read it.
+        writable: whether SDO can write it.
+        mappable: whether a PDO can carry it.
     """
 
     size: int
@@ -39,24 +39,24 @@ Changes = Mapping[tuple[int, int], Object]
 
 
 def number(size: int, value: int = 0, **rights: bool) -> Object:
-    """An unsigned number of `size` bytes."""
+    """Returns the entry of an unsigned number of `size` bytes."""
     return Object(size, value.to_bytes(size, "little"), **rights)
 
 
 def array(index: int, values: Iterable[int], size: int = 1, **rights: bool) -> Changes:
-    """An array of numbers from sub-index 1, with their count in sub-index 0."""
+    """Returns the entries of an array: numbers from sub-index 1, their count in sub-index 0."""
     entries = {(index, 1 + i): number(size, value, **rights) for i, value in enumerate(values)}
     return {(index, 0): number(1, len(entries), writable=False), **entries}
 
 
 def pdo(index: int, cob_id: int, entries: Iterable[int], *, fixed: bool = False) -> Changes:
-    """The communication parameters of a PDO, from 1400h or 1800h on, and its mapping 200h above.
+    """Returns the communication parameters of a PDO, from 1400h or 1800h, and its mapping 200h above.
 
     Args:
-        index: of the communication parameters.
-        cob_id: to which the node id is added; with bit 31 alone, the disabled PDO has none.
-        entries: of the mapping, as numbers.
-        fixed: the mapping is read-only.
+        index: index of the communication parameters.
+        cob_id: COB-ID without the node id; bit 31 alone is a disabled PDO without a COB-ID.
+        entries: entries of the mapping.
+        fixed: whether the mapping is read-only.
     """
     mapped = list(entries)
     filled = mapped if fixed else mapped + [0] * (8 - len(mapped))
@@ -74,7 +74,7 @@ def pdo(index: int, cob_id: int, entries: Iterable[int], *, fixed: bool = False)
 
 @functools.cache
 def standard() -> Objects:
-    """The standard board's entries."""
+    """Returns the entries of the standard board."""
     described: dict[int, dict[int, Object]] = {}
     for index, found in canopen.import_od(str(EDS), 0).items():
         variables = [found] if isinstance(found, ODVariable) else found.values()
@@ -83,7 +83,7 @@ def standard() -> Objects:
 
 
 def changed(absent: Iterable[int], read_only: Iterable[int], changes: Changes) -> Objects:
-    """The standard board's entries without some indices, with other entries in place of its own, or beside them."""
+    """Returns the entries of the standard board without the absent indices, with changed and read-only ones."""
     described = {index: dict(subs) for index, subs in standard().items() if index not in absent}
     for index in {index for index, _ in changes}:
         described[index] = {sub: entry for (i, sub), entry in changes.items() if i == index}

@@ -15,10 +15,10 @@ _HISTORY = range(1, 9)  # entries of 1003h
 
 
 class Emergencies:
-    """Tells of each error once when it comes, and once when it is over.
+    """Sends one emergency when an error begins, and one when it ends.
 
     Args:
-        objects: whose 1001h and 1003h are kept.
+        objects: object dictionary with 1001h and 1003h.
         send: takes the 8 bytes of an emergency.
     """
 
@@ -28,30 +28,30 @@ class Emergencies:
         self._present: dict[int, int] = {}  # bits of 1001h by code
 
     def reset(self) -> None:
-        """Forgets all errors, silently."""
+        """Forgets all errors without an emergency."""
         self._present.clear()
         self._set_register()
 
     def restore(self, errors: Iterable[StandingError]) -> None:
-        """Notes errors that stand, silently: they were told before."""
+        """Sets standing errors without an emergency: it was sent before."""
         for code, register in errors:
             self._note(code, register)
 
     def report(self, code: int, register: int | None = None) -> None:
-        """Notes an error and tells of it, unless it is there already."""
+        """Starts an error and sends its emergency, unless the error is there already."""
         if code not in self._present:
             self._note(code, _register(code) if register is None else register)
             self._tell(code)
 
     def recover(self, code: int) -> None:
-        """Tells that an error is over, if it was there."""
+        """Ends an error, if it was there, and sends the emergency 0000h."""
         if code in self._present:
             del self._present[code]
             self._set_register()
             self._tell(0)
 
     def clear_history(self) -> None:
-        """Empties 1003h."""
+        """Empties the error history, 1003h."""
         for sub in (0, *_HISTORY):
             self._objects.put(0x1003, sub, 0)
 
@@ -75,5 +75,5 @@ class Emergencies:
 
 
 def _register(code: int) -> int:
-    """The bits of 1001h for an error code."""
+    """Returns the bits of 1001h for an error code."""
     return _GENERIC | (_MAKER_BIT if code >> 8 == _MAKER else _GROUPS.get(code >> 12, 0))

@@ -1,4 +1,4 @@
-"""Faults of simulated boards by words: lines that a person types, or a test."""
+"""Commands that cause faults of simulated boards, typed by a person or sent by a test."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _OTHERS = ("silence", "unsilence", "power_cut", "power_on", "open", "close")
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
-    """Causes a fault, or ends one: a verb, the name of what has it, and for some verbs a number; see `HELP`.
+    """Causes or ends a fault. The words are a verb, a name, and for some verbs a number; see `HELP`.
 
     Raises:
-        ValueError: the words make no fault; the sentence says why.
-        KeyError: there is nothing of this name.
+        ValueError: the words are no fault command; the text says why.
+        KeyError: there is no board, actuator or interlock of this name.
     """
     match words:
         case ["stick", str(label), ("0" | "1" | 0 | 1) as state]:
@@ -44,10 +44,10 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
 
 
 def number(text: str | float) -> float:
-    """A finite number from 0.
+    """Returns a finite number of at least 0.
 
     Raises:
-        ValueError: it is not.
+        ValueError: the text is no such number.
     """
     value = float(text)
     if not 0.0 <= value < float("inf"):
@@ -56,10 +56,10 @@ def number(text: str | float) -> float:
 
 
 def positive(text: str | float) -> float:
-    """A positive, finite number.
+    """Returns a positive, finite number.
 
     Raises:
-        ValueError: it is not.
+        ValueError: the text is no such number.
     """
     if not (value := number(text)):
         raise ValueError(f"{text} is not a positive number")

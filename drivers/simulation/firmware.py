@@ -1,4 +1,4 @@
-"""The firmware of a simulated CiA 401 board, on the far side of the bus."""
+"""The firmware of a simulated CiA 401 board."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from drivers.simulation.variants import STANDARD, Variant
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
 _INPUTS = 0x6000
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
-_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # bytes written in segments, and the abort code beyond
-_MOST_REQUESTS = 8  # that wait for a board that answers slowly
+_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code for more
+_MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
 
 
 class Wired(NamedTuple):
-    """An actuator on bits of the outputs, its end-stops on bits of the inputs; None: it has no such coil or switch.
+    """An actuator with the bits of its outputs and inputs; None: it has no such coil or switch.
 
     Attributes:
         actuator: the actuator.
-        output: of its only coil, or of the coil that extends it.
-        input: of the switch at the extended end.
-        output_off: of the coil that contracts it.
-        input_contracted: of the switch at the contracted end.
-        inverted: whether a coil of two is energised while its output is 0: `output`, `output_off`.
+        output: output bit of its only coil, or of the coil that extends it.
+        input: input bit of the switch at the extended end.
+        output_off: output bit of the coil that contracts it.
+        input_contracted: input bit of the switch at the contracted end.
+        inverted: whether the coils of `output` and `output_off` are energised while their output is 0.
     """
 
     actuator: Actuator
@@ -50,22 +50,22 @@ class Wired(NamedTuple):
 
 
 class SimulatedBoard:
-    """One board: network management, supervision, SDO server, PDOs, SYNC and emergencies as CiA 301 and 401 have them.
+    """One board with NMT, supervision, SDO server, PDOs, SYNC and emergencies according to CiA 301 and 401.
 
-    It does nothing by itself: frames come by `receive`, time by `step`, and what it says goes to `send`.
+    It has no I/O and no clock: `receive` takes frames, `step` takes the time, and `send` gets the board's frames.
 
     Args:
-        node: its node id.
+        node: node id.
         wired: its actuators.
-        send: takes COB-ID and data.
-        variant: how it differs from a standard board.
+        send: takes COB-ID and data of a frame.
+        variant: differences from the standard board.
 
     Attributes:
-        state: of the network management; None without power, and while it starts.
-        contacts: levels of inputs that are no end-stops, by bit; changes count at the next `step`.
-        silent: cut off from the bus, neither heard nor hearing.
-        ignored: frames that made no sense.
-        lss: its node id, and what it is from the next power-on on.
+        state: NMT state; None without power, and while it starts.
+        contacts: levels of inputs other than end-stops, by bit; changes take effect at the next `step`.
+        silent: whether it is disconnected from the bus.
+        ignored: number of frames that were not understood.
+        lss: LSS slave with the node id.
     """
 
     def __init__(
@@ -86,18 +86,18 @@ class SimulatedBoard:
         self._outputs = Outputs(self.objects, variant)
         self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message)
         self._take_node()
-        self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests and when they are answered
+        self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests, and the times of their answers
         self._boots_at = math.inf
         self._now = 0.0
         self._inputs = 0
 
     def _take_node(self) -> None:
-        """Takes the node id that LSS has stored."""
+        """Applies the node id that LSS has stored."""
         self.node = node = self.objects.node = self.lss.node
         self._sdo = SdoServer(  # type: ignore[no-untyped-call]
             cia301.SDO_REQUEST + node, cia301.SDO_ANSWER + node, self.objects
         )
-        self._sdo.network = self  # type: ignore[assignment]  # of a network, the server uses nothing but send_message
+        self._sdo.network = self  # type: ignore[assignment]  # the server uses only send_message of its network
         self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
 
     def power_on(self, now: float) -> None:
@@ -106,7 +106,7 @@ class SimulatedBoard:
         self._start()
 
     def power_cut(self, now: float) -> None:
-        """Takes the supply away from board and actuators; springs return theirs."""
+        """Cuts the supply of board and actuators; springs return their actuators."""
         self._now = now
         self.state = None
         self._boots_at = math.inf
@@ -114,24 +114,24 @@ class SimulatedBoard:
         self._drive()
 
     def send_message(self, cob_id: int, data: bytes) -> None:
-        """Sends a frame, if it can."""
+        """Sends a frame, unless the board is disconnected."""
         if not self.silent:
             self._bus(cob_id, bytes(data))
 
     @property
     def powered(self) -> bool:
-        """Whether it has its supply."""
+        """Whether the board has its supply."""
         return self.state is not None or self._boots_at < math.inf
 
     @property
     def timer(self) -> float:
-        """When `step` is to be called at the latest [s]."""
+        """Time when `step` must be called at the latest [s]."""
         answer = self._requests[0][0] if self._requests else math.inf
         actuators = min((wired.actuator.due for wired in self.wired), default=math.inf)
         return min(self._boots_at, answer, self._supervision.due, self._pdos.sync_due, actuators)
 
     def step(self, now: float) -> None:
-        """Does what time brings: actuators arrive, heartbeats are due or missing; `now` in [s]."""
+        """Advances to `now` [s]: moves actuators, sends and checks heartbeats, answers delayed requests."""
         self._now = now
         for wired in self.wired:
             wired.actuator.step(now)
@@ -175,7 +175,7 @@ class SimulatedBoard:
         self.emergencies.reset()
 
     def _start(self) -> None:
-        """Starts anew, as after power-on: outputs are off from now on, and the boot-up message comes with time."""
+        """Restarts the board as after power-on: outputs off, and a boot-up message after `boot_time`."""
         self.lss.reset()
         if self.lss.node != self.node:
             self._take_node()
@@ -216,7 +216,7 @@ class SimulatedBoard:
     def _serve(self, data: bytes) -> None:
         try:
             self._sdo.on_request(0, data, self._now)  # type: ignore[no-untyped-call]
-        except (struct.error, TypeError):  # the server fails on a segment of a transfer that never began
+        except (struct.error, TypeError):  # the server fails on a segment without a transfer
             self.ignored += 1
         if len(self._sdo._buffer or b"") > _MOST_SEGMENTS:
             self._sdo._buffer = bytearray()
@@ -257,7 +257,7 @@ class SimulatedBoard:
         self._fall(_MASTER_LOST)
 
     def _fall(self, code: int) -> None:
-        """Enters the error state, and the state that 1029h tells."""
+        """Applies the error mode, and enters the NMT state that 1029h gives."""
         self.emergencies.report(code)
         self._fail_safe()
         if (behaviour := self.objects.number(0x1029, 1)) == 0 and self.state is State.OPERATIONAL:

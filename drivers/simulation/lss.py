@@ -1,4 +1,4 @@
-"""The LSS slave of a simulated board: its node id and bit rate are set over the bus (CiA 305)."""
+"""The LSS slave of a simulated board: an LSS master sets its node id and bit rate over the bus (CiA 305)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 REQUEST, ANSWER = 0x7E5, 0x7E4  # COB-IDs
-UNCONFIGURED = 0xFF  # node id of a board that has none yet
+UNCONFIGURED = 0xFF  # node id of a board without one
 WAITING, CONFIGURATION = 0, 1
 
 _SWITCH_GLOBAL, _SWITCHED = 0x04, 0x44
@@ -15,13 +15,13 @@ _NODE_ID, _BIT_TIMING, _STORE = 0x11, 0x13, 0x17
 _INQUIRE = (0x5A, 0x5B, 0x5C, 0x5D)
 _INQUIRE_NODE_ID = 0x5E
 _IDENTIFIED, _FAST_SCAN = 0x4F, 0x51
-_ALL_BITS = 0x80  # of a fast scan that begins
+_ALL_BITS = 0x80  # first request of a fast scan
 _OUT_OF_RANGE = 1  # error code
 _TIMINGS = range(9)  # indices of the table of bit rates
 
 
 class LssSlave:
-    """Node id and bit rate of a board, as an LSS master changes them.
+    """Node id and bit rate of a board, which an LSS master can change.
 
     Args:
         identity: vendor, product, revision and serial number.
@@ -30,8 +30,8 @@ class LssSlave:
 
     Attributes:
         node: node id that the board uses.
-        stored: node id and index of the bit rate from the next power-on on.
-        state: of the LSS: `WAITING` or `CONFIGURATION`.
+        stored: node id and index of the bit rate after the next power-on.
+        state: LSS state, `WAITING` or `CONFIGURATION`.
     """
 
     def __init__(self, identity: Sequence[int], node: int, send: Callable[[int, bytes], None]) -> None:
@@ -40,11 +40,11 @@ class LssSlave:
         self.state = WAITING
         self._identity, self._send = identity, send
         self._pending = self.stored
-        self._selected = 0  # parts of the identity that were right so far
-        self._scanned = 0  # part of the identity that a fast scan is at
+        self._selected = 0  # parts of the identity that have matched so far
+        self._scanned = 0  # part of the identity that the fast scan has reached
 
     def reset(self) -> None:
-        """Takes over what is stored, as after power-on."""
+        """Applies the stored values, as after power-on."""
         self.node, self.state, self._selected = self.stored[0], WAITING, 0
         self._pending = self.stored
 
@@ -90,7 +90,7 @@ class LssSlave:
             self._answer(bytes((_SWITCHED,)))
 
     def _scan(self, number: int, bit: int, part: int, following: int) -> None:
-        """Answers if the bits from `bit` on agree; a slave that was left behind stays silent until the next scan."""
+        """Answers if the bits from `bit` on match; a slave that did not match stays silent until the next scan."""
         if self.state == CONFIGURATION or self.node != UNCONFIGURED:
             return
         if bit == _ALL_BITS:

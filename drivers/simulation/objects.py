@@ -1,4 +1,4 @@
-"""The values in the object dictionary of a simulated board, with the rules a board has for writing them."""
+"""The values in the object dictionary of a simulated board, with the rules for writing them."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ _INCOMPATIBLE = 0x0604_0043
 
 _RPDOS, _RPDO_MAPS = range(0x1400, 0x1600), range(0x1600, 0x1800)
 _TPDOS, _TPDO_MAPS = range(0x1800, 0x1A00), range(0x1A00, 0x1C00)
-_MOST_BITS = 64  # in a PDO
+_MOST_BITS = 64  # of a PDO
 
-# The library logs each SDO, and a traceback for each malformed one, which anybody on the bus can send.
+# The library logs each SDO, with a traceback if it is malformed, and anybody on the bus can send such frames.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
 
 
 class Objects:
-    """Values by index and sub-index. It stands in for canopen's LocalNode towards its SDO server.
+    """The values by index and sub-index. The SDO server of the package canopen uses this in place of a LocalNode.
 
     Args:
         node: node id, which is part of the COB-IDs.
-        variant: of the board.
+        variant: variant of the board.
         on_write: called with index and sub-index after an SDO write.
 
     Attributes:
-        refused: abort codes with which single objects refuse every SDO; a board's faults and gaps.
+        refused: abort codes of objects that refuse every SDO, by index and sub-index.
         node: node id.
-        flash_writes: writes to the memory that keeps values without power.
+        flash_writes: number of writes to the flash memory.
     """
 
-    object_dictionary = None  # which the SDO server asks for, and does not use
+    object_dictionary = None  # the SDO server reads this attribute, and does not use it
 
     def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
         self.refused: dict[tuple[int, int], int] = {}
@@ -54,19 +54,19 @@ class Objects:
             self._stored[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Gives a range of indices the values that are stored, else their default values."""
+        """Resets a range of indices to the stored values, else to the default values."""
         self._values = {key: value for key, value in self._values.items() if not first <= key[0] <= last}
 
     def subs(self, index: int) -> range:
-        """The sub-indices from 1 of an array; none if there is no such object."""
+        """Returns the sub-indices of an array from 1; none if there is no such object."""
         return range(1, max(self._described.get(index, {0: None})) + 1)
 
     def has(self, index: int) -> bool:
-        """Whether there is such an object."""
+        """Returns whether there is such an object."""
         return index in self._described
 
     def number(self, index: int, sub: int = 0) -> int:
-        """An unsigned value; 0 if there is no such object."""
+        """Returns an unsigned value; 0 if there is no such object."""
         if index not in self._described:
             return 0
         return int.from_bytes(self._value(index, sub), "little")
@@ -76,10 +76,10 @@ class Objects:
         self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def get_data(self, index: int, sub: int, check_readable: bool = False) -> bytes:
-        """What an SDO reads.
+        """Returns a value for an SDO upload.
 
         Raises:
-            SdoAbortedError: there is nothing to read.
+            SdoAbortedError: there is no such object, or it cannot be read.
         """
         self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
@@ -87,10 +87,10 @@ class Objects:
         return self._value(index, sub)
 
     def set_data(self, index: int, sub: int, data: bytes, check_writable: bool = False) -> None:
-        """What an SDO writes.
+        """Sets a value by an SDO download.
 
         Raises:
-            SdoAbortedError: the object may not be written, or not so, or not now.
+            SdoAbortedError: the object or the value cannot be written, or not in the present state.
         """
         self._refuse(index, sub)
         entry = self._find(index, sub)
@@ -114,7 +114,7 @@ class Objects:
         self._on_write(index, sub)
 
     def mapping(self, pdo: int) -> list[tuple[int, int, int]]:
-        """The objects a PDO carries, as index, sub-index and bits; `pdo` is 1400h.. or 1800h.."""
+        """Returns the mapping of a PDO as index, sub-index and bits; `pdo` is its index from 1400h or 1800h."""
         entries = [self.number(pdo + 0x200, 1 + i) for i in range(self.number(pdo + 0x200, 0))]
         return [(entry >> 16, entry >> 8 & 0xFF, entry & 0xFF) for entry in entries]
 
@@ -126,14 +126,14 @@ class Objects:
         if sub == 1:
             now = self.number(index, 1)
             if not (now | value) & cia301.INVALID and now != value:
-                raise SdoAbortedError(_WRONG_VALUE)  # only a PDO that is off may change its COB-ID
+                raise SdoAbortedError(_WRONG_VALUE)  # only the COB-ID of a disabled PDO may be changed
         elif sub == 2:
             synchronous = value <= 240 and index in _RPDOS and self._variant.synchronous
             if value < 254 and not synchronous:
                 raise SdoAbortedError(_WRONG_VALUE)
 
     def _check_mapping(self, index: int, sub: int, value: int) -> None:
-        """The order for mapping anew (CiA 301, 7.5.2.36)."""
+        """Checks the order of the writes to a mapping (CiA 301, 7.5.2.36)."""
         if not self.number(index - 0x200, 1) & cia301.INVALID or (sub != 0 and self.number(index, 0) != 0):
             raise SdoAbortedError(_UNSUPPORTED)
         if sub == 0:
@@ -149,7 +149,7 @@ class Objects:
             raise SdoAbortedError(_NOT_MAPPABLE)
 
     def _check_supervision(self, index: int, value: int) -> None:
-        """A board that has guarding or heartbeats refuses one while the other is on."""
+        """Refuses node guarding while heartbeats are on, and vice versa."""
         guarding, heartbeat = self.number(0x100C) * self.number(0x100D), self.number(0x1017)
         others = {0x1017: guarding, 0x100C: heartbeat, 0x100D: heartbeat}
         if value and others.get(index):

@@ -1,4 +1,4 @@
-"""The outputs of a simulated board: their bytes, polarity and error state (CiA 401)."""
+"""The outputs of a simulated board: bytes, polarity and error mode (CiA 401)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Outputs:
     """Levels of the outputs, from 6200h or the maker's object.
 
     Args:
-        objects: that hold them.
-        variant: of the board.
+        objects: object dictionary of the board.
+        variant: variant of the board.
     """
 
     def __init__(self, objects: Objects, variant: Variant) -> None:
@@ -23,33 +23,33 @@ class Outputs:
         self._variant = variant
         self._index = variant.output_object
         self._subs = objects.subs(self._index)
-        self._hidden: int | None = None  # levels in the error state, if the object does not tell them
+        self._hidden: int | None = None  # levels in the error state, if the object does not show them
 
     @property
     def levels(self) -> int:
-        """Bit k is the level of output k."""
+        """Levels of the outputs; bit k is output k."""
         if self._hidden is not None:
             return self._hidden
         return self._levels([self._objects.number(self._index, sub) for sub in self._subs])
 
     def take(self, entries: Iterable[tuple[int, int, int]], data: bytes) -> None:
-        """Takes the data of an RPDO; entries are index, sub-index and bits."""
+        """Applies the data of an RPDO; entries are index, sub-index and bits."""
         value = int.from_bytes(data, "little")
         for index, sub, bits in entries:
-            if index > 7:  # the objects 0001h to 0007h are dummies (CiA 301, 7.4.7)
+            if index > 7:  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
                 self._objects.put(index, sub, value & (1 << bits) - 1)
             if index == self._index:
                 self._hidden = None
             value >>= bits
 
     def written(self, index: int) -> bool:
-        """Hears of an SDO write; returns whether levels may have changed."""
+        """Call after an SDO write; returns whether levels may have changed."""
         if index == self._index:
             self._hidden = None
         return index in (self._index, _POLARITY)
 
     def fail_safe(self) -> None:
-        """Enters the error state: outputs take their error value where the error mode says so."""
+        """Enters the error state: outputs take their error value, 6207h, where the error mode, 6206h, says so."""
         values = []
         for sub in self._subs:
             mode, value = 0xFF if self._variant.error_state == "off" else 0, 0

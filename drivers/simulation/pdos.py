@@ -1,4 +1,4 @@
-"""The PDOs of a simulated board: RPDOs, at once or on SYNC, and TPDOs on change (CiA 301, 7.2.2)."""
+"""The PDOs of a simulated board: RPDOs applied at once or on SYNC, and TPDOs on change (CiA 301, 7.2.2)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.simulation.outputs import Outputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240
-_SYNC_TOLERANCE = 1.5  # periods without a SYNC that are an error, as in CANopenNode
+_SYNC_TOLERANCE = 1.5  # periods without a SYNC until it is an error, as in CANopenNode
 _LAST_SYNCHRONOUS = 240  # transmission type
 
 
@@ -33,13 +33,13 @@ class Pdos:
     """All PDOs of a board that is operational.
 
     Args:
-        objects: with their parameters and mappings.
-        outputs: takes what RPDOs bring.
-        emergencies: told of frames of the wrong length.
+        objects: object dictionary with their parameters and mappings.
+        outputs: takes the data of RPDOs.
+        emergencies: takes errors of frames with a wrong length.
         send: takes COB-ID and data of a TPDO.
 
     Attributes:
-        sync_due: when the next SYNC must have come [s]; infinity if none is expected.
+        sync_due: latest time of the next SYNC [s]; infinity if none is expected.
     """
 
     def __init__(
@@ -47,18 +47,18 @@ class Pdos:
     ) -> None:
         self.sync_due = math.inf
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send
-        self._latched: dict[int, bytes] = {}  # what the next SYNC takes, by index of the RPDO
+        self._latched: dict[int, bytes] = {}  # data that the next SYNC applies, by index of the RPDO
         self._received = [index for index in _RPDOS if objects.has(index)]
         self._sent = [index for index in _TPDOS if objects.has(index)]
         self.configure()
 
     def configure(self) -> None:
-        """Reads parameters and mappings anew."""
+        """Reads parameters and mappings from the object dictionary."""
         self._rpdos = self._pdos(self._received)
         self._tpdos = self._pdos(self._sent)
 
     def forget(self) -> None:
-        """Forgets what waits for SYNC, and expects none."""
+        """Drops latched data, and expects no SYNC."""
         self._latched.clear()
         self.sync_due = math.inf
 
@@ -71,7 +71,7 @@ class Pdos:
             if len(data) < pdo.size:
                 self._emergencies.report(_TOO_SHORT)
                 continue
-            if len(data) > pdo.size:  # what is mapped is taken all the same
+            if len(data) > pdo.size:  # the mapped bytes are applied all the same
                 self._emergencies.report(_TOO_LONG)
             else:
                 self._emergencies.recover(_TOO_SHORT)
@@ -84,7 +84,7 @@ class Pdos:
         return changed
 
     def sync(self, data: bytes, now: float) -> bool:
-        """Takes a SYNC; returns whether outputs may have changed."""
+        """Applies a SYNC; returns whether outputs may have changed."""
         period = self._objects.number(0x1006) / 1e6
         self.sync_due = now + _SYNC_TOLERANCE * period if period else math.inf
         if len(data) != (self._objects.number(0x1019) != 0):  # with a counter, a SYNC has one byte
@@ -102,7 +102,7 @@ class Pdos:
         """Sends TPDOs.
 
         Args:
-            changed: bits of 6000h that changed, by sub-index, for the TPDOs that carry them; None: all TPDOs.
+            changed: changed bits of 6000h by sub-index; sends the TPDOs that carry them. None: sends all TPDOs.
         """
         if not self._objects.number(0x6005):
             return
@@ -114,7 +114,7 @@ class Pdos:
                 self._send(pdo.cob_id, b"".join(values))
 
     def _wakes(self, pdo: _Pdo, changed: Mapping[int, int]) -> bool:
-        """Whether changes of inputs that the mask 6006h lets through are in a TPDO; without 6006h all are."""
+        """Returns whether a TPDO carries a changed input that 6006h does not mask."""
         masked = self._objects.has(0x6006)
         subs = [sub for index, sub, _ in pdo.entries if index == 0x6000]
         return any(changed[sub] & (self._objects.number(0x6006, sub) if masked else 0xFF) for sub in subs)

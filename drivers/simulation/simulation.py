@@ -1,4 +1,4 @@
-"""Simulated boards on CAN buses of python-can, in threads of their own."""
+"""Simulated boards on CAN buses of python-can, with a thread for each bus."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.firmware import SimulatedBoard
 from drivers.simulation.variants import Variant
 
-_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # of an interface that is down or deleted
-_LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault acts soon
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or deleted
+_LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault takes effect soon
 
 
 class Port:
-    """The boards' side of one bus; opened again when its interface was gone."""
+    """The boards' connection to one bus; it is opened again after a loss of the interface."""
 
     def __init__(self, settings: BusSettings) -> None:
         self._settings = settings
@@ -32,22 +32,22 @@ class Port:
         self._bus: can.BusABC | None = self._open()
 
     def receive(self, patience: float) -> can.Message | None:
-        """Returns the next frame, or None if there is none for so long [s]."""
+        """Returns the next frame, or None if none comes within `patience` [s]."""
         try:
-            if self._failed:  # a kernel tells a socket once only that its interface is gone, also if it sends
+            if self._failed:  # the kernel reports the loss of an interface only once, also to a send
                 self.close()
                 self._failed, self._bus = False, None
             if self._bus is None:
                 self._bus = self._open()
             return self._bus.recv(patience)
-        except (can.CanError, OSError):  # the interface is down or gone: the boards live on and hear nothing
+        except (can.CanError, OSError):  # the interface is down or deleted: the boards continue without frames
             self.close()
             self._bus = None
             time.sleep(patience)
             return None
 
     def send(self, frame: Frame) -> None:
-        """Sends a frame if that is possible; a board does not learn whether it was."""
+        """Sends a frame if possible; a board is not told of a failure."""
         if (bus := self._bus) is not None:
             try:
                 bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
@@ -55,7 +55,7 @@ class Port:
                 self._failed |= getattr(error, "error_code", None) in _GONE
 
     def close(self) -> None:
-        """Shuts the bus."""
+        """Closes the bus."""
         if self._bus is not None:
             self._bus.shutdown()
 
@@ -65,13 +65,13 @@ class Port:
 
 
 class Simulation:
-    """All boards of a wiring. Only frames connect them with the driver.
+    """All boards of a wiring. They share nothing with the driver but frames.
 
     Args:
-        wiring: its buses are opened.
-        timing: the actuators take half of its travel time.
-        clock: gives the time [s].
-        variants: of boards, by name; others are standard boards.
+        wiring: the wiring, whose buses are opened.
+        timing: gives the travel time; simulated actuators take half of it.
+        clock: returns the time [s].
+        variants: variants of boards by name; the other boards are standard boards.
 
     Raises:
         KeyError: there is no board of this name.
@@ -87,7 +87,7 @@ class Simulation:
     ) -> None:
         self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._ports[bus].send(frame), variants)
         self._ports = {settings.name: Port(settings) for settings in wiring.buses}
-        self._lock = threading.RLock()  # held while anything reaches the boards
+        self._lock = threading.RLock()  # for each access to the boards
         self._clock = clock
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -102,7 +102,7 @@ class Simulation:
             thread.start()
 
     def stop(self) -> None:
-        """Ends the threads and shuts the buses."""
+        """Ends the threads and closes the buses."""
         self._ending.set()
         for thread in self._threads:
             thread.join()
@@ -110,24 +110,24 @@ class Simulation:
             port.close()
 
     def positions(self) -> NDArray[np.float64]:
-        """(A,) where the actuators are, 0 contracted to 1 extended."""
+        """Returns the positions of the actuators, 0 contracted to 1 extended, shape (A,)."""
         with self._lock:
             return np.array(self._boards.positions())
 
     def switches(self) -> NDArray[np.int64]:
-        """(A,) how often each actuator's drive changed."""
+        """Returns the number of switches of each valve, shape (A,)."""
         with self._lock:
             return np.array(self._boards.switches(), dtype=np.int64)
 
     def fault(self, *words: str | float) -> None:
-        """Causes a fault, or ends one; words as in `fault_commands`, e.g. "stick", "5.left", 1."""
+        """Causes or ends a fault; the words are those of `fault_commands`, e.g. "stick", "5.left", 1."""
         with self._lock:
             self._boards.step(self._clock())
             fault_commands.perform(self._boards, *words)
 
     @contextlib.contextmanager
     def board(self, name: str) -> Iterator[SimulatedBoard]:
-        """A board, e.g. "can0/5", at the present time, while nothing reaches any board."""
+        """Yields a board, e.g. "can0/5", while no frame reaches any board."""
         with self._lock:
             self._boards.step(self._clock())
             yield self._boards.board(name)

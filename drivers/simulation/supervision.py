@@ -13,16 +13,16 @@ _GUARD_TIME, _LIFE_FACTOR, _CONSUMER, _PRODUCER = 0x100C, 0x100D, 0x1016, 0x1017
 
 
 class Supervision:
-    """Its own heartbeat, the master's heartbeats or guarding, and what is missing of them.
+    """Sends the board's heartbeat, answers node guarding, and finds the loss of the master.
 
-    A producer time other than 0 ends guarding: a node has one of both.
+    A producer time, 1017h, other than 0 ends node guarding: a node uses only one of them.
 
     Args:
         node: node id.
-        objects: with 1016h and 1017h, or 100Ch and 100Dh, or all four.
+        objects: object dictionary with 1016h and 1017h, or 100Ch and 100Dh, or all four.
         send: takes COB-ID and data.
-        lose: called when the master is no longer heard.
-        recover: called when the master is heard.
+        lose: called when the master is lost.
+        recover: called at each sign of life of the master.
     """
 
     def __init__(
@@ -40,21 +40,21 @@ class Supervision:
         self.reset()
 
     def reset(self) -> None:
-        """Begins anew, as after a boot-up."""
+        """Resets all timers, as after a boot-up."""
         self._heartbeat_due = self._heard_until = self._guarded_until = math.inf
         self._toggle = 0
 
     def begin(self, now: float) -> None:
-        """Begins to send heartbeats, if a producer time is stored."""
+        """Starts to send heartbeats, if a producer time is stored in 1017h."""
         self._set_producer(now)
 
     @property
     def due(self) -> float:
-        """When `step` is to be called [s]."""
+        """Time when `step` must be called [s]."""
         return min(self._heartbeat_due, self._heard_until, self._guarded_until)
 
     def step(self, now: float, state: State) -> None:
-        """Sends a heartbeat that is due, and notes that the master is missing."""
+        """Sends a due heartbeat, and reports the loss of the master."""
         if now >= self._heartbeat_due:
             self._send(self._cob_id, bytes([state]))
             self._heartbeat_due = now + self._objects.number(_PRODUCER) / 1000
@@ -63,7 +63,7 @@ class Supervision:
             self._lose()
 
     def hear(self, cob_id: int, data: bytes, now: float, state: State) -> None:
-        """Takes a frame: the heartbeat of a consumed node, or the remote frame that guards this one."""
+        """Takes the heartbeat of a consumed node, 1016h, or the remote frame of node guarding."""
         if cob_id == cia301.REMOTE | self._cob_id:
             self._answer(now, state)
         elif len(data) == 1:
@@ -75,13 +75,13 @@ class Supervision:
                     self._recover()
 
     def written(self, index: int, now: float) -> None:
-        """Hears of an SDO write."""
+        """Call after an SDO write."""
         if index == _PRODUCER:
             self._set_producer(now)
         elif index == _CONSUMER:
-            self._heard_until = math.inf  # monitoring begins with the next heartbeat heard
+            self._heard_until = math.inf  # supervision begins with the next heartbeat
         elif index in (_GUARD_TIME, _LIFE_FACTOR):
-            self._guarded_until = math.inf  # and with the next remote frame
+            self._guarded_until = math.inf  # supervision begins with the next remote frame
 
     def _set_producer(self, now: float) -> None:
         period = self._objects.number(_PRODUCER) / 1000

@@ -1,4 +1,4 @@
-"""Kinds of simulated boards, as boards on the market differ from a CiA 401 board with every object: a table of data."""
+"""Variants of simulated boards: the ways in which boards on the market differ from a complete CiA 401 board."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _NO_CHANGES: Changes = MappingProxyType({})
 
 
 class StandingError(NamedTuple):
-    """An error that a board has from power-on until somebody repairs it.
+    """An error that a board has from power-on until its repair.
 
     Attributes:
-        code: of its emergency.
+        code: error code of its emergency.
         register: bits of 1001h.
     """
 
@@ -31,26 +31,26 @@ class StandingError(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """How a board differs from the standard board: all objects of board.eds, heartbeats, 64 outputs in RPDO1.
+    """Differences from the standard board, which has all objects of board.eds, heartbeats, and 64 outputs in RPDO1.
 
     Attributes:
-        text: what is special, for the command line.
-        absent: indices of objects that it does not have.
-        changes: objects that it has instead, or besides.
-        read_only: indices of objects that an SDO cannot write.
-        deaf: indices of objects that keep their value although a write is confirmed.
-        stored: values in its memory without power, in place of the default values.
-        output_object: array of output bytes.
+        text: the peculiarity, for the command line.
+        absent: indices of objects that the board does not have.
+        changes: objects that it has in place of standard ones, or in addition.
+        read_only: indices of objects that SDO cannot write.
+        deaf: indices of objects that confirm a write and keep their value.
+        stored: values in its flash memory, in place of the default values.
+        output_object: index of the array of output bytes.
         synchronous: whether RPDOs may wait for SYNC.
-        one_supervision: it has either guarding or heartbeats, not both at once.
-        saves: each SDO write goes into the memory without power.
-        error_state: what outputs do in the error state: as 6206h and 6207h say, hold, or go off.
-        shows_error_state: whether 6200h then tells what the outputs are, not what was last commanded.
-        keeps_outputs: whether an NMT reset of communication leaves the outputs as they are.
-        errors: that stand.
+        one_supervision: whether it allows only one of node guarding and heartbeats.
+        saves: whether each SDO write goes to the flash memory.
+        error_state: outputs in the error state: as 6206h and 6207h say, hold, or off.
+        shows_error_state: whether 6200h shows the outputs in the error state, not the last command.
+        keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
+        errors: standing errors.
         starts: whether it obeys the NMT command that makes it operational.
-        answer_delay: of its SDO answers [s].
-        boot_time: from power-on, or an NMT reset of the node, to its boot-up message [s].
+        answer_delay: delay of its SDO answers [s].
+        boot_time: time from power-on, or an NMT reset of the node, to its boot-up message [s].
     """
 
     text: str
@@ -73,12 +73,12 @@ class Variant:
 
     @functools.cached_property
     def objects(self) -> dictionary.Objects:
-        """Its object dictionary."""
+        """The object dictionary."""
         return dictionary.changed(self.absent, self.read_only, self.changes)
 
 
 def _entries(index: int, first: int, count: int, bits: int = 8) -> list[int]:
-    """Entries of a mapping: `count` sub-indices of an object."""
+    """Returns the mapping entries of `count` sub-indices of an object."""
     return [index << 16 | sub << 8 | bits for sub in range(first, first + count)]
 
 
@@ -169,9 +169,9 @@ VARIANTS: Mapping[str, Variant] = {
         absent=_ERROR_MODES | {0x1029},
         error_state="hold",
     ),
-    "deaf-error-mode": Variant("confirms writes of 6206h and 6207h, and does not take them", deaf=_ERROR_MODES),
+    "deaf-error-mode": Variant("confirms writes of 6206h and 6207h, and ignores them", deaf=_ERROR_MODES),
     "hidden-error-state": Variant(
-        "6200h keeps what was commanded while the error state has the outputs", shows_error_state=False
+        "6200h shows the last command, not the outputs in the error state", shows_error_state=False
     ),
     "resets-outputs": Variant("an NMT reset of communication switches the outputs off", keeps_outputs=False),
     "slow-answers": Variant("SDO answers take 0.6 s", answer_delay=0.6),
@@ -197,9 +197,9 @@ VARIANTS: Mapping[str, Variant] = {
 
 
 def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:
-    """Returns the variants of boards that words ask for, each "NAME" for all boards, or "can0/5=NAME" for one.
+    """Returns the variants that words name: "NAME" for all boards, or "can0/5=NAME" for one.
 
-    A word for one board counts more than a word for all; of two for the same, the later counts.
+    A word for one board overrides a word for all boards; a later word overrides an earlier one.
 
     Raises:
         ValueError: there is no such board or variant.
