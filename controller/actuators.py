@@ -1,4 +1,4 @@
-"""The actuators of an arm's file: their labels in order, and where each is wired; no geometry."""
+"""The actuators of an arm's file: their labels, in order, and their wiring; no geometry."""
 
 import csv
 from collections.abc import Sequence
@@ -24,14 +24,14 @@ from controller.strict import InputFaults
 
 VGT: tuple[str, ...] = ("left", "diagonal", "right")  # of a truss module
 MOST_ROWS = 4096  # of a table
-STAGE = 0.1  # [s] that a stage may take beside the travel time, its margin and the rest
+STAGE = 0.1  # [s] for a stage beside the travel time, its margin and the rest
 
 
 def read_wired(path: Path) -> tuple[ArmSettings, tuple[str, ...], tuple[ActuatorSettings, ...]]:
     """Reads the parts of an arm's file that the executor needs.
 
     Returns:
-        The file's fields, the label of each actuator in order, and where each is wired.
+        The file's fields, the label of each actuator in order, and the wiring of each.
 
     Raises:
         InputFaults: the file is missing or wrong in these parts, or maps no actuator; geometry is not checked.
@@ -78,17 +78,17 @@ def actuator_names(groups: Sequence[ModuleSettings], folder: Path, faults: list[
 
 
 def numbered(count: int) -> tuple[str, ...]:
-    """Returns the names "1", "2", ... of so many actuators."""
+    """Returns the names "1", "2", ... of `count` actuators."""
     return tuple(str(k + 1) for k in range(count))
 
 
 def code_length(states: int) -> int:
-    """Returns how many binary digits tell so many states apart."""
+    """Returns the number of binary digits that distinguish `states` states."""
     return max(states - 1, 0).bit_length()
 
 
 def count_rows(folder: Path, name: str | None, path: str, faults: list[str]) -> int:
-    """Returns the number of states in a table, a CSV file with one state a row; its numbers are not checked."""
+    """Returns the number of states in a table, a CSV file with one state a row; the numbers are not checked."""
     if name is None or PurePath(name).is_absolute() or ".." in PurePath(name).parts or not name.endswith(".csv"):
         faults.append(f"{path}: a CSV file beside the arm's is needed, such as measured.csv, got {name!r}")
         return 0
@@ -109,7 +109,7 @@ def count_rows(folder: Path, name: str | None, path: str, faults: list[str]) -> 
 def map_actuators(
     settings: ArmSettings, modules: Sequence[Sequence[str]], faults: list[str]
 ) -> tuple[ActuatorSettings, ...]:
-    """Returns where each actuator is wired, in the order of `labels`; those that are not mapped are left out.
+    """Returns the wiring of each actuator, in the order of `labels`; actuators without wiring are omitted.
 
     Args:
         settings: of the arm.
@@ -161,7 +161,7 @@ def terminals(entry: ActuatorSettings) -> list[tuple[str, BitSettings]]:
 
 
 def bit_settings(bit: int | BitSettings) -> BitSettings:
-    """Returns an output or input that may be written as its number alone."""
+    """Returns the settings of an output or input that may be given as its number alone."""
     return BitSettings(bit) if isinstance(bit, int) else bit
 
 
@@ -179,9 +179,9 @@ def longest_travel(settings: ArmSettings) -> float:
 
 
 def ending_time(settings: ArmSettings, actuators: int) -> float:
-    """Returns how long an arm may take to contract before the executor ends; 0 if it holds [s].
+    """Returns the longest time in which an arm contracts before the executor ends [s]; 0 if it holds.
 
-    Each stage has to travel, to be found late, and to rest; actuators of unknown state take as many stages more.
+    Each stage travels, may be found late, and rests. Actuators of unknown state may need as many stages again.
     """
     if settings.on_stop == "hold":
         return 0.0
@@ -191,7 +191,7 @@ def ending_time(settings: ArmSettings, actuators: int) -> float:
 
 
 def error_state(setting: ErrorState | None) -> Literal["off", "hold", "device"] | None:
-    """Returns what the setting means: YAML reads a plain `off` as false; true means nothing."""
+    """Returns the meaning of the setting: YAML reads a plain `off` as false; true has no meaning."""
     if isinstance(setting, bool):
         return None if setting else "off"
     return setting
@@ -200,12 +200,12 @@ def error_state(setting: ErrorState | None) -> Literal["off", "hold", "device"] 
 def check_interlocks(
     settings: ArmSettings, buses: Sequence[str], taken: dict[tuple[str, str, int, int], str], faults: list[str]
 ) -> None:
-    """Appends the faults of the interlocks' places.
+    """Appends the faults of the interlocks' inputs.
 
     Args:
         settings: of the arm.
         buses: their names.
-        taken: who has each output and input so far: kind, bus, node, bit; added to.
+        taken: owner of each output and input so far, by kind, bus, node and bit; added to.
         faults: appended to.
     """
     for name, lock in settings.interlocks.items():
@@ -219,7 +219,7 @@ def check_interlocks(
 
 
 def check_kinds(settings: ArmSettings, faults: list[str]) -> None:
-    """Appends what actuators are asked that their kind cannot do."""
+    """Appends the faults of fields that an actuator's kind does not allow."""
     boards = settings.boards
     nodes = {(node.bus, node.node): node for node in boards.nodes}
     for k, entry in enumerate(settings.actuators):
@@ -245,7 +245,7 @@ def check_kinds(settings: ArmSettings, faults: list[str]) -> None:
 
 
 def contradicted(entry: ActuatorSettings, on_loss: str, state: str | None) -> str:
-    """Returns why an actuator cannot do on the loss of the master what it is to do, if its board does `state`."""
+    """Returns why an actuator cannot do what `on_loss` asks if its board does `state`; empty if it can."""
     inverted = bit_settings(entry.output).inverted
     if state is None:
         return ""
@@ -262,7 +262,7 @@ def contradicted(entry: ActuatorSettings, on_loss: str, state: str | None) -> st
 
 
 def check_nodes(settings: ArmSettings, buses: Sequence[str], faults: list[str]) -> None:
-    """Appends the faults of what is said of single boards."""
+    """Appends the faults of the entries on single boards."""
     wired = {(entry.bus, entry.node) for entry in settings.actuators}
     wired |= {(lock.bus, lock.node) for lock in settings.interlocks.values()}
     seen: set[tuple[str, int]] = set()

@@ -1,7 +1,7 @@
 """Log lines for systemd's journal, with fields: `journalctl -u hyperbit HYPERBIT_BOARD=3`, and MESSAGE_IDs for -x.
 
-A kind of message has one id for ever, made of its name; deploy/hyperbit.catalog explains the kinds. The journal's
-native protocol is a datagram of NAME=value lines; a value with a line break has its length before it.
+Each kind of message has a permanent id, derived from its name; deploy/hyperbit.catalog explains the kinds. In the
+journal's native protocol a message is a datagram of NAME=value lines; a value with a line break follows its length.
 """
 
 import logging
@@ -16,8 +16,8 @@ from collections.abc import Mapping
 
 SOCKET = "/run/systemd/journal/socket"
 KINDS = uuid.UUID("5d1f2f6c-6b0e-4c53-9d0a-7b1f3b7c9a21")  # the name space of the ids
-MOST_WAITING = 1_000  # datagrams; more are dropped
-MOST_TEXT = 60_000  # bytes of a message; a datagram of a few times that is taken at once
+MOST_WAITING = 1_000  # datagrams; more are dropped, the oldest first
+MOST_TEXT = 60_000  # bytes of a field
 PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))  # syslog's
 BOARD = re.compile(r"(?P<bus>[\w.-]+)/(?P<board>\d+)\b")
 ACTUATOR = re.compile(r"(?P<actuator>\d+\.[\w-]+)(?: |\Z)")
@@ -32,7 +32,7 @@ def message_id(kind: str) -> str:
 
 
 def fields_of_fault(code: str, source: str) -> dict[str, str]:
-    """Returns the fields of a fault or warning by its code and source: fault, board, bus, actuator."""
+    """Returns the fields of a fault or warning: code, source, and the board, bus or actuator in the source."""
     fields = {"MESSAGE_ID": message_id(code), "HYPERBIT_FAULT": code, "HYPERBIT_SOURCE": source}
     if (actuator := ACTUATOR.match(source)) is not None:
         fields["HYPERBIT_ACTUATOR"] = actuator["actuator"]
@@ -49,18 +49,18 @@ def fields_of_mode(mode: str) -> dict[str, str]:
 
 
 def fields_of_result(payload: Mapping[str, object]) -> dict[str, str]:
-    """Returns the fields of a goal's result by its payload."""
+    """Returns the fields of a goal's result, from its payload."""
     told = {f"HYPERBIT_{name}": str(payload.get(name.lower())) for name in ("STATUS", "CODE")}
     return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **told}
 
 
 class JournalHandler(logging.Handler):
-    """Sends each record to the journal without waiting: what it does not take now goes before the next record.
+    """Sends each record to the journal without waiting; unsent datagrams go before the next record.
 
-    Where the journal's socket is missing, or refuses, the records go to another handler.
+    If the journal's socket is missing or refuses, the records go to another handler.
 
     Args:
-        other: takes the records that the journal does not.
+        other: handler for records that the journal does not accept.
         common: fields of every record.
         path: of the journal's socket.
     """
@@ -73,10 +73,10 @@ class JournalHandler(logging.Handler):
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Sends a record, or keeps it, or hands it to the other handler."""
+        """Sends a record, stores it for later, or passes it to the other handler."""
         try:
             data = datagram({**self._common, **fields_of(record)})
-        except Exception:  # a message that does not fit its arguments must not stop the arm
+        except Exception:  # an error in a log call must not stop the arm
             self._other.handle(record)
             return
         self._waiting.append(data)
@@ -86,35 +86,35 @@ class JournalHandler(logging.Handler):
                 self._waiting.popleft()
         except BlockingIOError:
             return
-        except OSError:  # there is no journal any more
+        except OSError:  # the journal is gone
             self._waiting.clear()
             self._other.handle(record)
 
     def setFormatter(self, fmt: logging.Formatter | None) -> None:  # as logging has it
-        """Sets the format of the lines that the other handler takes."""
+        """Sets the format of the other handler."""
         self._other.setFormatter(fmt)
 
     def close(self) -> None:
-        """Closes the socket, and the other handler."""
+        """Closes the socket and the other handler."""
         self._socket.close()
         self._other.close()
         super().close()
 
 
 def start_logging(common: Fields) -> None:
-    """Has log lines written to the journal, if the standard error is the journal's, else to the standard error."""
+    """Writes log lines to the journal if the standard error is connected to it, otherwise to the standard error."""
     lines = logging.StreamHandler(sys.stderr)
     lines.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
     try:
         journal = is_journal(sys.stderr.fileno())
-    except OSError:  # a stream without a descriptor has taken its place
+    except OSError:  # the stream has no file descriptor
         journal = False
     handler = JournalHandler(lines, common) if journal else lines
     logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 def is_journal(output: int) -> bool:
-    """Returns whether a file descriptor is the stream to the journal that systemd has opened for this process."""
+    """Returns whether a file descriptor is the stream to the journal that systemd opened for this process."""
     device, _, inode = os.environ.get("JOURNAL_STREAM", "").partition(":")
     if not device.isdecimal() or not inode.isdecimal():
         return False
@@ -126,7 +126,7 @@ def is_journal(output: int) -> bool:
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, str]:
-    """Returns the fields of a record; those of its attribute `journal` among them."""
+    """Returns the fields of a record, including those of its attribute `journal`."""
     text = record.getMessage()
     if record.exc_info:
         text += "\n" + logging.Formatter().formatException(record.exc_info)

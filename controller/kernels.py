@@ -1,8 +1,7 @@
-"""Compiles the kernels that the demo and the daemon use, on all processors: python -m controller.kernels.
+"""Compiles the kernels of the demo and the daemon on all processors: python -m controller.kernels.
 
-numba compiles a kernel when its module is imported, and keeps the machine code in its cache. One process that imports
-everything takes minutes. Here each module is imported by a process of its own, once the modules that it imports are
-compiled.
+numba compiles a kernel when its module is imported, and stores the machine code in its cache. A single process that
+imports all modules takes minutes. Here a process of its own imports each module, after those that it depends on.
 """
 
 import ast
@@ -26,7 +25,7 @@ def imports(module: str) -> set[str]:
 
 
 def path(module: str) -> Path:
-    """Returns where the source of a module of this package is."""
+    """Returns the path of a module of this package."""
     return FOLDER.joinpath(*module.split(".")[1:]).with_suffix(".py")
 
 
@@ -36,12 +35,12 @@ def source(module: str) -> str:
 
 
 def kernels(roots: tuple[str, ...] = ROOTS) -> dict[str, set[str]]:
-    """Returns the modules with kernels that the roots import, each with those that it depends on."""
+    """Returns the modules with kernels that the roots import, each with the modules that it depends on."""
     known: dict[str, set[str]] = {}
 
     def below(module: str) -> set[str]:
         if module not in known:
-            known[module] = set()  # ends the recursion if imports are circular
+            known[module] = set()  # ends the recursion of circular imports
             known[module] = set().union(*({name, *below(name)} for name in imports(module)))
         return known[module]
 
@@ -51,14 +50,14 @@ def kernels(roots: tuple[str, ...] = ROOTS) -> dict[str, set[str]]:
 
 
 def compile_all(waiting: dict[str, set[str]], processes: int) -> None:
-    """Imports modules in forked processes, each after the modules that it imports.
+    """Imports modules in forked processes, each after the modules that it depends on.
 
     Raises:
         RuntimeError: the import of a module failed; its traceback is on stderr.
     """
     from numba import njit
 
-    # numba's own modules are loaded here once, and not in each process.
+    # numba's own modules are loaded once here, and not in each process.
     njit("i8(i8)")(lambda x: x + 1)
     needed = {name: sum(name in others for others in waiting.values()) for name in waiting}
     waiting, running = dict(waiting), dict[int, str]()
@@ -92,7 +91,7 @@ def fork(module: str) -> int:
 
 
 def drop_indexes() -> None:
-    """Deletes numba's indexes of machine code: no import passes one that names a module which has moved."""
+    """Deletes numba's indexes of machine code: an index that names a moved module breaks the import."""
     for index in FOLDER.rglob("__pycache__/*.nbi"):
         index.unlink()
 

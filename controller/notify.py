@@ -6,10 +6,10 @@ import socket
 
 
 class Notifier:
-    """Sends assignments to $NOTIFY_SOCKET, or nowhere if systemd has not started the process.
+    """Sends assignments to $NOTIFY_SOCKET; sends nothing if systemd did not start the process.
 
     Attributes:
-        watchdog: greatest time between two beats [s]; None if systemd does not watch.
+        watchdog: longest time between two watchdog messages [s]; None if the watchdog is off.
     """
 
     def __init__(self) -> None:
@@ -25,5 +25,5 @@ class Notifier:
         if self._socket is None:
             return
         line = " ".join(assignment.splitlines())  # a line break would begin another assignment
-        with contextlib.suppress(OSError):  # systemd hears the next one
+        with contextlib.suppress(OSError):  # systemd receives the next one
             self._socket.sendto(line.encode(errors="replace"), self._address)

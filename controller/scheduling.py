@@ -1,4 +1,4 @@
-"""Short turns on the processor, for processes that must act soon and have no real-time priority."""
+"""Short time slices, for processes that must react soon and have no real-time priority."""
 
 import ctypes
 import os
@@ -7,15 +7,15 @@ import struct
 
 SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # number of the system call
 SCHED_ATTR = struct.Struct("=IIQiIQQQ")  # size, policy, flags, nice, priority, runtime [ns], deadline, period
-SLICE = 100_000  # [ns], the least that is taken
+SLICE = 100_000  # [ns], the shortest slice that the kernel accepts
 
 
 def shorten_slice() -> bool:
-    """Asks for short turns on the processor, which come sooner; returns whether the kernel takes the request.
+    """Requests a short time slice, which is scheduled sooner; returns whether the kernel accepts the request.
 
-    Holds for the calling thread and for threads that it starts later. Needs no permission, but systemd's filter of
-    system calls may refuse it. Linux 6.12 and later go by it: on a busy machine the process then waits less. Another
-    policy than the usual one, which somebody has chosen, stays.
+    The request holds for the calling thread and for threads that it starts later. It needs no permission, but systemd's
+    filter of system calls may refuse it. Linux 6.12 and later use it: on a busy machine the process waits less. A
+    scheduling policy other than the default is left as it is.
     """
     number = SCHED_SETATTR.get(platform.machine())
     if number is None or os.sched_getscheduler(0) != os.SCHED_OTHER:

@@ -7,7 +7,7 @@ from msgspec import Meta, Struct, field
 
 from controller.strict import InputFaults, check, read_yaml
 
-# Lengths beyond these bounds are slips of the unit, and would overflow when squared.
+# Greater lengths are mistakes of the unit, and overflow when they are squared.
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Pair = tuple[Positive, Positive]
@@ -21,7 +21,7 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
 Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
-Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # more is degrees, or a slip
+Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # greater values are degrees or mistakes
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
@@ -49,7 +49,7 @@ class Legs(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=True, frozen=True):
-    """`count` truss modules of section 4, their diagonals alternating from the first's."""
+    """`count` truss modules of the paper's section 4; the diagonals alternate, beginning with `first_diagonal`."""
 
     width: Positive
     lengths: Pair | Legs
@@ -58,7 +58,7 @@ class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=Tru
 
 
 class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_fields=True, frozen=True):
-    """`count` joints that turn about an axis to one of the angles [rad], each with the link that follows it."""
+    """`count` revolute joints that stand at one of the angles [rad], each followed by a link."""
 
     angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)]
     axis: Direction = field(default_factory=lambda: [0.0, 0.0, 1.0])
@@ -67,7 +67,7 @@ class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_
 
 
 class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknown_fields=True, frozen=True):
-    """`count` joints that slide along an axis to one of the lengths, each with the link that follows it."""
+    """`count` prismatic joints that stand at one of the lengths, each followed by a link."""
 
     axis: Vector
     lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)]
@@ -76,7 +76,7 @@ class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknow
 
 
 class PlatformSettings(Struct, tag_field="type", tag="platform", forbid_unknown_fields=True, frozen=True):
-    """`count` plates on legs: lower joints in the frame below, upper ones in the frame above, the legs' lengths."""
+    """`count` platforms on legs: lower joints in the frame below, upper joints in the frame above, lengths of a leg."""
 
     base: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
     top: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
@@ -85,7 +85,7 @@ class PlatformSettings(Struct, tag_field="type", tag="platform", forbid_unknown_
 
 
 class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
-    """`count` modules whose states are frames, listed here or in the rows of a CSV file beside the arm's."""
+    """`count` modules whose states are frames, listed here or in a CSV file beside the arm's file."""
 
     states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)] | None = None
     table: str | None = None
@@ -103,7 +103,7 @@ class RoundSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class BoxSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A box, turned about its centre: in the plane by an angle [rad], in space by a quaternion x, y, z, w."""
+    """A box, rotated about its centre: in the plane by an angle [rad], in space by a quaternion x, y, z, w."""
 
     centre: Vector
     size: Sides
@@ -112,14 +112,14 @@ class BoxSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A half-plane or half-space: all that lies on the side of `point` that `normal` points away from."""
+    """A half-plane or half-space, on the side of `point` that is opposite to `normal`."""
 
     point: Vector
     normal: Vector
 
 
 class ObstacleSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """A region that no module may touch: one of these, and what sentences call it."""
+    """An obstacle: one of these shapes, and a name for messages."""
 
     disc: RoundSettings | None = None
     sphere: RoundSettings | None = None
@@ -133,28 +133,28 @@ ObstacleList = Annotated[list[ObstacleSettings], Meta(max_length=MOST_OBSTACLES)
 
 
 class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """How near to a goal is good enough, where the goal says nothing."""
+    """Default tolerances of goals."""
 
     position: Positive
     orientation: Positive = 0.05  # [rad]
 
 
 class WeightSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """What a switch costs: at the base, as against 1 at the tip, and how much more where the ledger counts most."""
+    """The cost of a switch: at the base, relative to 1 at the tip; and the extra cost of the most worn actuator."""
 
     base: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     wear: Annotated[float, Meta(ge=0, le=1000)] = 0.0
 
 
 class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Finest pixel (absent: 1/400 of the arm's length), and memory [MiB] that all densities together may take."""
+    """Finest pixel (default: 1/400 of the arm's length), and memory for all densities together [MiB]."""
 
     pixel: Positive | None = None
     memory: Annotated[float, Meta(gt=0, le=65536)] = 512.0
 
 
 class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """One CAN bus, by the names of python-can."""
+    """One CAN bus, with python-can's names."""
 
     name: Name
     channel: str
@@ -163,7 +163,7 @@ class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """One board: what it must be by 1018h, the object of its outputs, and what its outputs do without the master."""
+    """One board: its identity by 1018h, the object of its outputs, and the state of its outputs without the master."""
 
     bus: str
     node: Node
@@ -176,7 +176,7 @@ class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """What holds for all boards, and `nodes`: what holds for single ones; times in seconds."""
+    """Settings of all boards; `nodes` has those of single boards. Times are seconds."""
 
     heartbeat: Annotated[float, Meta(ge=0.01, le=10)] = 0.1
     heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30)] = 0.35
@@ -189,9 +189,9 @@ class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """What measures the tip: its noise, the greatest bias corrected, its change in a second, how long it holds [s].
+    """The tip's tracker: noise, greatest corrected bias, change of the bias in a second, and time that it holds [s].
 
-    Without `drift` it is a tenth of the noise.
+    The default of `drift` is a tenth of the noise.
     """
 
     noise: Positive
@@ -201,13 +201,13 @@ class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """The control loop's thread under SCHED_FIFO; 99 is left to the kernel's own."""
+    """The priority of the executor's thread under SCHED_FIFO; 99 is left to the kernel's threads."""
 
     priority: Annotated[int, Meta(ge=1, le=98)] = 50
 
 
 class BitSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """One output or input of a board; an inverted one is electrically 0 where it means 1."""
+    """One output or input of a board; an inverted one is electrically 0 for 1."""
 
     bit: Bit
     inverted: bool = False
@@ -221,7 +221,7 @@ class TravelSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class InterlockSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """An input that must read 1 while anything moves, such as an emergency stop; 0 if `inverted`."""
+    """An input that must read 1 during motion, such as an emergency stop; 0 if `inverted`."""
 
     bus: str
     node: Node
@@ -230,11 +230,11 @@ class InterlockSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where one actuator is wired, and of what kind it is.
+    """Wiring and kind of one actuator.
 
     `output` extends it; without `output_off` a spring contracts it. The end-stops `input` and `input_contracted` read 1
-    while the actuator is at the end. With `pulse` an output is on for so long only [s]. One that is `stuck` is never to
-    switch.
+    while the actuator is at that end. With `pulse` an output is on for this time only [s]. A `stuck` actuator never
+    switches.
     """
 
     module: Annotated[int, Meta(ge=1)]
@@ -262,7 +262,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     travel_time: Travel | TravelSettings = 0.05
     rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     inrush: Count | None = None
-    planner_timeout: Annotated[float, Meta(ge=0.5, le=60)] = 1.0  # of silence, after which the executor holds
+    planner_timeout: Annotated[float, Meta(ge=0.5, le=60)] = 1.0  # of silence until the executor holds
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = "minimum-switch"
@@ -281,7 +281,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
-    """Returns the fields of an arm's file, and the faults that single fields do not show.
+    """Returns the fields of an arm's file, and the faults that involve several fields.
 
     Raises:
         InputFaults: the file is missing or unreadable, or a field is wrong.

@@ -1,31 +1,31 @@
-"""Where the executors' sockets are: `<arm>.sock` in the folder of a service or of a user."""
+"""Paths of the executors' sockets: `<arm>.sock` in the folder of a service or of a user."""
 
 import os
 from pathlib import Path
 
-SYSTEM = Path("/run/hyperbit")  # of the service
-INSTANCES = Path("/run/hyperbit-arms")  # of the services by instance, each in a folder of its own
+SYSTEM = Path("/run/hyperbit")  # folder of the service
+INSTANCES = Path("/run/hyperbit-arms")  # folders of the services by instance
 
 
 def user_folder() -> Path:
-    """Returns the folder of the sockets of executors that a person starts."""
+    """Returns the folder for the sockets of executors that a user starts."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "hyperbit" if runtime else Path(f"/tmp/hyperbit-{os.getuid()}")
 
 
 def default_socket(arm: str) -> Path:
-    """Returns the path of the socket of an arm's executor, for the executor and its clients alike; creates nothing."""
+    """Returns the path of the socket of an arm's executor, for the executor and its clients; creates nothing."""
     service = os.environ.get("RUNTIME_DIRECTORY")
     if service:
         return Path(service.split(":")[0]) / f"{arm}.sock"
     own = user_folder() / f"{arm}.sock"
     system = [SYSTEM / own.name, *(folder / own.name for folder in INSTANCES.glob("*"))]
-    running = next((path for path in system if os.path.exists(path)), None)  # False where this user may not look
+    running = next((path for path in system if os.path.exists(path)), None)  # False if unreadable for this user
     return running or (system[0] if os.access(SYSTEM, os.W_OK) else own)
 
 
 def found_sockets() -> list[Path]:
-    """Returns the sockets of all executors, running or not, in the folders of `default_socket`."""
+    """Returns the paths of all executors' sockets, running or not, in the folders of `default_socket`."""
     service = os.environ.get("RUNTIME_DIRECTORY")
     folders = [Path(service.split(":")[0])] if service else []
     folders += [SYSTEM, *INSTANCES.glob("*"), user_folder()]
@@ -34,7 +34,7 @@ def found_sockets() -> list[Path]:
 
 
 def socket_path(path: Path | None, arm: str) -> Path:
-    """Returns the path of an arm's socket where a user gave a path: of a socket, or of a folder; None: the default."""
+    """Returns the path of an arm's socket, given a path of a socket or of a folder; None: the default."""
     if path is None:
         return default_socket(arm)
     return path if path.suffix == ".sock" else path / f"{arm}.sock"

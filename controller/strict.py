@@ -1,4 +1,4 @@
-"""Strict reading of YAML and JSON values into msgspec structs, with every fault and the path of its field."""
+"""Strict conversion of YAML and JSON values to msgspec structs; each fault is reported with the path of its field."""
 
 import math
 from functools import cache
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound=Struct)
 
 MOST_FAULTS = 100
-UNIT = 1e-3  # by which the length of a quaternion may differ from 1: it may be written with few digits
+UNIT = 1e-3  # tolerance of a quaternion's length, because it may be written with few digits
 
 
 class InputFaults(ValueError):
-    """All that is wrong with one file."""
+    """All faults of one file."""
 
     def __init__(self, path: Path, faults: list[str]) -> None:
-        """Keeps the faults, made printable; the message is one line for each."""
+        """Stores the faults in printable form; the message has one line for each."""
         self.faults = tuple(fault.encode("utf-8", "backslashreplace").decode() for fault in faults)
         super().__init__("\n".join(f"{path}: {fault}" for fault in self.faults))
 
 
 @cache
 def build_loader() -> type["yaml.SafeLoader"]:
-    """Returns the class that reads YAML; `hyperbit stop` reads no file, and does not wait for the import of yaml."""
+    """Returns the class that reads YAML; yaml is imported here, so that `hyperbit stop` need not wait for it."""
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """Safe YAML without aliases, and without keys written twice, of which PyYAML would silently keep the last."""
+        """Safe YAML without aliases and without duplicate keys; PyYAML would silently keep the last of these."""
 
         def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
             """Returns the next node."""
-            if self.check_event(yaml.AliasEvent):  # a few lines of them can stand for more than any memory holds
+            if self.check_event(yaml.AliasEvent):  # a few lines of aliases can stand for more than any memory holds
                 event = self.peek_event()  # type: ignore[no-untyped-call]
                 problem = f"alias *{event.anchor}: write its value out instead"
                 raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
@@ -59,7 +59,7 @@ def read_yaml(path: Path) -> Any:
     """Returns the plain value of a YAML file.
 
     Raises:
-        InputFaults: it is missing, unreadable or not YAML.
+        InputFaults: the file is missing, unreadable or not YAML.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -71,10 +71,10 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse_yaml(text: str, path: Path) -> Any:
-    """Returns the plain value of a YAML text; what is wrong is told of `path`.
+    """Returns the plain value of a YAML text; faults name `path`.
 
     Raises:
-        InputFaults: it is not YAML.
+        InputFaults: the text is not YAML.
     """
     import yaml
 
@@ -82,21 +82,21 @@ def parse_yaml(text: str, path: Path) -> Any:
         return yaml.load(text, build_loader())
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"]) from None
-    except (LookupError, AttributeError):  # from PyYAML's constructors of tagged values, such as !!bool maybe
+    except (LookupError, AttributeError):  # raised by PyYAML's constructors of tagged values, e.g. `!!bool maybe`
         raise InputFaults(path, ["is not YAML: a value does not suit its !!tag"]) from None
 
 
 def check(value: Any, kind: type[S], faults: list[str]) -> S | None:
-    """Returns `value` as a struct, or None with every fault appended, each as "path: what is wrong"."""
+    """Returns `value` as a struct, or None with each fault appended as "path: fault"."""
     before = len(faults)
-    walk(value, kind, "", faults)
+    validate(value, kind, "", faults)
     del faults[MOST_FAULTS:]
     return msgspec.convert(value, kind) if len(faults) == before else None
 
 
-def walk(value: Any, kind: Any, path: str, faults: list[str]) -> None:
-    """Appends the faults of `value` against the type `kind`: structs and lists part by part, all else by msgspec."""
-    kind = chosen(value, kind)
+def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
+    """Appends the faults of `value` against the type `kind`; structs, dicts and lists are checked part by part."""
+    kind = union_member(value, kind)
     if isinstance(kind, type) and issubclass(kind, Struct) and isinstance(value, dict):
         hints = get_type_hints(kind, include_extras=True)
         config = kind.__struct_config__
@@ -107,18 +107,18 @@ def walk(value: Any, kind: Any, path: str, faults: list[str]) -> None:
         faults += [f"{join(path, f.name)}: required, but missing" for f in required if f.name not in value]
         for name in kind.__struct_fields__:
             if name in value:
-                walk(value[name], hints[name], join(path, name), faults)
+                validate(value[name], hints[name], join(path, name), faults)
         return
     if isinstance(value, dict) and get_origin(kind) is dict:
         for name, element in value.items():
-            walk(name, get_args(kind)[0], join(path, f"{name!s:.80}"), faults)
-            walk(element, get_args(kind)[1], join(path, f"{name!s:.80}"), faults)
+            validate(name, get_args(kind)[0], join(path, f"{name!s:.80}"), faults)
+            validate(element, get_args(kind)[1], join(path, f"{name!s:.80}"), faults)
         return
     elements = element_type(kind)
     if isinstance(value, list) and elements is not None:
         before = len(faults)
         for k, element in enumerate(value):
-            walk(element, elements, f"{path}[{k}]", faults)
+            validate(element, elements, f"{path}[{k}]", faults)
         if len(faults) > before:
             return
     if isinstance(value, float) and not math.isfinite(value):
@@ -130,12 +130,12 @@ def walk(value: Any, kind: Any, path: str, faults: list[str]) -> None:
         text, _, inner = str(error).partition(" - at `$")
         inner = inner.rstrip("`") if inner else ""
         faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)})")
-    except UnicodeEncodeError:  # half a surrogate pair, which JSON and YAML can write
+    except UnicodeEncodeError:  # a lone surrogate, which JSON and YAML can contain
         faults.append(f"{path.lstrip('.') or 'file'}: half a surrogate pair is no text (given: {shown(value)})")
 
 
-def chosen(value: Any, kind: Any) -> Any:
-    """Returns, of a union, the member that `value` seems to mean; else `kind` itself."""
+def union_member(value: Any, kind: Any) -> Any:
+    """Returns the member of a union that `value` is meant to be; `kind` itself if it is no union."""
     if get_origin(kind) not in (Union, UnionType):
         return kind
     members = [m for m in get_args(kind) if m is not type(None)]
@@ -153,7 +153,7 @@ def chosen(value: Any, kind: Any) -> Any:
 
 
 def element_type(kind: Any) -> Any:
-    """Returns the type of a list type's elements, also behind Annotated; None for any other type."""
+    """Returns the element type of a list type, also behind Annotated; None for any other type."""
     if hasattr(kind, "__metadata__"):
         kind = kind.__origin__
     return get_args(kind)[0] if get_origin(kind) is list else None
@@ -165,9 +165,9 @@ def join(path: str, name: object) -> str:
 
 
 def shown(value: Any) -> str:
-    """Returns a value as a message shows it, cut short."""
+    """Returns a value as text for a message, cut short."""
     try:
         text = repr(value)
-    except ValueError:  # an integer longer than Python writes out
+    except ValueError:  # the integer has more digits than Python converts
         return "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,4 +1,4 @@
-"""Measured frames in CSV files, a row for each state, and every fault in them by its line."""
+"""Measured frames in CSV files, one row for each state; each fault is reported with its line."""
 
 import csv
 import math
@@ -16,21 +16,21 @@ MOST_ROWS = 4096
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The frames (4, 4) of a file's rows, and whether its columns are those of the plane."""
+    """The frames (4, 4) of a file's rows, and whether its columns are planar."""
 
     frames: list[frames.Frame]
     planar: bool
 
 
 def read_table(folder: Path, name: str, path: str, faults: list[str]) -> Table | None:
-    """Returns the frames in a CSV file, or None and what is wrong in which lines.
+    """Returns the frames in a CSV file, or None with the faults appended.
 
     The first line names the columns, in any order: x, y, th [rad], or x, y, z and a quaternion qx, qy, qz, qw.
 
     Args:
         folder: of the arm's file.
         name: of the CSV file, relative to the folder.
-        path: of the field that names it.
+        path: of the field that names the file.
         faults: appended to, each beginning with `path`.
     """
     before = len(faults)
@@ -85,5 +85,5 @@ def read_row(row: Sequence[str], columns: Sequence[str], where: str, faults: lis
 
 
 def is_unit(quaternion: Sequence[float]) -> bool:
-    """Returns whether a quaternion is of length 1, as nearly as people write it."""
+    """Returns whether a quaternion has length 1, within the rounding of a few digits."""
     return math.isclose(math.hypot(*quaternion), 1.0, abs_tol=1e-3)

@@ -1,11 +1,11 @@
 """The contract between planner and executor: motion programs and messages over one Unix socket.
 
 The planner computes positions of the tip; the executor knows actuators only. Actuator states travel as packed bits:
-actuator k is bit k % 8 of byte k // 8. Times are seconds on CLOCK_MONOTONIC, which both processes share. Identity is by
-numbers: of programs, of requests, and of generations.
+actuator k is bit k % 8 of byte k // 8. Times are seconds on CLOCK_MONOTONIC, which both processes share. Programs,
+requests and generations are identified by numbers.
 
-Each message is one packet of a SOCK_SEQPACKET socket, in MessagePack. A client sends `Hello` first and hears `Welcome`
-or `Goodbye`. See `Down` for what a client may send, `Up` for what it hears.
+Each message is one packet of a SOCK_SEQPACKET socket, in MessagePack. A client sends `Hello` first and receives
+`Welcome` or `Goodbye`. `Down` lists the messages from clients, `Up` those from the executor.
 """
 
 from typing import TypeVar
@@ -112,23 +112,23 @@ _up: msgspec.msgpack.Decoder[Up] = msgspec.msgpack.Decoder(Up)
 
 
 class Malformed(ValueError):
-    """A packet is no message of this contract; the text says why."""
+    """A packet is not a message of this contract; the text says why."""
 
 
 def decode_down(data: bytes) -> Down:
-    """Returns the message that a client sent.
+    """Returns the message of a client.
 
     Raises:
-        Malformed: it is none.
+        Malformed: the packet is not a message.
     """
     return _decoded(_down, data)
 
 
 def decode_up(data: bytes) -> Up:
-    """Returns the message that the executor sent.
+    """Returns the message of the executor.
 
     Raises:
-        Malformed: it is none.
+        Malformed: the packet is not a message.
     """
     return _decoded(_up, data)
 

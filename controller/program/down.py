@@ -8,7 +8,7 @@ from controller.program.parts import MOST_ACTUATORS, MOST_STAGES, Message, Numbe
 
 
 class Hello(Message, frozen=True, tag="hello"):
-    """The first message of a client. Only one `planner` is connected at a time; an `operator` may only halt and ask."""
+    """The first message of a client. Only one `planner` can be connected; an `operator` can only halt and ask."""
 
     version: int
     role: Literal["planner", "operator"]
@@ -16,27 +16,27 @@ class Hello(Message, frozen=True, tag="hello"):
 
 
 class Alive(Message, frozen=True, tag="alive"):
-    """The planner works. It sends this, or anything else, every `ALIVE_EVERY` seconds."""
+    """The planner is alive. It sends this, or another message, every `ALIVE_EVERY` seconds."""
 
 
 class Program(Message, frozen=True, tag="program"):
-    """A motion program: replaces the running one, or is declined as a whole. The answer is `Accepted` or `Declined`.
+    """A motion program. It replaces the running one, or is declined as a whole. Answered by `Accepted` or `Declined`.
 
-    No stage switches a locked actuator. The executor sets its output to the state in which it is locked, in stages of
-    its own before the first one, so that it stays where it is when it comes loose.
+    No stage switches a locked actuator. Before the first stage the executor sets the output of each locked actuator to
+    its locked state, in stages of its own. The actuator then stays in place if it comes loose.
 
     Attributes:
-        program: its number, greater than of all programs before.
-        epoch: the executor's epoch when the goal came in; a program of an older epoch is declined.
-        start: packed outputs from which the stages were planned; another start is declined.
+        program: its number, greater than the numbers of all earlier programs.
+        epoch: the executor's epoch when the goal arrived; a program of an older epoch is declined.
+        start: packed outputs from which the stages were planned; if the outputs differ, the program is declined.
         begin: its zero of time [s]; 0 means now.
-        stages: the first of its stages.
-        final: whether these are all; the others come as `Replacement`.
-        strict: no stage may be left out or begin before the one before has settled.
+        stages: the first stages.
+        final: whether these are all stages; the others come as `Replacement`.
+        strict: no stage may be skipped, or begin before the one before has settled.
         name: for sentences, e.g. "goal a1".
-        context: opaque; comes back with its result, so that a restarted planner can publish it.
-        homed: packed mask. Those of these actuators whose state is unknown are brought to that of the last stage before
-            the first stage, and no others are. Empty: all are brought to their state of `start`.
+        context: opaque; comes back with the result, so that a restarted planner can publish it.
+        homed: packed mask. Actuators of unknown state in the mask are switched to their state of the last stage before
+            the first stage; no others are homed. Empty: all are homed to their state of `start`.
     """
 
     program: Number
@@ -52,14 +52,14 @@ class Program(Message, frozen=True, tag="program"):
 
 
 class Replacement(Message, frozen=True, tag="replacement"):
-    """New stages for a running program from stage `first` on. The answer is `Replaced`.
+    """New stages for a running program from stage `first` on. Answered by `Replaced`.
 
-    It is refused if stage `first` has begun, or if the stage before it does not end in `start`.
+    It is refused if stage `first` has begun, or if the stage before does not end in `start`.
 
     Attributes:
-        generation: greater than of all replacements of this program before.
-        first: index of the first stage that is replaced; the number of stages so far to append.
-        strict: makes the program strict from now on; a strict program stays so.
+        generation: greater than that of all earlier replacements of this program.
+        first: index of the first replaced stage; the number of stages so far appends.
+        strict: makes the program strict from now on; a strict program stays strict.
     """
 
     program: Number
@@ -72,15 +72,15 @@ class Replacement(Message, frozen=True, tag="replacement"):
 
 
 class Setpoint(Message, frozen=True, tag="setpoint"):
-    """What a followed set-point asks for, until the next one; no answer.
+    """The stages for a followed set-point, valid until the next message; no answer.
 
     Attributes:
-        stream: number of the stream of set-points; greater than of all streams before.
-        epoch: the executor's epoch when the stream began; one of an older epoch is not followed.
-        start: packed outputs from which the stages were planned; ignored stages if others.
-        stages: packed states that each stage ends in; empty: stay.
-        until: when the stream has stopped unless another message comes [s].
-        strict: as of a program.
+        stream: number of the stream of set-points; greater than the numbers of all earlier streams.
+        epoch: the executor's epoch when the stream began; a stream of an older epoch is not followed.
+        start: packed outputs from which the stages were planned; if the outputs differ, the stages are ignored.
+        stages: packed states after each stage; empty: stay.
+        until: time at which the stream ends unless another message comes [s].
+        strict: as for a program.
         reason: a sentence for `state`.
     """
 
@@ -94,18 +94,18 @@ class Setpoint(Message, frozen=True, tag="setpoint"):
 
 
 class Clearance(Message, frozen=True, tag="clearance"):
-    """The answer to `Question`: what the stage touches, in words; None if it is clear."""
+    """The answer to `Question`: what the stage collides with, in words; None if it is clear."""
 
     question: Number
     touched: Text | None
 
 
 class Cancel(Message, frozen=True, tag="cancel"):
-    """Hold after the stage under way. The answer is `Answer`.
+    """Hold after the present stage. Answered by `Answer`.
 
     Attributes:
         request: number for the answer.
-        program: cancel this program only; None: whatever runs, set-points as well, and begin a new epoch.
+        program: cancel this program only; None: cancel any program or stream, and begin a new epoch.
         reason: a sentence for the result.
     """
 
@@ -115,19 +115,19 @@ class Cancel(Message, frozen=True, tag="cancel"):
 
 
 class Halt(Message, frozen=True, tag="halt"):
-    """Emergency stop: hold, and take nothing until `Reset`. The answer is `Answer`."""
+    """Emergency stop: hold, and accept no motion until `Reset`. Answered by `Answer`."""
 
     request: Number
 
 
 class Reset(Message, frozen=True, tag="reset"):
-    """Leave a fault or a stop. The answer is `Answer`."""
+    """Leave a fault or a stop. Answered by `Answer`."""
 
     request: Number
 
 
 class Lock(Message, frozen=True, tag="lock"):
-    """Lock an actuator in a state, or unlock it with -1; nothing moves. The answer is `Answer`."""
+    """Lock an actuator in a state, or unlock it with -1; nothing moves. Answered by `Answer`."""
 
     request: Number
     actuator: Annotated[int, Meta(ge=0, lt=MOST_ACTUATORS)]
@@ -135,13 +135,13 @@ class Lock(Message, frozen=True, tag="lock"):
 
 
 class Acknowledge(Message, frozen=True, tag="acknowledge"):
-    """The result of this number was published; the executor forgets it."""
+    """The result of this number was published; the executor may delete it."""
 
     result: Number
 
 
 class Counts(Message, frozen=True, tag="counts"):
-    """Switches of each actuator that the ledger knows of; the greater of ledger and journal holds."""
+    """Switches of each actuator in the ledger; the greater of ledger and journal is valid."""
 
     counts: Annotated[tuple[Number, ...], Meta(max_length=MOST_ACTUATORS)]
 

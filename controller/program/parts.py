@@ -1,4 +1,4 @@
-"""What messages of both directions are made of: bounds, packed actuator states, stages."""
+"""Parts of messages in both directions: bounds, packed actuator states, stages."""
 
 from typing import Annotated, Literal
 
@@ -6,11 +6,11 @@ import msgspec
 from msgspec import Meta
 
 VERSION = 1
-MOST_BYTES = 65_536  # of one message; what is larger is refused unread
+MOST_BYTES = 65_536  # of one message; larger ones are refused unread
 MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
 MOST_PROGRAM_STAGES = 100_000
 MOST_ACTUATORS = 10_000
-MOST_TRAVELS = 100  # of one program that are reported
+MOST_TRAVELS = 100  # reported travels of one program
 ALIVE_EVERY = 0.2  # [s] between two messages of the planner
 
 States = Annotated[bytes, Meta(max_length=(MOST_ACTUATORS + 7) // 8)]
@@ -42,7 +42,7 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class Travel(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A measured way of an actuator to one of its ends.
+    """A measured travel of an actuator to one of its ends.
 
     Attributes:
         actuator: index.
@@ -64,5 +64,5 @@ def unpack(states: bytes) -> int:
 
 
 def pack(bits: int, actuators: int) -> bytes:
-    """Returns one integer, actuator k at bit k, as packed states of so many actuators."""
+    """Returns one integer, actuator k at bit k, as packed states of `actuators` actuators."""
     return bits.to_bytes((actuators + 7) // 8, "little")

@@ -12,10 +12,10 @@ class Welcome(Message, frozen=True, tag="welcome"):
     """The answer to `Hello`.
 
     Attributes:
-        digest: SHA-256 of the arm's file, in hexadecimal; a planner with another file must not drive this executor.
-        instance: random number of this run of the executor.
+        digest: SHA-256 of the arm's file, in hexadecimal; a planner with another file must not use this executor.
+        instance: random number of this executor process.
         counts: switches of each actuator so far.
-        program: the greatest number of a program or stream so far; a planner counts on from here.
+        program: the greatest number of a program or stream so far; a planner continues from here.
     """
 
     version: int
@@ -27,7 +27,7 @@ class Welcome(Message, frozen=True, tag="welcome"):
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):
-    """The client is not served, and why; the executor closes the connection."""
+    """The executor does not serve the client, and closes the connection."""
 
     reason: Text
 
@@ -57,7 +57,7 @@ class Declined(Message, frozen=True, tag="declined"):
 
     Attributes:
         program: its number.
-        cause: "moved" asks to plan again from the latest snapshot; others are final.
+        cause: with "moved" the planner must plan again from the latest snapshot; the others are final.
         reason: a sentence.
     """
 
@@ -67,7 +67,7 @@ class Declined(Message, frozen=True, tag="declined"):
 
 
 class Replaced(Message, frozen=True, tag="replaced"):
-    """Whether a replacement was taken."""
+    """Whether a replacement was accepted."""
 
     program: Number
     generation: Number
@@ -89,16 +89,16 @@ class Begun(Message, frozen=True, tag="begun"):
 
 
 class Settled(Message, frozen=True, tag="settled"):
-    """A mark of a program is settled. Marks that were left out because they were late are not reported.
+    """A mark of a program has settled. Marks that were skipped because they were late are not reported.
 
     Attributes:
         program: its number.
-        mark: as in its stage.
+        mark: of its stage.
         measured: packed states.
         known: packed, 1 where the state is known.
         switches: actuators switched by the program so far.
-        stages: stages taken since the mark before.
-        planned: whether all stages since the mark before were taken as planned.
+        stages: stages carried out since the mark before.
+        planned: whether all planned stages since the mark before were carried out.
     """
 
     program: Number
@@ -111,19 +111,19 @@ class Settled(Message, frozen=True, tag="settled"):
 
 
 class Ended(Message, frozen=True, tag="ended"):
-    """The one result of a program; sent again to each new planner until it is acknowledged.
+    """The one result of a program; it is sent to each new planner until it is acknowledged.
 
     Attributes:
         result: its number, for `Acknowledge`.
-        program: of the program.
-        context: as in the program.
-        status: "done" if its last mark has settled.
+        program: number of the program.
+        context: of the program.
+        status: "done" if the last mark has settled.
         message: a sentence on the reason.
         mark: the last mark reached, -1 if none.
         switches: actuators switched.
         measured: packed states.
         known: packed, 1 where the state is known.
-        travels: the ways that were measured, the first of them.
+        travels: the first MOST_TRAVELS measured travels.
     """
 
     result: Number
@@ -139,13 +139,13 @@ class Ended(Message, frozen=True, tag="ended"):
 
 
 class Counted(Message, frozen=True, tag="counted"):
-    """Switches of each actuator so far; comes before each `Ended`, and when the executor ends."""
+    """Switches of each actuator so far; sent before each `Ended`, and when the executor ends."""
 
     counts: tuple[Number, ...]
 
 
 class Question(Message, frozen=True, tag="question"):
-    """Asks what a stage touches, from actuator states nobody planned; the arm holds until `Clearance`."""
+    """Asks what a stage collides with, from states for which it was not planned; the arm holds until `Clearance`."""
 
     question: Number
     start: States
@@ -164,23 +164,23 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
     """The state of the executor, 20 times a second and on each change.
 
     Attributes:
-        at: when it was taken [s].
+        at: time of the snapshot [s].
         mode: of the executor.
         reason: a sentence on the mode.
         epoch: a number that grows with each cancel, halt, reset, fault and boot.
         outputs: packed outputs of the boards, as last switched.
-        measured: packed states from end-stops, else outputs.
+        measured: packed states from end-stops, otherwise from outputs.
         known: packed, 1 where the measured state is known; outputs count as known only if all boards are up.
         sensed: packed, 1 where there is an end-stop.
         locked: packed, 1 where the actuator is locked.
         locks: number that grows with each change of `locked`.
-        moving: whether an actuator may be on its way.
-        free_at: when the last stage has settled, by travel time [s].
+        moving: whether an actuator may be travelling.
+        free_at: time at which the last stage has settled, by travel time [s].
         program: number of the running program, -1 if none.
         mark: its last mark reached, -1 if none.
-        stream: number of the stream that is followed, -1 if none.
+        stream: number of the followed stream, -1 if none.
         faults: active faults and warnings.
-        homing: packed, 1 where the state is unknown until the next program brings it about; `outputs` has a guess.
+        homing: packed, 1 where the state is unknown until the next program homes the actuator; `outputs` has a guess.
     """
 
     at: Seconds
@@ -206,11 +206,11 @@ class Diagnostics(Message, frozen=True, tag="diagnostics"):
     """Health of loop, buses and boards, once a second.
 
     Attributes:
-        at: when it was taken [s].
+        at: time of the report [s].
         loop: ticks, longest_period, mean_work, longest_work, overruns of the last second, and lateness.
         buses: one mapping for each bus, fields of BusStatus.
         boards: one mapping for each board, fields of BoardStatus.
-        real_time: "off", "on", or what is missing, in a sentence.
+        real_time: "off", "on", or a sentence on what is missing.
         counts: switches of each actuator so far.
         waits: periods in which the arm held because a clearance was not known.
         dropped: snapshots that were dropped because the socket was full.
