@@ -9,12 +9,12 @@
     path = ik.follow([hb.Goal((0.4, 2.9)), hb.Goal((0.5, 2.8))], start=solution)
     hb.plot(arm, path).savefig("path.png")
 
-Lengths have the unit of the arm's description, angles are in radians, counter-clockwise, times in seconds.
-Configurations are one integer a module, base first, shape (B,). Every error is a subclass of `hyperbit.Error`.
+Units: lengths in the unit of the arm's description, angles in radians counter-clockwise, times in seconds. A
+configuration is one integer for each module, base first, shape (B,). Every error is a subclass of `hyperbit.Error`.
 
-Limits: a search proves what its deadline allows, `certificate` tells how much. Densities count configurations in pixels
-and are approximate. Between goals, obstacles are checked for the stages in which actuators switch. A solver serves one
-thread.
+Limits: `certificate` states how much a search has proven within its deadline. Densities count configurations in pixels
+and are approximate. Between goals, the stages in which actuators switch are checked for collisions. A solver is not
+thread-safe.
 """
 
 from controller.library.arm import Arm, load

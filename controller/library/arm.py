@@ -1,4 +1,4 @@
-"""Arms: loaded from a file or built in code, with actuators locked or free."""
+"""Arms, loaded from a file or built in code, with locked or free actuators."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ LockState = Literal["contracted", "extended"] | None
 class Arm:
     """An arm made of modules with two-state actuators.
 
-    A configuration is one integer a module, base first, shape (B,). Lengths have the unit of the arm's description.
-    Configurations keep their numbers if actuators are locked.
+    A configuration is one integer for each module, base first, shape (B,). Lengths have the unit of the arm's
+    description. Locked actuators do not change the numbers of the configurations.
 
     Args:
         modules: entries of the chain, base first, see `vgt`, `revolute`, `prismatic`, `platform` and `transforms`.
@@ -42,13 +42,13 @@ class Arm:
         base: position (2,) or (3,), or frame (4, 4), of the first module in the world; the origin if None.
         tolerance: greatest distance of the tip from goals that have no tolerance.
         angle_tolerance: greatest angle of the tip from goals that have an orientation and no tolerance [rad].
-        obstacles: regions in the world that no module may touch.
-        body_radius: half the thickness of the modules' bars, for obstacles and self-collision.
-        self_collision: whether modules that are not neighbours must not touch each other.
+        obstacles: obstacles in the world; no module may touch them.
+        body_radius: half the thickness of the modules' bars, for collision checks.
+        self_collision: whether modules that are not neighbours are checked against each other.
         pixel: side of the densities' pixels; 1/400 of the arm's length if None.
 
     Raises:
-        ArmError: a module, or another value, is wrong.
+        ArmError: a module or another value is invalid.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Arm:
 
     @classmethod
     def _of(cls, arm: config.Arm, held: LockedStates | None = None) -> Arm:
-        """Returns the arm of a file, with actuators locked, shape (A,), as the file says if None."""
+        """Returns the arm of a file with locked states (A,); with the file's locked states if None."""
         self = cls.__new__(cls)
         self._take(arm, held)
         return self
@@ -95,7 +95,7 @@ class Arm:
 
     @property
     def name(self) -> str:
-        """Name of the arm, as in the keys of its daemon."""
+        """Name of the arm, also used in its daemon's Zenoh keys."""
         return self._arm.settings.name
 
     @property
@@ -120,12 +120,12 @@ class Arm:
 
     @property
     def tolerance(self) -> float:
-        """Tolerance of goals that have none, a length."""
+        """Default position tolerance of goals, a length."""
         return self._arm.tolerance
 
     @property
     def angle_tolerance(self) -> float:
-        """Tolerance of the orientation of goals that have none [rad]."""
+        """Default orientation tolerance of goals [rad]."""
         return self._arm.turn
 
     @property
@@ -140,17 +140,17 @@ class Arm:
 
     @cached_property
     def home(self) -> Configuration:
-        """First configuration, shape (B,): state 0 of each module, or its first state that suits locked actuators."""
-        return self._widened(np.zeros(len(self._reduced.modules), dtype=np.int64))
+        """First configuration, shape (B,): state 0 of each module, or its first state that locks allow."""
+        return self._to_whole(np.zeros(len(self._reduced.modules), dtype=np.int64))
 
     def lock(self, states: Mapping[str, LockState]) -> Arm:
-        """Returns the arm with actuators locked; this arm does not change.
+        """Returns a copy of the arm with locked actuators; this arm does not change.
 
         Args:
-            states: "contracted" or "extended" by label, None to unlock; other actuators stay as they are.
+            states: "contracted" or "extended" by label, None to unlock; other actuators are unchanged.
 
         Raises:
-            LockError: a label or a state is unknown, or a module has no state that suits.
+            LockError: a label or a state is unknown, or a module has no state with these actuator states.
         """
         held = self._held.copy()
         for label, state in states.items():
@@ -168,7 +168,7 @@ class Arm:
         """Returns the tip's frame in the world, shape (4, 4), of a configuration (B,).
 
         Raises:
-            ConfigurationError: it is none of this arm.
+            ConfigurationError: the arm has no such configuration.
         """
         return self._whole.tip(self.parse(configuration))
 
@@ -176,7 +176,7 @@ class Arm:
         """Returns the tips' frames in the world, shape (n, 4, 4), of configurations (n, B).
 
         Raises:
-            ConfigurationError: one is none of this arm.
+            ConfigurationError: the arm has no such configuration.
         """
         return self._whole.tips([self.parse(row) for row in np.atleast_2d(np.asarray(configurations))])
 
@@ -184,7 +184,7 @@ class Arm:
         """Returns the tip's position in the world, shape (dimension,), of a configuration (B,).
 
         Raises:
-            ConfigurationError: it is none of this arm.
+            ConfigurationError: the arm has no such configuration.
         """
         return self.frame(configuration)[: self.dimension, 3]
 
@@ -192,7 +192,7 @@ class Arm:
         """Returns the state of each actuator, 0 contracted or 1 extended, shape (A,), of a configuration (B,).
 
         Raises:
-            ConfigurationError: it is none of this arm.
+            ConfigurationError: the arm has no such configuration.
         """
         return self._whole.actuator_states(self.parse(configuration))
 
@@ -208,10 +208,10 @@ class Arm:
             raise ConfigurationError(str(error)) from None
 
     def parse(self, configuration: ArrayLike | str) -> Configuration:
-        """Returns a configuration (B,), given as an array or as `hyperbit plan` prints it.
+        """Returns a configuration (B,), given as an array or in the text form of `hyperbit plan`.
 
         Raises:
-            ConfigurationError: it is none of this arm.
+            ConfigurationError: the arm has no such configuration.
         """
         try:
             if isinstance(configuration, str):
@@ -233,21 +233,21 @@ class Arm:
         return self._whole.switches(self.parse(first), self.parse(second))
 
     def sample(self, count: int, seed: int = 0) -> NDArray[np.int64]:
-        """Returns random configurations, shape (count, B), that suit the locked actuators, the same for each seed."""
+        """Returns random configurations with the locked actuator states, shape (count, B); the same for each seed."""
         drawn = np.random.default_rng(seed).integers(0, self._reduced.states, (count, len(self._reduced.modules)))
-        return np.array([self._widened(row) for row in drawn], dtype=np.int64).reshape(count, -1)
+        return np.array([self._to_whole(row) for row in drawn], dtype=np.int64).reshape(count, -1)
 
     def density(self) -> Density:
-        """Returns the density of the tip's positions, with the locked actuators taken into account."""
+        """Returns the density of the tip's positions; locked actuators are respected."""
         return Density(self._densities, self._reduced)
 
     def orientations(self, point: ArrayLike, radius: float | None = None, *, seed: int = 0) -> Orientations:
-        """Returns the density of orientations at a point, with the locked actuators taken into account.
+        """Returns the density of orientations at a point; locked actuators are respected.
 
         Args:
             point: position in the world, shape (dimension,).
             radius: greatest distance of the tip from the point; the arm's tolerance if None.
-            seed: of the random draws; short arms are enumerated instead.
+            seed: seed of the random draws; short arms are enumerated instead.
 
         Raises:
             GoalError: the point has a wrong number of coordinates, or the radius is not positive.
@@ -258,15 +258,15 @@ class Arm:
         return orientations_at(self._reduced, self._densities, position, own, seed=seed)
 
     def locked_reach(self, locks: int = 1, samples: int = 100, *, seed: int = 0) -> LockedReach:
-        """Returns reach and redundancy with further actuators locked, by choice, with its worst and mean.
+        """Returns reach and redundancy with further locked actuators: worst, mean and each choice.
 
         Args:
-            locks: number of actuators to lock; all choices are tried if it is 1.
-            samples: most choices otherwise.
-            seed: of the random choices.
+            locks: number of actuators to lock; 1 tries all choices.
+            samples: most random choices, if `locks` is above 1.
+            seed: seed of the random choices.
 
         Raises:
-            LockError: the arm has not so many actuators to lock.
+            LockError: the arm has too few actuators to lock.
         """
         try:
             return reach_when_locked(self._reduced, self._densities, locks, self.tolerance, samples, seed)
@@ -279,14 +279,14 @@ class Arm:
 
     @cached_property
     def _densities(self) -> Densities:
-        """Mapped at the first need, and kept in the cache folder on disk."""
+        """Densities, computed at first use and stored in the cache folder."""
         return load_or_map(self._reduced, self._arm.pixel, self._arm.level_pixels, default_directory())
 
-    def _narrowed(self, configuration: ArrayLike | str) -> Configuration:
-        """Returns a configuration (B,) in the numbers of the arm without the states ruled out.
+    def _to_reduced(self, configuration: ArrayLike | str) -> Configuration:
+        """Returns a configuration (B,) in the numbering of the reduced arm.
 
         Raises:
-            ConfigurationError: it is none of this arm, or a locked actuator is in another state.
+            ConfigurationError: the arm has no such configuration, or a locked actuator is in another state.
         """
         whole = self.parse(configuration)
         try:
@@ -294,13 +294,13 @@ class Arm:
         except ValueError as error:
             raise ConfigurationError(f"as actuators are locked, {error}") from None
 
-    def _widened(self, configuration: Configuration) -> Configuration:
-        """Returns a configuration (B,) of the arm without the states ruled out, in the numbers of the whole arm."""
+    def _to_whole(self, configuration: Configuration) -> Configuration:
+        """Returns a configuration (B,) of the reduced arm in the numbering of the whole arm."""
         return transferred(configuration, self._reduced, self._whole)
 
 
 def load(path: str | Path) -> Arm:
-    """Returns the arm that a YAML file describes; actuators that the file declares stuck are locked.
+    """Loads the arm of a YAML file; actuators that the file declares stuck are locked.
 
     Raises:
         ArmError: the file is missing or wrong.
@@ -312,7 +312,7 @@ def load(path: str | Path) -> Arm:
 
 
 def build(settings: ArmSettings, path: Path) -> config.Arm:
-    """Returns the arm of a file's fields.
+    """Builds the arm of a file's fields.
 
     Raises:
         ArmError: the fields are wrong.

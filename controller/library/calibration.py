@@ -1,4 +1,4 @@
-"""Fitting an arm's numbers to measured tips."""
+"""Calibration: fits an arm's geometry to measured tips."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +20,8 @@ class Fitted(NamedTuple):
     """A calibrated arm.
 
     Attributes:
-        arm: with the numbers found; obstacles, tolerances and locked actuators stay as they are.
-        report: residuals before, after and of samples held out, and each number that changed.
+        arm: the arm with the fitted geometry; obstacles, tolerances and locked actuators are unchanged.
+        report: residuals before and after and on held-out samples, and each changed number.
     """
 
     arm: Arm
@@ -29,17 +29,17 @@ class Fitted(NamedTuple):
 
 
 def calibrate(arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: bool = False) -> Fitted:
-    """Returns the arm whose modules and base suit measured tips best, and what the fit tells.
+    """Fits modules and base of an arm to measured tips.
 
     Args:
-        arm: as described so far.
-        configurations: in which the tip was measured, shape (n, B).
-        tips: measured in the world: positions, shape (n, dimension), or frames, shape (n, 4, 4).
-        each: fit each module by itself, and each leg of a truss.
+        arm: the arm before calibration.
+        configurations: configurations of the measurements, shape (n, B).
+        tips: measured tips in the world: positions, shape (n, dimension), or frames, shape (n, 4, 4).
+        each: fit each module, and each leg of a truss, separately.
 
     Raises:
-        CalibrationError: there are too few samples, shapes do not suit, or no arm like this one suits them.
-        ConfigurationError: a configuration is none of the arm's.
+        CalibrationError: there are too few samples, the shapes do not match, or no arm of this kind fits the samples.
+        ConfigurationError: the arm has no such configuration.
     """
     rows = np.array([arm.parse(row) for row in np.atleast_2d(np.asarray(configurations))])
     measured = np.asarray(tips, dtype=float)

@@ -1,4 +1,4 @@
-"""The density of an arm's tips as arrays."""
+"""The density of an arm's tip positions as arrays."""
 
 from functools import cached_property
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Density:
-    """How many configurations bring the tip where: the workspace density of Ebert-Uphoff and Chirikjian 1996.
+    """Number of configurations by tip position: the workspace density of Ebert-Uphoff and Chirikjian 1996.
 
     The pixels are parallel to the axes of the base frame. They come from the Mapping Algorithm, so counts are
     approximate.
@@ -27,7 +27,7 @@ class Density:
     """
 
     def __init__(self, densities: Densities, manipulator: Manipulator) -> None:
-        """Takes level 0 of an arm's densities."""
+        """Copies level 0 of an arm's densities."""
         self._dimension = manipulator.dimension
         level = densities.level(0)
         values = level[0] if manipulator.planar else level

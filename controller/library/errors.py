@@ -1,43 +1,43 @@
-"""The errors of the library: all are `Error`."""
+"""The exceptions of the library; all are subclasses of `Error`."""
 
 from collections.abc import Sequence
 
 
 class Error(Exception):
-    """Base of every error that the library raises on purpose."""
+    """Base class of all exceptions that the library documents."""
 
 
 class ArmError(Error):
-    """An arm cannot be built from its file, or from the modules given.
+    """An arm cannot be built from its file or from its modules.
 
     Attributes:
         faults: one sentence for each fault, with the path of the field.
     """
 
     def __init__(self, faults: Sequence[str], where: str = "") -> None:
-        """Keeps the faults; the message is one line for each."""
+        """Creates the exception; its message has one line for each fault."""
         self.faults = tuple(faults)
         super().__init__("\n".join(f"{where}: {fault}" if where else fault for fault in self.faults))
 
 
 class ConfigurationError(Error):
-    """An array or a text is no configuration of the arm, or contradicts its locked actuators."""
+    """An array or a text is no configuration of the arm, or a locked actuator is in another state."""
 
 
 class LockError(Error):
-    """An actuator is unknown, or cannot be locked in the state given."""
+    """An actuator is unknown, or cannot be locked in this state."""
 
 
 class ObstacleError(Error):
-    """An obstacle is not valid, or does not suit the dimension of the arm."""
+    """An obstacle is invalid, or has another dimension than the arm."""
 
 
 class GoalError(Error):
-    """A goal is not valid, or does not suit the dimension of the arm."""
+    """A goal is invalid, or has another dimension than the arm."""
 
 
 class PathError(Error):
-    """No path was found: a goal is out of reach, or something is in the way. The message has the goal's number."""
+    """No path was found: a goal is out of reach, or an obstacle blocks it. The message has the goal's number."""
 
 
 class CalibrationError(Error):

@@ -1,4 +1,4 @@
-"""Goals: where the tip is to be, in the world."""
+"""Goals: positions and poses of the tip in the world."""
 
 import math
 from collections.abc import Sequence
@@ -16,17 +16,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A position of the tip, with an orientation if that matters.
+    """A position of the tip, optionally with an orientation.
 
     Attributes:
         position: in the world, shape (2,) for planar arms, (3,) for spatial arms, in the arm's unit of length.
-        orientation: of planar arms an angle, counter-clockwise [rad]; of spatial arms a unit quaternion x, y, z, w,
-            shape (4,); None: any orientation will do.
-        tolerance: greatest distance of the tip; None: the arm's.
-        angle_tolerance: greatest angle from `orientation` [rad]; None: the arm's.
+        orientation: for planar arms an angle, counter-clockwise [rad]; for spatial arms a unit quaternion x, y, z, w,
+            shape (4,); None: any orientation.
+        tolerance: greatest distance of the tip from `position`; None: the arm's tolerance.
+        angle_tolerance: greatest angle of the tip from `orientation` [rad]; None: the arm's tolerance.
 
     Raises:
-        GoalError: a number is not finite, a tolerance is not positive, or shapes do not suit each other.
+        GoalError: a number is not finite, a tolerance is not positive, or the shapes do not match.
     """
 
     position: ArrayLike
@@ -55,7 +55,7 @@ class Goal:
 
     @property
     def target(self) -> Array:
-        """The position, shape (2,) or (3,), or the frame, shape (4, 4), if the orientation matters."""
+        """The position, shape (2,) or (3,); with an orientation, the frame, shape (4, 4)."""
         position = np.asarray(self.position, dtype=float)
         if self.orientation is None:
             return position
@@ -68,7 +68,7 @@ def numbers(values: ArrayLike, name: str) -> Array:
     """Returns values as an array of finite floats.
 
     Raises:
-        GoalError: they are none.
+        GoalError: a value is no finite number.
     """
     try:
         result = np.asarray(values, dtype=float)
@@ -81,13 +81,13 @@ def numbers(values: ArrayLike, name: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A goal with the tolerances that hold for it.
+    """A goal with its effective tolerances.
 
     Attributes:
-        goal: as given.
+        goal: the goal.
         target: see Goal.target.
-        tolerance: of the distance.
-        angle_tolerance: [rad]; infinite if any orientation will do.
+        tolerance: position tolerance.
+        angle_tolerance: orientation tolerance [rad]; infinite without an orientation.
     """
 
     goal: Goal
@@ -97,10 +97,10 @@ class Request:
 
 
 def request(goal: Goal | ArrayLike, dimension: int, tolerance: float, angle_tolerance: float) -> Request:
-    """Returns a goal, or a bare position, with the arm's tolerances where it has none.
+    """Returns a goal, or a bare position, with the arm's tolerances as defaults.
 
     Raises:
-        GoalError: the goal does not suit the arm's dimension.
+        GoalError: the goal has another dimension than the arm.
     """
     own = goal if isinstance(goal, Goal) else Goal(goal)
     size = len(np.asarray(own.position))

@@ -1,4 +1,4 @@
-"""Modules of arms that are built in code. A module is described as in an arm's file."""
+"""Modules for arms built in code. Each function returns an entry of `modules` of an arm's file."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -29,7 +29,7 @@ RIGID = 1e-6  # greatest difference of R^T R from the identity
 
 
 def checked(kind: type[S], fields: dict[str, Any], where: str) -> S:
-    """Returns a struct of the arm's file with these fields, absent where None.
+    """Returns a struct of the arm's file with these fields; fields that are None are omitted.
 
     Raises:
         ArmError: a field is wrong.
@@ -47,7 +47,7 @@ def plain(values: ArrayLike) -> Any:
     """Returns an array as nested lists of floats.
 
     Raises:
-        ArmError: it holds anything but numbers, or its rows differ in length.
+        ArmError: a value is no number, or the rows differ in length.
     """
     try:
         return np.asarray(values, dtype=float).tolist()
@@ -66,8 +66,8 @@ def vgt(
 
     Args:
         first_diagonal: diagonal of the first module, "BC" or "AD"; the diagonals of further modules alternate.
-        width: of base and top, in the arm's unit of length.
-        lengths: contracted and extended length of each leg, shape (2,), or of "left", "diagonal" and "right".
+        width: width of base and top, in the arm's unit of length.
+        lengths: contracted and extended length of all legs, shape (2,), or one pair for each leg by its name.
         count: number of modules.
 
     Raises:
@@ -81,7 +81,7 @@ def vgt(
 def revolute(
     angles: ArrayLike, *, link: ArrayLike = (0.0, 0.0), axis: ArrayLike = (0.0, 0.0, 1.0), count: int = 1
 ) -> RevoluteSettings:
-    """Returns `count` joints that turn to one of K angles.
+    """Returns `count` revolute joints with K angles.
 
     Args:
         angles: shape (K,) [rad].
@@ -99,7 +99,7 @@ def revolute(
 def prismatic(
     axis: ArrayLike, lengths: ArrayLike, *, link: ArrayLike = (0.0, 0.0), count: int = 1
 ) -> PrismaticSettings:
-    """Returns `count` joints that slide to one of K lengths.
+    """Returns `count` prismatic joints with K lengths.
 
     Args:
         axis: direction of sliding, shape (2,) or (3,).
@@ -115,7 +115,7 @@ def prismatic(
 
 
 def platform(base: ArrayLike, top: ArrayLike, lengths: ArrayLike, *, count: int = 1) -> PlatformSettings:
-    """Returns `count` plates on two-state legs: planar with three legs, spatial with three or six.
+    """Returns `count` platforms on two-state legs: planar with three legs, spatial with three or six.
 
     Args:
         base: joints of the legs in the frame below, shape (L, 2) or (L, 3).
@@ -131,7 +131,7 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: ArrayLike, *, count: int 
 
 
 def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
-    """Returns `count` modules whose states are any frames; binary actuators "1", "2", ... count the states.
+    """Returns `count` modules with arbitrary frames; binary actuators "1", "2", ... encode the states.
 
     Args:
         states: frame of the next module in each of K states, shape (K, 4, 4). The module is planar if all frames stay
@@ -150,7 +150,7 @@ def transforms(states: ArrayLike, *, count: int = 1) -> TransformsSettings:
 
 
 def placement(given: ArrayLike) -> dict[str, Any]:
-    """Returns a position (2,) or (3,), or a frame (4, 4), as an arm's file writes it."""
+    """Returns a position (2,) or (3,), or a frame (4, 4), in the form of an arm's file."""
     values = np.array(plain(given))
     if values.shape == (4, 4):
         return frame_fields(values, planar=in_plane(values))
@@ -158,7 +158,7 @@ def placement(given: ArrayLike) -> dict[str, Any]:
 
 
 def frame_fields(frame: frames.Frame, *, planar: bool) -> dict[str, Any]:
-    """Returns a frame (4, 4) as an arm's file writes it.
+    """Returns a frame (4, 4) in the form of an arm's file.
 
     Raises:
         ArmError: the frame is not a rotation and a translation.

@@ -20,33 +20,37 @@ class Obstacle:
 
 
 @dataclass(frozen=True, eq=False)
-class Disc(Obstacle):
-    """A disc, for planar arms.
-
-    Attributes:
-        centre: shape (2,), in the arm's unit of length.
-        radius: in the same unit.
-        name: as messages call it.
-    """
-
+class _Round(Obstacle):
     centre: ArrayLike
     radius: float
     name: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Sphere(Obstacle):
+class _Half(Obstacle):
+    point: ArrayLike
+    normal: ArrayLike
+    name: str | None = None
+
+
+class Disc(_Round):
+    """A disc, for planar arms.
+
+    Attributes:
+        centre: shape (2,), in the arm's unit of length.
+        radius: in the same unit.
+        name: name of the obstacle in messages.
+    """
+
+
+class Sphere(_Round):
     """A sphere, for spatial arms.
 
     Attributes:
         centre: shape (3,), in the arm's unit of length.
         radius: in the same unit.
-        name: as messages call it.
+        name: name of the obstacle in messages.
     """
-
-    centre: ArrayLike
-    radius: float
-    name: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +59,10 @@ class Box(Obstacle):
 
     Attributes:
         centre: shape (2,) or (3,), in the arm's unit of length.
-        size: whole sides along the box's axes, same shape.
-        angle: of the box in the plane [rad].
-        orientation: of the box in space, a unit quaternion x, y, z, w, shape (4,).
-        name: as messages call it.
+        size: lengths of the sides along the box's axes, same shape.
+        angle: angle of the box, for planar arms [rad].
+        orientation: orientation of the box, for spatial arms, a unit quaternion x, y, z, w, shape (4,).
+        name: name of the obstacle in messages.
     """
 
     centre: ArrayLike
@@ -68,34 +72,24 @@ class Box(Obstacle):
     name: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class HalfPlane(Obstacle):
-    """All that lies behind a line, for planar arms.
+class HalfPlane(_Half):
+    """The region behind a line, for planar arms.
 
     Attributes:
         point: on the line, shape (2,), in the arm's unit of length.
         normal: points away from the obstacle, shape (2,), of any length but 0.
-        name: as messages call it.
+        name: name of the obstacle in messages.
     """
 
-    point: ArrayLike
-    normal: ArrayLike
-    name: str | None = None
 
-
-@dataclass(frozen=True, eq=False)
-class HalfSpace(Obstacle):
-    """All that lies behind a plane, for spatial arms.
+class HalfSpace(_Half):
+    """The region behind a plane, for spatial arms.
 
     Attributes:
         point: on the plane, shape (3,), in the arm's unit of length.
         normal: points away from the obstacle, shape (3,), of any length but 0.
-        name: as messages call it.
+        name: name of the obstacle in messages.
     """
-
-    point: ArrayLike
-    normal: ArrayLike
-    name: str | None = None
 
 
 KINDS: dict[type[Obstacle], str] = {
@@ -108,7 +102,7 @@ KINDS: dict[type[Obstacle], str] = {
 
 
 def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> ObstacleSettings | None:
-    """Returns an obstacle as an arm's file writes it, or None and its faults."""
+    """Returns an obstacle in the form of an arm's file; None after appending its faults to `faults`."""
     if type(obstacle) not in KINDS:
         faults.append(f"obstacles: one of {', '.join(kind.__name__ for kind in KINDS)} is needed, got {obstacle!r}")
         return None
@@ -123,11 +117,11 @@ def obstacle_settings(obstacle: Obstacle, faults: list[str]) -> ObstacleSettings
 
 
 def build_obstacles(obstacles: Sequence[Obstacle], dimension: int) -> Obstacles:
-    """Returns obstacles as the collision checks take them.
+    """Returns obstacles in the form of the collision checks.
 
     Args:
-        obstacles: any number.
-        dimension: of the arm, 2 or 3.
+        obstacles: the obstacles.
+        dimension: dimension of the arm, 2 or 3.
 
     Raises:
         ObstacleError: an obstacle is not valid, or does not suit the dimension.

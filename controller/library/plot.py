@@ -36,16 +36,16 @@ def plot(
 
     Args:
         arm: the arm; its own obstacles are drawn as well.
-        drawn: a path, a solution, configurations (B,) by their names in the legend, or None for the density alone. Of a
-            path at most six configurations are drawn, evenly chosen, and its goals.
-        obstacles: of the solver.
+        drawn: a path, a solution, configurations (B,) by their names in the legend, or None for the density only. Of a
+            path, its goals and at most six evenly spaced configurations are drawn.
+        obstacles: further obstacles, such as the solver's.
         targets: further positions, drawn as crosses, shape (n, dimension).
-        title: above the picture; the arm's name if None.
-        unit: of length, for the axes.
+        title: title of the picture; None: the arm's name.
+        unit: unit of length, for the axes.
 
     Raises:
-        ObstacleError: an obstacle is not valid, or does not suit the arm's dimension.
-        ConfigurationError: a configuration is none of the arm's.
+        ObstacleError: an obstacle is invalid, or has another dimension than the arm.
+        ConfigurationError: the arm has no such configuration.
     """
     curve: ArrayLike = ()
     match drawn:

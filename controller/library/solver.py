@@ -1,4 +1,4 @@
-"""The solver: configurations for goals, and paths through several goals."""
+"""The solver: finds configurations for goals, and paths through several goals."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Path:
     """Configurations through several goals.
 
     Attributes:
-        goals: as given.
-        positions: of the path's points in the world, shape (n, dimension): the goals, and points between them if
-            straight lines are followed.
-        solutions: one for each point; switches are counted from the point before.
-        waypoints: index of the point of each goal, shape (m,).
-        certificate: what is proven of the cost of the whole path, see Solution.certificate.
-        bound: proven: no path through the goals costs less; 0 if nothing is proven.
+        goals: the goals.
+        positions: points of the path in the world, shape (n, dimension): the goals, and points between them if straight
+            lines are followed.
+        solutions: one for each point; switches are counted from the previous point.
+        waypoints: index of each goal's point, shape (m,).
+        certificate: certificate for the cost of the whole path, see Solution.certificate.
+        bound: proven lower bound of the cost of all paths through the goals; 0 if nothing is proven.
     """
 
     goals: tuple[Goal, ...]
@@ -57,7 +57,7 @@ class Path:
 
     @property
     def switches(self) -> int:
-        """Switches of all actuators along the path."""
+        """Number of switches along the path."""
         return sum(solution.switches for solution in self.solutions)
 
     @property
@@ -67,22 +67,22 @@ class Path:
 
     @property
     def lower_bound(self) -> float | None:
-        """The bound; None if nothing is proven."""
+        """The lower bound; None if nothing is proven."""
         return None if self.certificate == "unknown" else self.bound
 
 
 class Solver:
-    """Inverse kinematics of one arm. Its tables are built at the first search, and kept.
+    """Inverse kinematics of one arm. The tables are built at the first search.
 
-    One search at a time: use a solver for each thread.
+    A solver is not thread-safe: use one for each thread.
 
     Args:
-        arm: the arm; its obstacles hold as well.
-        obstacles: regions in the world that no module may touch.
-        weights: cost of a switch of each actuator, positive, shape (A,); the arm's if None.
+        arm: the arm; its own obstacles are respected as well.
+        obstacles: further obstacles in the world; no module may touch them.
+        weights: cost of a switch of each actuator, positive, shape (A,); None: the arm's weights.
 
     Raises:
-        ObstacleError: an obstacle is not valid, or does not suit the arm's dimension.
+        ObstacleError: an obstacle is invalid, or has another dimension than the arm.
         GoalError: the weights are not A positive numbers.
     """
 
@@ -103,17 +103,17 @@ class Solver:
         method: Method = "minimum-switch",
         deadline: float = DEADLINE,
     ) -> Solution:
-        """Returns a configuration for a goal. A goal out of reach gives the nearest configuration found.
+        """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
 
         Args:
-            goal: or a bare position, shape (dimension,).
-            start: configuration (B,) as an array or text, solution, or path to start from; the arm's `home` if None.
+            goal: a goal, or a position of shape (dimension,).
+            start: configuration (B,) as an array or text, or a solution or path whose end is the start; None: `home`.
             method: one of `METHODS`.
-            deadline: time for the search for fewest switches [s]. Goals with an orientation or among obstacles that
-                are not reached by then have half a second, or the deadline if that is later.
+            deadline: time for the search for fewest switches [s]. A goal with an orientation or among obstacles that
+                is not reached by then gets 0.5 s in all, or the deadline if it is longer.
 
         Raises:
-            GoalError: the goal does not suit the arm, there is no such method, or the deadline is no positive number.
+            GoalError: the goal has another dimension than the arm, or the method or the deadline is invalid.
             ConfigurationError: the start is no configuration of the arm.
         """
         if method not in METHODS:
@@ -141,17 +141,17 @@ class Solver:
         switches over the whole path, and for a proof. The daemon's `plan` and `hyperbit plan --goals` do the same.
 
         Args:
-            goals: in their order.
-            start: configuration (B,) as an array or text, solution, or path to start from; the arm's `home` if None.
-            path_tolerance: the tip follows the straight lines between the goals within this distance; None: any way.
+            goals: the goals, in their order.
+            start: configuration (B,) as an array or text, or a solution or path whose end is the start; None: `home`.
+            path_tolerance: greatest distance of the tip from the straight lines between the goals; None: no limit.
             method: one of `METHODS`.
-            deadline: time for each point's search [s], on the average.
-            path_deadline: time for the search over the whole path [s]; the order of the switches is sought after it.
+            deadline: average time for the search of each point [s].
+            path_deadline: time for the search over the whole path [s]; the search for stages follows after it.
 
         Raises:
-            GoalError: there is no goal, one does not suit the arm, or a deadline is no positive number.
+            GoalError: there is no goal, a goal has another dimension than the arm, or a deadline is not positive.
             ConfigurationError: the start is no configuration of the arm.
-            PathError: a goal is out of reach, or something is in the way.
+            PathError: a goal is out of reach, or an obstacle blocks the path.
         """
         if method not in METHODS:
             raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
@@ -173,17 +173,17 @@ class Solver:
         return Path(own, trajectory.positions, solutions, trajectory.waypoints, found.certificate, found.bound)
 
     def contact(self, configuration: ArrayLike | str) -> str | None:
-        """Returns what touches first in a configuration (B,), such as "module 7 is in disc 'pillar'"; None if nothing.
+        """Returns the first collision of a configuration (B,), such as "module 7 is in disc 'pillar'", or None.
 
         Raises:
             ConfigurationError: it is none of this arm, or a locked actuator is in another state.
         """
         clearance = self._search.clearance
-        return None if clearance is None else clearance.where(self.arm._narrowed(configuration))
+        return None if clearance is None else clearance.where(self.arm._to_reduced(configuration))
 
     @cached_property
     def _search(self) -> search.Solver:
-        """Built at the first search: densities are mapped or read from the cache."""
+        """The search, built at first use; its densities are computed or read from the cache."""
         arm, reduced = self.arm._arm, self.arm._reduced
         solver = search.Solver(reduced, self.arm._densities, self._weights, arm.clearance(reduced, self._regions))
         solver.prepare()
@@ -193,10 +193,10 @@ class Solver:
         return request(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
     def _start(self, start: Start) -> Configuration:
-        """Returns where to start from, in the numbers of the search."""
+        """Returns the start configuration in the numbering of the reduced arm."""
         if isinstance(start, Path):
             start = start.solutions[-1]
-        return self.arm._narrowed(
+        return self.arm._to_reduced(
             self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
         )
 
@@ -215,5 +215,5 @@ class Solver:
         )
 
     def _whole(self, found: Solution) -> Solution:
-        """Returns a solution with its configuration in the numbers of the whole arm."""
-        return replace(found, configuration=self.arm._widened(found.configuration))
+        """Returns a solution with its configuration in the numbering of the whole arm."""
+        return replace(found, configuration=self.arm._to_whole(found.configuration))
