@@ -1,11 +1,11 @@
 #!/bin/sh
-# Makes the certificates by which an arm's daemon and those who talk to it know each other.
+# Makes the certificates of an arm's daemon and of its clients.
 #
-#   deploy/certificates.sh FOLDER daemon HOST...    the daemon's, for all names and IPv4 addresses of its computer
-#   deploy/certificates.sh FOLDER client NAME...    one for each operator or viewer
+#   deploy/certificates.sh FOLDER daemon HOST...    the daemon's certificate, for all names and IPv4 addresses of its host
+#   deploy/certificates.sh FOLDER client NAME...    a certificate for each operator or viewer
 #
-# The first run makes the certificate authority, too: whoever has FOLDER/ca/key.pem can let anybody in, so keep FOLDER
-# off the robot. Nothing is ever overwritten: to renew a certificate, move its folder away and run again.
+# The first run also makes the certificate authority. With FOLDER/ca/key.pem anybody can make certificates, so keep FOLDER
+# off the robot. The script never overwrites a file: to renew a certificate, move its folder away and run the script again.
 set -eu
 umask 077
 
@@ -18,7 +18,7 @@ fail() {
   exit 1
 }
 
-# sign COMMON-NAME DAYS EXTENSIONS [OPTION...]: makes $new with a key and a certificate, of its own or by -CA.
+# sign COMMON-NAME DAYS EXTENSIONS [OPTION...]: makes $new with a key and a certificate, self-signed or signed by -CA.
 sign() {
   subject=$1 days=$2 extensions=$3
   shift 3
@@ -33,24 +33,24 @@ sign() {
   rm "$new/request" "$new/made" "$new/log"
 }
 
-# keep NAME WHAT: puts what is whole in its place.
+# keep NAME WHAT: moves the complete folder $new to its name.
 keep() {
   mv "$new" "$1"
   echo "made $folder/$1: $2"
 }
 
 absent() {
-  [ ! -e "$1" ] || fail "$folder/$1 is there already; move it away to make it anew"
+  [ ! -e "$1" ] || fail "$folder/$1 exists; move it away to make a new one"
 }
 
 authority() {
   [ ! -e ca ] || return 0
   sign "hyperbit authority" "$ca_days" "basicConstraints = critical, CA:TRUE
 keyUsage = critical, keyCertSign"
-  keep ca "the authority, for $ca_days days; whoever has its key can let anybody in"
+  keep ca "the authority, valid for $ca_days days; keep its key secret"
 }
 
-# issue NAME DAYS EXTENSIONS: makes $new with what the authority certifies for NAME, and its own certificate.
+# issue NAME DAYS EXTENSIONS: makes $new with a certificate for NAME, signed by the authority, and the authority's certificate.
 issue() {
   sign "$1" "$2" "basicConstraints = critical, CA:FALSE
 keyUsage = critical, digitalSignature
@@ -62,7 +62,7 @@ daemon() {
   names=DNS:localhost,IP:127.0.0.1
   for host; do
     case $host in
-    *[!A-Za-z0-9.-]* | "" | -*) fail "'$host' is no name and no IPv4 address of a computer" ;;
+    *[!A-Za-z0-9.-]* | "" | -*) fail "'$host' is neither a host name nor an IPv4 address" ;;
     *[!0-9.]*) names=$names,DNS:$host ;;
     *) names=$names,IP:$host ;;
     esac
@@ -72,7 +72,7 @@ daemon() {
   issue daemon "$daemon_days" "extendedKeyUsage = serverAuth
 subjectAltName = $names"
   echo "$1" >"$new/host"
-  keep daemon "for $*, localhost, for $daemon_days days"
+  keep daemon "for $* and localhost, valid for $daemon_days days"
 }
 
 client() {
@@ -83,7 +83,7 @@ client() {
   absent "$1"
   issue "$1" "$client_days" "extendedKeyUsage = clientAuth"
   cat >"$new/zenoh.json5" <<TEXT
-// For hyperbit's commands, as --zenoh. The files are beside this one.
+// For hyperbit's commands, option --zenoh. The certificates are in the same folder.
 {
   mode: "client",
   connect: { endpoints: ["tls/$(cat daemon/host):7447"] },
@@ -102,7 +102,7 @@ client() {
   },
 }
 TEXT
-  keep "$1" "for $client_days days; it may do what $1 is listed for in the daemon's zenoh.json5"
+  keep "$1" "valid for $client_days days; its rights are those of $1 in the daemon's zenoh.json5"
 }
 
 [ $# -ge 3 ] || fail "usage: $0 FOLDER daemon HOST... | $0 FOLDER client NAME..."

@@ -4,8 +4,8 @@
 #
 #   sudo deploy/install.sh [ARM.yaml]
 #
-# Run it again to upgrade, also from a version of one service. Existing files in /etc/hyperbit and /etc/systemd/network are
-# kept, and so are the counts of switches and the ledger in /var/lib.
+# Run it again to upgrade, also from version 0.1 with one service. It keeps existing files in /etc/hyperbit and
+# /etc/systemd/network, and the counts of switches and the ledger in /var/lib.
 set -eu
 
 project=$(cd "$(dirname "$0")/.." && pwd)
@@ -25,8 +25,8 @@ command -v "$python" >/dev/null || fail "$python is missing: apt install python3
 "$python" -c 'import ensurepip' 2>/dev/null || fail "Python cannot make virtual environments: apt install python3-venv"
 command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt install systemd"
 [ -r "$arm" ] || fail "$arm: no such file"
-# A running program imports modules late and must not find those of another version. Whether the boards may lose the
-# heartbeat now is the operator's decision.
+# A running program imports modules late and must not find another version's modules. The operator decides when the boards
+# may lose their heartbeat.
 running=
 for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder; do
   case $(systemctl is-active "$service.service" 2>/dev/null) in
@@ -36,12 +36,12 @@ done
 instances=$(systemctl list-units --plain --no-legend --state=active,activating,reloading,deactivating \
   'hyperbit@*' 'hyperbit-executor@*' 2>/dev/null | cut -d ' ' -f 1 | tr '\n' ' ')
 running="$running ${instances% }"
-[ "$running" = " " ] || fail "stop what runs: systemctl stop$running; the boards then do what on_loss says"
+[ "$running" = " " ] || fail "services are running: systemctl stop$running; the boards then do what on_loss says"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
 "$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder]"
-# numba cannot load kernels that were compiled from another version. The first start compiles them anew.
+# numba cannot load kernels compiled from another version. The first start compiles them again.
 rm -rf /var/cache/private/hyperbit/numba /var/cache/private/hyperbit-arms/*/numba
 rm -rf "$prefix/README.md" "$prefix/doc"
 (cd "$project" && find README.md controller deploy drivers tests -name README.md) | while IFS= read -r page; do
@@ -52,7 +52,7 @@ ln -sf "$prefix/bin/hyperbit" /usr/local/bin/hyperbit
 echo "checking $arm"
 "$prefix/bin/hyperbit" check "$arm"
 
-# keep SOURCE TARGET: installs a file that the operator may have changed only where there is none.
+# keep SOURCE TARGET: installs a file, unless TARGET exists: the operator may have changed it.
 keep() {
   if [ -e "$2" ]; then
     echo "kept $2"
@@ -80,16 +80,16 @@ fi
 keep "$project/deploy/zenoh.json5" /etc/hyperbit/zenoh.json5
 keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
-# Static: the planner's user and operators reach the executor's socket by this group.
+# A static group: by it the planner's user and operators may open the executor's socket.
 systemd-sysusers --inline 'g hyperbit -'
 for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
-# What `journalctl -x` explains.
+# Explanations for `journalctl -x`.
 install -D -m 644 "$project/deploy/hyperbit.catalog" /usr/local/lib/systemd/catalog/hyperbit.catalog
 journalctl --update-catalog
 
-# The version of one service left a link to a folder that its successor cannot use.
+# Version 0.1 left a link to a folder that this version cannot use.
 [ ! -L /run/hyperbit ] || rm /run/hyperbit
 
 systemctl daemon-reload
@@ -97,7 +97,7 @@ systemctl enable hyperbit.service
 cat <<'TEXT'
 Installed and enabled. Next:
   systemctl restart systemd-networkd                     bring up can0
-  hyperbit check /etc/hyperbit/arm.yaml --bus            read what each board is
+  hyperbit check /etc/hyperbit/arm.yaml --bus            read each board
   systemctl start hyperbit                               start planner and executor
   journalctl -f -u hyperbit -u hyperbit-executor         read their messages
   hyperbit watch /etc/hyperbit/arm.yaml                  watch the arm

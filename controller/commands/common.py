@@ -72,7 +72,7 @@ NEXT = {  # next step, by a part of the daemon's message
     "the arm is starting": "wait until it is ready: hyperbit watch {arm}",
     "is no configuration": "switch single actuators: hyperbit jog {arm} ACTUATOR=STATE",
     "out of reach": "see where the arm can reach: hyperbit workspace ARM.yaml",
-    "the executor is not connected": "look at it: systemctl status hyperbit-executor",
+    "the executor is not connected": "check it by: systemctl status hyperbit-executor",
 }
 
 

@@ -1,46 +1,46 @@
-"""What to do about a fault, by its code."""
+"""Advice for each fault, by its code."""
 
-ITSELF = "The arm goes on by itself when the cause is gone."
+ITSELF = "The arm continues by itself when the cause is gone."
 RESET = "Then hold Reset."
 
 ADVICE = {
-    "bus-down": f"Plug the CAN adapter in, or bring its interface up. {ITSELF}",
+    "bus-down": f"Connect the CAN adapter, or bring its interface up. {ITSELF}",
     "bus-off": f"Check wires, termination and bit rate of the bus. {ITSELF}",
     "bus-busy": f"Check that a board is connected and that the bus is terminated. {ITSELF}",
     "bus-passive": "The bus has many errors: check wires and termination. The arm still works.",
     "board-lost": f"Check the board's supply and wires. {ITSELF}",
     "board-missing": f"Check the board's supply, wires and node id. {ITSELF}",
-    "board-rebooted": "The board lost its supply for a moment: check it. " + RESET,
-    "board-stopped": "Look at the board's lights and errors: hyperbit board. " + RESET,
-    "emergency": "The board reported an emergency: look at it. " + RESET,
+    "board-rebooted": "The board lost its supply for a moment: check the supply. " + RESET,
+    "board-stopped": "Check the board's status lights, and read its errors by: hyperbit board. " + RESET,
+    "emergency": "The board reported an emergency: check the board. " + RESET,
     "wrong-length": "Another device uses this board's node id, or its mapping was changed. " + RESET,
-    "wrong-device": "Change the board, or the arm's file, as the sentence says. " + RESET,
-    "sdo-refused": "Change the board, or the arm's file, as the sentence says. " + RESET,
+    "wrong-device": "Change the board or the arm's file as the message says. " + RESET,
+    "sdo-refused": "Change the board or the arm's file as the message says. " + RESET,
     "board-error": "Remove the cause of the board's error. " + RESET,
     "not-switched": "An output does not follow: check the board. " + RESET,
     "board-changed": "Another program changed the board: stop it. " + RESET,
-    "stuck": "Look whether the actuator moves freely and has power, and whether its end-stop works. Then hold Reset,"
+    "stuck": "Check that the actuator moves freely and has power, and that its end-stop works. Then hold Reset,"
     " or lock the actuator.",
-    "unexpected-motion": "Somebody moved the arm, or an actuator lost its hold: look at it. " + RESET,
-    "end-stops": "Both end-stops read 1: mend the wire or switch. " + RESET,
+    "unexpected-motion": "Something moved the arm, or an actuator lost its force: check the actuator. " + RESET,
+    "end-stops": "Both end-stops read 1: repair the wire or the end-stop. " + RESET,
     "interlock": "Close the interlock. " + RESET,
     "foreign-master": "Another program drives this bus: stop it. " + RESET,
-    "halted": "The computer stood still: end other heavy programs. " + RESET,
-    "executor-lost": "The executor is gone: systemd starts it again. Otherwise run hyperbit execute.",
-    "internal-error": "A defect of hyperbit: keep the journal and report it. " + RESET,
-    "board-limits": "The board cannot do this; the arm works without it.",
-    "clock-set": "The computer's clock was set. Nothing is to be done.",
-    "network-lost": "Zenoh's router is gone; the running goal goes on.",
-    "ledger-unwritten": "Free room on the disk, or mend its rights.",
-    "ledger-damaged": "The old ledger was moved aside. Nothing is to be done.",
-    "in-obstacle": "Take the obstacle away, or change it: until then the arm takes no goal.",
+    "halted": "The computer stood still: end other programs that load it. " + RESET,
+    "executor-lost": "The executor is gone. systemd restarts it; without systemd run hyperbit execute.",
+    "internal-error": "A defect of hyperbit: report it with the journal. " + RESET,
+    "board-limits": "The board lacks this function; the arm works without it.",
+    "clock-set": "The computer's clock was set. No action is needed.",
+    "network-lost": "The Zenoh router is gone. The running goal continues.",
+    "ledger-unwritten": "Free space on the disk, or correct the permissions of the ledger.",
+    "ledger-damaged": "The damaged ledger was renamed. No action is needed.",
+    "in-obstacle": "Remove or change the obstacle: until then the arm accepts no goal.",
     "unknown-state": "Jog single actuators until the arm is in a configuration.",
-    "journal": "Counts of switches are not kept: free room on the disk.",
-    "unknown-position": "The first goal brings the actuator to an end; or jog it.",
-    "degraded": "The arm works without this actuator. Unlock it when it is mended.",
+    "journal": "Switches are not counted: free space on the disk.",
+    "unknown-position": "The first goal moves the actuator to an end; or jog it.",
+    "degraded": "The arm works without this actuator. Unlock it after the repair.",
 }
 
 
 def advice(code: str) -> str:
-    """Returns what to do about a fault."""
+    """Returns the advice for a fault."""
     return ADVICE.get(code, "See the journal: journalctl -u hyperbit -u hyperbit-executor.")

@@ -1,4 +1,4 @@
-"""Writes deploy/hyperbit.catalog: what `journalctl -x` explains. python -m tests.deploy.catalog"""
+"""Writes deploy/hyperbit.catalog, the explanations for `journalctl -x`. python -m tests.deploy.catalog"""
 
 from controller.journal import message_id
 from controller.panel.faults import ADVICE
@@ -9,34 +9,34 @@ SUPPORT = "file:///opt/hyperbit/doc/README.md"
 FAULT = "At @HYPERBIT_SOURCE@ of the arm @HYPERBIT_ARM@. The running goal was ended, and the arm holds."
 WARNINGS = ("bus-passive", "board-limits", "clock-set", "network-lost", "degraded", "journal", "unknown-position")
 OTHERS = {
-    "mode-starting": "The boards of the arm @HYPERBIT_ARM@ are being booted. Nothing moves by that.",
-    "mode-ready": "The arm @HYPERBIT_ARM@ holds and takes goals.",
+    "mode-starting": "The boards of the arm @HYPERBIT_ARM@ are booting. Nothing moves.",
+    "mode-ready": "The arm @HYPERBIT_ARM@ holds and accepts goals.",
     "mode-executing": "The arm @HYPERBIT_ARM@ moves.",
-    "mode-fault": "The arm @HYPERBIT_ARM@ holds and takes no goals. The lines before this one name the faults."
-    " It goes on by itself if all of them clear by themselves, else after `hyperbit reset`.",
-    "mode-stopped": "Somebody stopped the arm @HYPERBIT_ARM@. It holds until `hyperbit reset`.",
-    "fault-over": "The fault @HYPERBIT_FAULT@ at @HYPERBIT_SOURCE@ is over.",
+    "mode-fault": "The arm @HYPERBIT_ARM@ holds and accepts no goals. The previous lines name the faults."
+    " It continues by itself if all faults clear by themselves, otherwise after `hyperbit reset`.",
+    "mode-stopped": "The arm @HYPERBIT_ARM@ was stopped by a request. It holds until `hyperbit reset`.",
+    "fault-over": "The fault @HYPERBIT_FAULT@ at @HYPERBIT_SOURCE@ is gone.",
     "goal-succeeded": "The goal @HYPERBIT_GOAL@ was reached.",
     "goal-canceled": "The goal @HYPERBIT_GOAL@ was ended by `cancel`. The arm holds.",
-    "goal-replaced": "Another goal or a stream of set-points took the place of @HYPERBIT_GOAL@.",
+    "goal-replaced": "Another goal or a stream of set-points replaced the goal @HYPERBIT_GOAL@.",
     "goal-aborted": "The goal @HYPERBIT_GOAL@ was ended by a fault, a stop or the end of the program, or was missed;"
     " code @HYPERBIT_CODE@. The arm holds.",
 }
 
 
 def text() -> str:
-    """The whole catalogue."""
+    """Returns the text of the catalog."""
     entries = {}
     for code, advice in ADVICE.items():
-        told = advice.replace("Then hold Reset", "Then run `hyperbit reset`")
+        action = advice.replace("Then hold Reset", "Then run `hyperbit reset`")
         where = "At @HYPERBIT_SOURCE@ of the arm @HYPERBIT_ARM@." if code in WARNINGS else FAULT
-        entries[code] = (f"Fault {code} at @HYPERBIT_SOURCE@", f"{where}\n{told}")
-    for kind, told in OTHERS.items():
+        entries[code] = (f"Fault {code} at @HYPERBIT_SOURCE@", f"{where}\n{action}")
+    for kind, explanation in OTHERS.items():
         what, _, word = kind.partition("-")
-        entries[kind] = (f"{what.capitalize()}: {word}", told)
+        entries[kind] = (f"{what.capitalize()}: {word}", explanation)
     return "\n".join(
-        f"-- {message_id(kind)}\nSubject: {subject}\nDefined-By: hyperbit\nSupport: {SUPPORT}\n\n{told}\n"
-        for kind, (subject, told) in entries.items()
+        f"-- {message_id(kind)}\nSubject: {subject}\nDefined-By: hyperbit\nSupport: {SUPPORT}\n\n{action}\n"
+        for kind, (subject, action) in entries.items()
     )
 
 

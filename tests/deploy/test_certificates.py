@@ -57,8 +57,8 @@ def test_they_end(keys: Path) -> None:
 
 def test_nothing_is_overwritten(keys: Path) -> None:
     before = {path: path.read_bytes() for path in keys.rglob("*") if path.is_file()}
-    assert "operator is there already" in refusal(keys, "client", "operator")
-    assert "daemon is there already" in refusal(keys, "daemon", "robot.local")
+    assert "operator exists" in refusal(keys, "client", "operator")
+    assert "daemon exists" in refusal(keys, "daemon", "robot.local")
     assert {path: path.read_bytes() for path in keys.rglob("*") if path.is_file()} == before
 
 
@@ -77,8 +77,8 @@ def test_a_failure_leaves_nothing_half_made(keys: Path) -> None:
         (("client", "../x"), "'../x' is no name"),
         (("client", "ca"), "'ca' is no name"),
         (("client", "a/CN=b"), "is no name"),
-        (("daemon", "a,IP:1.2.3.4"), "is no name and no IPv4 address"),
-        (("daemon", "fe80::1"), "is no name and no IPv4 address"),
+        (("daemon", "a,IP:1.2.3.4"), "is neither a host name nor an IPv4 address"),
+        (("daemon", "fe80::1"), "is neither a host name nor an IPv4 address"),
         (("client", "anna"), "make the daemon's certificate first"),
         (("clients", "anna"), "neither daemon nor client"),
         (("daemon",), "usage"),
