@@ -19,7 +19,7 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
-TOUCHES = "on the way that was planned, "
+TOUCHES = "the planned motion would collide: "
 
 
 class Motion:

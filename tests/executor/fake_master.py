@@ -1,4 +1,4 @@
-"""A CANopen master without buses, for tests of what stands on it."""
+"""A CANopen master without buses, for tests of the executor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.canopen.wiring import Timing, Wiring
 
 
 class FakeMaster:
-    """A master without buses: what is committed leaves with the next event, and is measured a travel time later.
+    """A master without buses: a commit is sent with the next event, and the end-stops follow a travel time later.
 
     Outputs and inputs are lines in the order of `Wiring`. An end-stop reads 1 only while its actuator is at that end.
     """
@@ -34,8 +34,8 @@ class FakeMaster:
         self.commits: list[tuple[float, int]] = []
         self.questions: list[tuple[int, float]] = []
         self.busy = self.slow_sync = False
-        self.stuck = self.partly = 0  # masks: of actuators that never leave, of lines that a SYNC does not switch
-        self.halfway = 0  # mask: of actuators that leave, and never arrive
+        self.stuck = self.partly = 0  # masks of stuck actuators, and of lines that a SYNC does not switch
+        self.halfway = 0  # mask of actuators that stop halfway
         self.halt: Fault | None = None
         self.broken: set[str] = set()
         self.ticks: list[float] = []
@@ -67,7 +67,7 @@ class FakeMaster:
             self.leave(now)
 
     def leave(self, now: float) -> None:
-        """Lets the SYNC leave."""
+        """Sends the SYNC."""
         if self.committing:
             self.committing = False
             mask = (self.outputs ^ self._target) & ~self.partly
@@ -79,7 +79,7 @@ class FakeMaster:
                 self.left.append((now, mask))
 
     def _drive(self, now: float) -> None:
-        """Moves the actuators as their outputs say; with both off, one with two outputs goes on as before."""
+        """Moves the actuators as their outputs command; with both outputs off, an actuator continues its motion."""
         for k, channel in enumerate(self._wiring.channels):
             on, state = self.outputs >> k & 1, self._targets >> k & 1
             if channel.output_off is not None:
@@ -94,7 +94,7 @@ class FakeMaster:
                     self._reads(k, 1 - on, 0)
 
     def _reads(self, k: int, end: int, level: int) -> None:
-        """Sets what an actuator's end-stop reads at an end, if it has that one."""
+        """Sets the reading of an actuator's end-stop, if it has one at that end."""
         channel, line = self._wiring.channels[k], k
         if (channel.input if end else channel.input_contracted) is None:
             return

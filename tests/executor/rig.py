@@ -1,4 +1,4 @@
-"""An executor on boards that live in memory, on a clock that the test sets, with a planner that the test plays."""
+"""An executor with a fake master, on a clock that the test sets, with a planner that the test plays."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TRAVEL, MARGIN = 0.05, 0.03
 PLANNER, OTHER, OPERATOR = Client(1, 4001), Client(2, 4002), Client(3, 4003)
 LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
 LOST = Fault("board-lost", "can0/1", "board can0/1: no heartbeat")
-CAN = Ignored("can0", 100)  # an event of a bus that changes nothing by itself
+CAN = Ignored("can0", 100)  # an event of a bus without effect
 
 T = TypeVar("T")
 
@@ -46,7 +46,7 @@ def small_arm(
     on_loss: Literal["hold", "contract"] = "hold",
     **fields: Any,
 ) -> ExecutedArm:
-    """An arm of two boards with three actuators each; `channel`: more of each actuator; second lines are +8."""
+    """Returns an arm of two boards with three actuators each; `channel`: further fields; second lines are +8."""
     more = dict(channel or {})
     second = {name for name in ("output_off", "input_contracted") if more.pop(name, False)}
     channels = tuple(
@@ -68,7 +68,7 @@ def small_arm(
 
 
 class Rig:
-    """An executor and all it says; `go` lets time pass, in which the planner is alive."""
+    """An executor and its actions; `go` advances the time while the planner is alive."""
 
     def __init__(self, **fields: Any) -> None:
         self.now = 1000.0
@@ -113,7 +113,7 @@ class Rig:
             self.do(Tick())
 
     def program(self, *states: int, step: float = 0.2, final: bool = True, **fields: Any) -> Program:
-        """A program whose every stage has a mark that settles a lead after it may begin."""
+        """Sends a program whose stages each have a mark."""
         self._programs += 1
         stages = tuple(
             Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + PERIOD)
@@ -182,7 +182,7 @@ class Rig:
 
     @property
     def states(self) -> int:
-        """What is commanded, as the planner sees it."""
+        """The commanded states, as the planner sees them."""
         return unpack(self.snapshot.outputs)
 
     @property
@@ -198,7 +198,7 @@ class Rig:
 
 
 def ready(**fields: Any) -> Rig:
-    """A rig that is ready, with a planner; what an executor before has switched would have settled."""
+    """Returns a ready rig with a planner; switches of a previous executor would have settled."""
     rig = Rig(**fields)
     rig.connect()
     rig.go(3 * PERIOD)

@@ -1,4 +1,4 @@
-"""Who is served, what is reported to clients, and results until they are acknowledged."""
+"""Clients: who is accepted, what they are sent, and results until they are acknowledged."""
 
 import pytest
 
@@ -135,7 +135,7 @@ def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
     assert rig.mode == "fault"
 
 
-def test_systemd_is_told_and_the_watchdog_is_fed_by_good_ticks_only(rig: Rig) -> None:
+def test_systemd_gets_the_state_and_only_good_ticks_feed_the_watchdog(rig: Rig) -> None:
     assert rig.notified[:2] == ["READY=1", "STATUS=starting: the boards are being booted"]
     assert {"STATUS=ready: holding what the boards measured", "WATCHDOG=1"} <= set(rig.notified)
     rig.notified.clear()

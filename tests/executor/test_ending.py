@@ -1,4 +1,4 @@
-"""The end of the executor: what the arm does before it, and what is told of the boards."""
+"""The end of the executor: contraction of the arm, and the warning of what the boards do."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def extended(**fields: object) -> Rig:
     return rig
 
 
-def test_that_the_boards_will_contract_is_told_at_the_start_and_before_the_end() -> None:
+def test_a_warning_at_start_and_end_says_that_the_boards_will_contract() -> None:
     rig = extended(on_loss="contract")
     assert warnings(rig) == [TOLD]
     rig.do(Quit())
@@ -38,7 +38,7 @@ def test_that_the_boards_will_contract_is_told_at_the_start_and_before_the_end()
     assert rig.states == ALL
 
 
-def test_nothing_is_told_where_the_boards_hold() -> None:
+def test_there_is_no_warning_if_the_boards_hold() -> None:
     rig = extended()
     rig.do(Quit())
     assert (warnings(rig), rig.core.ended, rig.states) == ([], True, ALL)
@@ -60,7 +60,7 @@ def test_the_arm_contracts_in_stages_before_the_end(inrush: int | None) -> None:
     assert any(text.startswith("EXTEND_TIMEOUT_USEC=") for text in rig.notified)
 
 
-def test_a_locked_actuator_is_left_alone() -> None:
+def test_a_locked_actuator_is_not_contracted() -> None:
     rig = extended(contract_on_stop=True)
     rig.send(Lock(1, 3, 1))
     rig.do(Quit())

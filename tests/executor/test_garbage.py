@@ -56,7 +56,7 @@ def test_a_busy_loop_collects_the_youngest_if_they_are_too_many(garbage: Garbage
     assert gone(older[:-1])
 
 
-def test_what_was_is_given_back() -> None:
+def test_garbage_collection_is_restored_at_the_end() -> None:
     with Garbage():
         pass
     assert gc.isenabled()

@@ -1,4 +1,4 @@
-"""Interlocks: while one is open nothing moves, the arm is in fault by its name, and Reset is refused."""
+"""Interlocks: while one is open, nothing moves, the mode is fault, and Reset is refused."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_reset_is_refused_while_one_is_open(rig: Rig) -> None:
     assert (rig.last(Answer).accepted, rig.mode, codes(rig)) == (True, "ready", [])
 
 
-def test_one_that_is_open_at_the_start_is_a_fault() -> None:
+def test_an_interlock_that_is_open_at_the_start_is_a_fault() -> None:
     rig = Rig(interlocks=(STOP, AIR))
     rig.master.inputs &= ~(1 << SIZE)
     rig.connect()
@@ -59,7 +59,7 @@ def test_one_that_is_open_at_the_start_is_a_fault() -> None:
     assert (rig.mode, rig.reason) == ("fault", OPEN)
 
 
-def test_one_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: Rig) -> None:
+def test_an_interlock_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: Rig) -> None:
     rig.send(Halt(1))
     rig.master.inputs &= ~(1 << SIZE)
     rig.go()
@@ -68,7 +68,7 @@ def test_one_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: Rig) -> N
     assert not rig.last(Answer).accepted
 
 
-def test_an_interlock_of_a_lost_board_is_not_told_as_open(rig: Rig) -> None:
+def test_an_interlock_of_a_lost_board_does_not_count_as_open(rig: Rig) -> None:
     rig.master.fail(LOST, lost=0b111111)
     rig.master.inputs = 0
     rig.go()

@@ -1,4 +1,4 @@
-"""What holds for the executor whatever happens in whatever order."""
+"""Invariants of the executor under random events."""
 
 from collections import Counter
 from itertools import pairwise

@@ -82,7 +82,7 @@ def test_the_door_stops_the_arm_within_a_period_and_reset_waits_for_it() -> None
     assert (world.last(Answer).accepted, world.mode) == (True, "ready")
 
 
-def test_the_arm_contracts_before_the_end_and_its_board_hear_it_to_the_last() -> None:
+def test_the_arm_contracts_before_the_end_and_heartbeats_continue_until_then() -> None:
     world = World(contract_on_stop=True, on_loss="contract", inrush=2)
     world.go(2.0)
     world.run(1, 0b11, 0b1111)

@@ -93,7 +93,7 @@ def test_outputs_of_locked_actuators_are_set_within_the_bounds_on_inrush_and_res
     assert [round(at - began, 2) for at, _ in rig.master.commits] == [0.0, TRAVEL, 2 * TRAVEL]
 
 
-def test_a_set_point_sets_the_outputs_of_locked_actuators_unless_it_asks_to_stay() -> None:
+def test_a_set_point_with_stages_sets_the_outputs_of_locked_actuators() -> None:
     rig = at_odds()
     rig.follow(1)
     rig.go(2 * PERIOD)

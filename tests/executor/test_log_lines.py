@@ -1,4 +1,4 @@
-"""Log lines: written at once, never waited for."""
+"""Log lines: written at once, without blocking."""
 
 import logging
 import os
@@ -63,7 +63,7 @@ def test_a_reader_that_hangs_is_not_waited_for(pipe: Pipe) -> None:
     assert MOST_WAITING <= len(heard) < 2 * MOST_WAITING
 
 
-def test_nobody_who_reads_and_a_wrong_line_stop_nothing(pipe: Pipe) -> None:
+def test_a_missing_reader_and_a_malformed_line_do_not_stop_the_loop(pipe: Pipe) -> None:
     pipe.log.info("%d", "three")
     assert pipe.read() == ["INFO log: a line cannot be written: '%d'"]
     os.close(pipe.reading)

@@ -109,7 +109,7 @@ def test_lines_on_modes_and_faults_have_fields_for_the_journal(rig: Rig) -> None
 
 
 @pytest.mark.parametrize("code", sorted(CLEARING))
-def test_what_passes_is_left_by_itself(rig: Rig, code: str) -> None:
+def test_faults_that_clear_by_themselves_are_left_without_a_reset(rig: Rig, code: str) -> None:
     rig.run(A, B)
     rig.go(0.15)
     rig.master.fail(Fault(code, "can0", "gone"))
@@ -129,7 +129,7 @@ def test_one_that_fails_again_is_tried_once_a_second(rig: Rig) -> None:
     assert 5 <= rig.master.booted - boots <= 10
 
 
-def test_what_boards_cannot_do_is_in_the_journal_after_each_boot(rig: Rig) -> None:
+def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
     limit = Fault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
     rig.master.warnings = lambda: (limit,)
     rig.send(Halt(1))
@@ -138,7 +138,7 @@ def test_what_boards_cannot_do_is_in_the_journal_after_each_boot(rig: Rig) -> No
     assert (rig.mode, (logging.WARNING, f"board-limits: {limit.message}") in rig.logged) == ("ready", True)
 
 
-def test_faults_of_a_boot_are_told_at_its_end(rig: Rig) -> None:
+def test_faults_of_a_boot_are_reported_at_its_end(rig: Rig) -> None:
     rig.master.boot_faults = [LOST, Fault("board-missing", "can0/2", "another")]
     rig.send(Halt(1))
     rig.send(Reset(2))

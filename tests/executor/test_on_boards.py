@@ -84,7 +84,7 @@ class World:
                 self._do(self.events.popleft())
 
     def stall(self, seconds: float, *fault: str) -> None:
-        """Lets the boards go on, with a fault of theirs, while the executor does not run."""
+        """Advances the boards, with a fault, while the executor does not run."""
         begun = self.now
         while self.now < begun + seconds:
             self.now += STEP
@@ -157,7 +157,7 @@ def test_one_toggled_at_every_transition_that_sticks_is_found(world: World) -> N
     assert "missed 3 commands" in world.core.modes.reason
 
 
-def test_a_board_that_is_lost_is_left_by_itself_when_it_is_back(world: World) -> None:
+def test_the_fault_of_a_lost_board_clears_when_the_board_is_back(world: World) -> None:
     world.run(1, A, B, step=5.0)
     world.go(0.1)
     world.boards.silence("can0/2")
@@ -181,7 +181,7 @@ def test_a_halted_executor_lets_the_boards_hold_and_acts_on_nothing_old(world: W
 
 
 @pytest.mark.parametrize("code", ["8130", "2320", "8120"])
-def test_what_waited_during_a_stall_is_no_fault_after_a_reset(world: World, code: str) -> None:
+def test_frames_that_waited_during_a_stall_are_no_fault_after_a_reset(world: World, code: str) -> None:
     world.stall(3.0, "error", "can0/1", code)
     world.boards.step(world.now)
     perform(world.boards, "error_over", "can0/1", code)
@@ -211,7 +211,7 @@ def test_diagnostics_tell_of_buses_and_boards(world: World) -> None:
 
 
 @pytest.mark.parametrize("sensed", [0, 0b111111])
-def test_a_restarted_executor_takes_the_arm_over_as_it_is(sensed: int) -> None:
+def test_a_restarted_executor_adopts_the_present_states(sensed: int) -> None:
     world = World(sensed=sensed)
     world.go(2.0)
     world.run(1, A)

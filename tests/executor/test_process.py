@@ -1,4 +1,4 @@
-"""The executor's process: started, driven over its socket, and ended; what it has loaded, and how large it is."""
+"""The executor's process: start, socket and end; its loaded modules and its memory."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Planner:
         self.socket.send(encode(message))
 
     def wait(self, kind: type, holds: Any = lambda message: True) -> Any:
-        """Waits for a message of a kind of which something holds."""
+        """Waits for a message of a kind that meets a condition."""
         while True:
             message = decode_up(self.socket.recv(MOST_BYTES))
             if isinstance(message, kind) and holds(message):

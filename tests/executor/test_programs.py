@@ -53,7 +53,7 @@ def test_marks_settle_at_their_time_and_not_before_the_end_stop(rig: Rig) -> Non
     assert rig.marks == [5]
 
 
-def test_nothing_settles_while_it_moves(rig: Rig) -> None:
+def test_no_mark_settles_while_an_actuator_moves(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(A)
     rig.go(TRAVEL + MARGIN - PERIOD)
@@ -63,7 +63,7 @@ def test_nothing_settles_while_it_moves(rig: Rig) -> None:
     assert rig.marks == [0]
 
 
-def test_stages_that_are_late_are_left_out(rig: Rig) -> None:
+def test_overdue_stages_are_skipped(rig: Rig) -> None:
     rig.run(A, B, C, begin=rig.now - 10.0)
     rig.go(0.5)
     assert (rig.switched, rig.marks, rig.results) == ([C], [2], [(1, "done")])
@@ -112,7 +112,7 @@ def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, cause: 
     assert (rig.mode, rig.switched, rig.results) == ("ready", [], [])
 
 
-def test_more_than_the_inrush_is_declined_and_what_is_within_waits_for_the_stage_before() -> None:
+def test_stages_over_the_inrush_limit_are_declined_and_others_wait_for_the_previous_stage() -> None:
     rig = ready(inrush=2)
     rig.run(A)
     assert rig.last(Declined).cause == "malformed"
@@ -197,7 +197,7 @@ def test_a_replacement_that_does_not_fit_changes_nothing(rig: Rig, message: Repl
     assert (rig.switched, rig.results) == ([A, B], [(1, "done")])
 
 
-def test_a_replacement_takes_the_place_of_what_has_not_begun(rig: Rig) -> None:
+def test_a_replacement_replaces_stages_that_have_not_begun(rig: Rig) -> None:
     rig.run(A, B)
     rig.go(0.1)
     rig.send(replacement())

@@ -1,4 +1,4 @@
-"""Actuators with two outputs: one is on at most, pulses end in every mode, an unknown state is brought about first."""
+"""Actuators with two outputs: at most one is on, pulses end in every mode, and unknown states are homed first."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def lines(extending: int, contracting: int) -> int:
 
 
 def pulses(rig: Rig) -> list[float]:
-    """How long each pulse of the first actuator lasted [s]."""
+    """Returns the lengths of the first actuator's pulses [s]."""
     times = [at for at, mask in rig.master.left if mask & lines(1, 1)]
     return [round(off - on, 4) for on, off in zip(times[::2], times[1::2], strict=True)]
 
@@ -41,7 +41,7 @@ def test_a_start_energises_nothing(channel: dict[str, Any]) -> None:
     assert "unknown-position" in {fault.code for fault in rig.snapshot.faults}
 
 
-def test_a_goal_brings_actuators_of_unknown_state_to_that_from_which_it_was_planned() -> None:
+def test_a_goal_homes_actuators_of_unknown_state_to_its_start() -> None:
     rig = ready(channel=BISTABLE, sensed=0)
     rig.run(0b000001, 0b000011)
     rig.go(1.0)
@@ -169,7 +169,7 @@ def test_a_boot_keeps_known_states_but_not_those_of_a_board_that_started_anew() 
     assert (rig.mode, rig.states, unpack(rig.snapshot.homing)) == ("ready", 0b010010, 0b111000)
 
 
-def test_a_pulse_whose_sync_nobody_knows_of_leaves_the_state_unknown() -> None:
+def test_a_pulse_with_an_unknown_sync_leaves_the_state_unknown() -> None:
     rig = ready(channel=BISTABLE, sensed=0)
     rig.run(0)
     rig.go(0.5)

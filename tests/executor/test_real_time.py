@@ -1,4 +1,4 @@
-"""Real time as the unit gives it or the file asks for it, permitted or not."""
+"""Real time, from the unit or the arm's file, with and without permission."""
 
 import os
 import resource
@@ -75,7 +75,7 @@ def test_the_process_goes_first_and_memory_is_locked(by_unit: bool) -> None:
     assert policies == [os.SCHED_OTHER]
 
 
-def test_what_is_not_permitted_is_said_and_gone_without(
+def test_missing_permissions_are_reported_and_the_executor_continues(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def refuse(*_: object) -> None:

@@ -20,7 +20,7 @@ from tests.executor.rig import SIZE, small_arm
 
 
 class NoBuses:
-    """Buses on which nothing happens, or which are broken."""
+    """Buses without events, or with a defect."""
 
     broken = closed = False
 
@@ -43,7 +43,7 @@ class NoBuses:
 
 
 class Bench:
-    """A loop whose rounds the test makes; each takes a period of time."""
+    """An event loop whose rounds the test runs; each takes one period."""
 
     def __init__(self, path: Path) -> None:
         self.now, self.step = 10.0, PERIOD
@@ -98,7 +98,7 @@ def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
     assert (bench.core._master.outputs, len(bench.core._master.ticks)) == (1, ticks)
 
 
-def test_a_defect_of_the_loop_is_a_fault_and_it_goes_on(bench: Bench) -> None:
+def test_a_defect_of_the_loop_is_a_fault_and_the_loop_continues(bench: Bench) -> None:
     bench.go(10)
     bench.run()
     bench.go(1)
@@ -110,7 +110,7 @@ def test_a_defect_of_the_loop_is_a_fault_and_it_goes_on(bench: Bench) -> None:
     assert bench.wait(Ended).status == "aborted"
 
 
-def test_the_loop_tells_how_late_it_is(bench: Bench) -> None:
+def test_the_loop_reports_its_lateness(bench: Bench) -> None:
     bench.go(10)
     bench.now += 0.05
     bench.go(100)

@@ -1,4 +1,4 @@
-"""The executor's socket: what comes in, what goes out, and who is kept away."""
+"""The executor's socket: messages in both directions, and refused clients."""
 
 import os
 import socket
@@ -59,7 +59,7 @@ def test_messages_come_in_with_their_process_and_answers_go_out(server: Server, 
 
 
 @pytest.mark.parametrize("packet", [b"nonsense", b"\x91\xa3abc", encode(Alive()) + b"\0", b"\0" * (MOST_BYTES + 1)])
-def test_what_is_no_message_ends_the_connection_with_the_reason(server: Server, path: Path, packet: bytes) -> None:
+def test_a_malformed_message_ends_the_connection_with_a_reason(server: Server, path: Path, packet: bytes) -> None:
     with connected(path) as client:
         client.send(packet)
         (event,) = server.poll()
@@ -144,7 +144,7 @@ def test_a_second_executor_hears_who_the_first_is(server: Server, path: Path) ->
         Server(path)
 
 
-def test_a_socket_left_behind_is_no_obstacle(path: Path) -> None:
+def test_a_stale_socket_is_replaced(path: Path) -> None:
     path.parent.mkdir()
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as old:
         old.bind(str(path))

@@ -1,4 +1,4 @@
-"""Strict programs and set-points: one stage after the other, and questions where nobody planned."""
+"""Strict programs and set-points: stages in order, and questions from unplanned states."""
 
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ def rig() -> Rig:
     return ready()
 
 
-def test_no_stage_is_left_out_or_begins_before_the_last_has_settled(rig: Rig) -> None:
+def test_no_stage_is_skipped_or_begins_before_the_last_has_settled(rig: Rig) -> None:
     rig.run(A, B, 0, strict=True, begin=rig.now - 10)
     rig.go(0.5)
     assert rig.switched == [A, B, 0]
@@ -27,14 +27,14 @@ def test_no_stage_is_left_out_or_begins_before_the_last_has_settled(rig: Rig) ->
 
 
 def partly_switched(rig: Rig) -> None:
-    """Lets the first stage of a strict program switch on one of two buses only."""
+    """Makes the first stage of a strict program switch on one of two buses only."""
     rig.master.partly = 0b000001
     rig.run(A, B, strict=True)
     rig.master.partly = 0
     rig.go(2 * TRAVEL)
 
 
-def test_from_states_nobody_planned_the_arm_asks_and_holds_until_it_is_answered(rig: Rig) -> None:
+def test_from_unplanned_states_the_executor_asks_and_holds_until_the_answer(rig: Rig) -> None:
     partly_switched(rig)
     (question,) = rig.of(Question)
     assert (question.start, question.stage) == (pack(0b000110, SIZE), pack(A, SIZE))
@@ -48,22 +48,22 @@ def test_from_states_nobody_planned_the_arm_asks_and_holds_until_it_is_answered(
     assert rig.results == [(1, "done")]
 
 
-def test_what_touches_something_ends_the_program(rig: Rig) -> None:
+def test_a_stage_that_is_not_clear_ends_the_program(rig: Rig) -> None:
     partly_switched(rig)
     rig.send(Clearance(rig.last(Question).question, "module 1 touches the floor"))
     assert rig.last(Ended).status == "aborted"
-    assert rig.last(Ended).message == "on the way that was planned, module 1 touches the floor; the arm holds"
+    assert rig.last(Ended).message == "the planned motion would collide: module 1 touches the floor; the arm holds"
     assert (rig.mode, rig.switched) == ("ready", [A])
 
 
-def test_a_planner_that_does_not_answer_ends_it(rig: Rig) -> None:
+def test_the_program_ends_if_the_planner_does_not_answer(rig: Rig) -> None:
     partly_switched(rig)
     rig.go(ANSWER_WITHIN + 1)
     assert rig.results == [(1, "aborted")]
     assert "the planner did not tell" in rig.last(Ended).message
 
 
-def test_a_planner_that_dies_while_it_is_asked_ends_it(rig: Rig) -> None:
+def test_the_program_ends_if_the_planner_dies_during_a_question(rig: Rig) -> None:
     partly_switched(rig)
     rig.alive = False
     rig.go(1.1)

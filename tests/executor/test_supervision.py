@@ -1,4 +1,4 @@
-"""Motion supervision: a verdict needs an answer, and no delay of the executor is one of an actuator."""
+"""Motion supervision: stuck only after a question, and no delay of the executor counts for an actuator."""
 
 import pytest
 
@@ -41,7 +41,7 @@ def test_a_lost_message_of_an_end_stop_is_made_up_for_by_the_question(rig: Rig) 
     assert rig.results == [(1, "done")]
 
 
-def test_a_question_that_times_out_is_a_verdict_too(rig: Rig) -> None:
+def test_an_actuator_is_stuck_also_after_a_question_that_times_out(rig: Rig) -> None:
     rig.master.stuck, rig.master.answers = 1, False
     rig.run(1)
     rig.go(0.2)
@@ -246,7 +246,7 @@ def test_leaving_an_end_unasked_is_a_fault(lines: int, words: str) -> None:
     assert words in rig.reason
 
 
-def test_an_end_stop_at_the_contracted_end_alone_tells_what_it_can() -> None:
+def test_a_single_end_stop_at_the_contracted_end_is_used() -> None:
     rig = ready(channel=BOTH, sensed=0)
     rig.run(1)
     rig.go(0.2)
@@ -258,7 +258,7 @@ def test_an_end_stop_at_the_contracted_end_alone_tells_what_it_can() -> None:
 
 
 def stuck_and_reset() -> Rig:
-    """An actuator has not followed its output, and a person has reset: the output is on still."""
+    """Returns a rig after a reset, with an actuator that has not followed its output, which is still on."""
     rig = ready()
     rig.master.stuck = 1
     rig.run(0b000111)

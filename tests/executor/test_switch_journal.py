@@ -1,4 +1,4 @@
-"""The switch journal: what survives the end of a process, however it ends."""
+"""The switch journal: its counts survive every end of a process."""
 
 import os
 from pathlib import Path
@@ -18,7 +18,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def killed(journal: FileJournal) -> None:
-    """Lets go of the file as the end of the process does, without writing anything more."""
+    """Releases the file like the end of the process, without a further write."""
     os.close(journal._file)
     journal._map.close()
 
@@ -36,7 +36,7 @@ def test_counts_survive_a_killed_process(path: Path) -> None:
     journal.close()
 
 
-def test_what_did_not_come_about_is_not_counted() -> None:
+def test_intended_switches_that_did_not_happen_are_not_counted() -> None:
     journal = MemoryJournal(4)
     journal.intend(0b0011, 0b1100)
     assert journal.resolve(0b1011) == 0b1000
@@ -44,7 +44,7 @@ def test_what_did_not_come_about_is_not_counted() -> None:
 
 
 @given(st.integers(0, 100), st.integers(0, 3))
-def test_a_record_that_is_torn_leaves_the_one_before(tmp_path_factory: pytest.TempPathFactory, at: int, n: int) -> None:
+def test_a_torn_record_leaves_the_previous_one(tmp_path_factory: pytest.TempPathFactory, at: int, n: int) -> None:
     path = tmp_path_factory.mktemp("journal") / "j"
     journal = FileJournal(path, LABELS)
     for k in range(n):
@@ -60,7 +60,7 @@ def test_a_record_that_is_torn_leaves_the_one_before(tmp_path_factory: pytest.Te
     journal.close()
 
 
-def test_a_damaged_file_is_told_and_the_ledger_makes_up_for_it(path: Path) -> None:
+def test_a_damaged_file_is_reported_and_the_ledger_restores_the_counts(path: Path) -> None:
     journal = FileJournal(path, LABELS)
     journal.intend(0, 1)
     journal.resolve(1)

@@ -24,7 +24,7 @@ def test_a_late_tick_does_not_shift_the_next(keeper: Timekeeper) -> None:
     assert keeper.remaining(50.005) == pytest.approx(0.005)
 
 
-def test_missed_ticks_are_counted_and_left_out(keeper: Timekeeper) -> None:
+def test_missed_ticks_are_counted_and_skipped(keeper: Timekeeper) -> None:
     keeper.ticked(50.0, 50.034)
     assert keeper.remaining(50.034) == pytest.approx(0.006)
     assert keeper.take()["overruns"] == 3

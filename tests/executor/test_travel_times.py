@@ -1,4 +1,4 @@
-"""Travel times as the executor measures them on simulated boards, on a simulated clock."""
+"""Travel times measured by the executor on simulated boards and a simulated clock."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_each_way_of_each_actuator_is_measured(contract: float, extend: float, c
             assert measured == pytest.approx(seconds + valve, rel=0.1)
 
 
-def test_a_slow_actuator_is_measured_as_it_is() -> None:
+def test_the_travel_time_of_a_slow_actuator_is_measured() -> None:
     made = world(0.05, 0.05)
     perform(made.boards, "slow", "1.left", 1.6)
     made.run(1, 0b1)

@@ -52,7 +52,7 @@ def test_a_commit_sends_only_what_changes():
     assert [mask for mask, _ in world.switched] == [0b11, 0b10]
 
 
-def test_the_first_sync_overwrites_what_may_be_latched_in_any_board():
+def test_the_first_sync_comes_after_frames_to_all_boards():
     world = World(two_boards()).up()
     world.say(0x209, b"\x08")  # an RPDO of a master that died before its SYNC
     world.run(0.01)
@@ -93,7 +93,7 @@ def test_nothing_is_sent_if_nothing_changes():
     assert world.frames() == []
 
 
-def test_no_sync_is_sent_on_any_bus_before_all_rpdos_have_left_on_all():
+def test_sync_waits_for_the_rpdos_of_all_buses():
     world = World(two_buses()).up()
     world.frames("can1")
     world.buses["can1"].blocked = True

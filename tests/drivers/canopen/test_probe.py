@@ -93,7 +93,7 @@ def test_a_bus_that_cannot_be_opened_is_told():
         probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
 
 
-def test_a_bus_with_nobody_on_it():
+def test_an_empty_bus():
     bus = BusSettings("can0", "virtual", "test_probe")
     [answer] = probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
     assert "can0/5 neither booted nor answered" in answer.text

@@ -37,7 +37,7 @@ EVENTS = (
 
 @settings(max_examples=150, deadline=None)
 @given(frames=st.lists(FRAMES, max_size=30))
-def test_no_frame_to_a_master_that_is_up_raises_or_moves(frames):
+def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     world = World(two_boards()).up()
     for frame in frames:
         world.master.receive("can0", frame, world.now)  # the boards do not hear it

@@ -121,7 +121,7 @@ def test_a_short_survey_reads_the_identity_only() -> None:
     assert {index for index, _ in five.numbers} == {0x1000, 0x1018}
 
 
-def test_a_node_that_falls_silent_is_told() -> None:
+def test_a_node_that_stops_answering_is_reported() -> None:
     world = World()
     asking = begun(world)
     world.until(lambda: (0x1005, 0) in asking._nodes[5].numbers)
@@ -130,7 +130,7 @@ def test_a_node_that_falls_silent_is_told() -> None:
     assert "it stopped answering at" in asking.found[0].trouble
 
 
-def test_a_bus_that_is_down_ends_it() -> None:
+def test_a_bus_that_is_down_ends_the_survey() -> None:
     world = World()
     asking = begun(world)
     asking.take(Changed("can0", "down", "it is down", None), world.now)
@@ -147,7 +147,7 @@ def test_strange_frames_do_no_harm() -> None:
     assert asking.found[0].answers
 
 
-def test_a_bus_with_nobody_on_it() -> None:
+def test_an_empty_bus() -> None:
     assert survey(BusSettings("can0", "virtual", "test_survey")).found == []
     with pytest.raises(BusError, match="no-such-interface"):
         survey(BusSettings("can0", "socketcan", "no-such-interface"))

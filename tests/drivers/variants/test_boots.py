@@ -38,7 +38,7 @@ def test_each_variant_has_a_case():
 
 
 @all_cases
-def test_it_boots_and_switches_or_is_refused_in_words(case):
+def test_a_variant_boots_and_switches_or_is_refused_with_a_sentence(case):
     world = booted(case)
     faults = [fault.message for fault in world.master.boot_faults]
     assert world.master.ready == (not case.refused), faults
@@ -118,7 +118,7 @@ def lose_master(world: World) -> None:
         ("hidden-error-state-contract", [0, 0]),
     ],
 )
-def test_after_the_loss_of_the_master_the_outputs_are_known_and_nothing_moves_by_a_start(name, left):
+def test_after_the_loss_of_the_master_outputs_are_known_and_a_start_moves_nothing(name, left):
     world = booted(case_of(name))
     lose_master(world)
     assert world.positions() == left
