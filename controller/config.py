@@ -96,7 +96,7 @@ class Arm:
         return self.settings.tolerance.position
 
     @property
-    def turn(self) -> float:
+    def angle_tolerance(self) -> float:
         """Tolerance of the orientation of goals that bring none [rad]."""
         return self.settings.tolerance.orientation
 

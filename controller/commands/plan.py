@@ -80,9 +80,9 @@ def plan(
     if end is not None:
         answers = iter([given(solver, end, start, own)])
     elif goal is not None:
-        answers = search(solver, wanted, start, own, turn or arm.turn, chosen)
+        answers = search(solver, wanted, start, own, turn or arm.angle_tolerance, chosen)
     else:
-        answers = follow(arm, solver, wanted, start, (own, turn or arm.turn), path_tolerance, chosen)
+        answers = follow(arm, solver, wanted, start, (own, turn or arm.angle_tolerance), path_tolerance, chosen)
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     wholes = list[dict[str, Any]]()
     for position, orientation, found, between, whole in answers:

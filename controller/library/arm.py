@@ -126,7 +126,7 @@ class Arm:
     @property
     def angle_tolerance(self) -> float:
         """Default orientation tolerance of goals [rad]."""
-        return self._arm.turn
+        return self._arm.angle_tolerance
 
     @property
     def weights(self) -> Array:

@@ -29,7 +29,7 @@ def description(arm: Arm) -> Payload:
         "base": manipulator.base.tolist(),
         "actuators": list(manipulator.actuators),
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
-        "tolerance": {"position": arm.tolerance, "orientation": arm.turn},
+        "tolerance": {"position": arm.tolerance, "orientation": arm.angle_tolerance},
         "travel_time": arm.travel_time,
         "on_stop": arm.settings.on_stop,
         "on_loss": arm.settings.boards.on_loss,

@@ -97,7 +97,9 @@ class GoalPlanning:
             Refusal: what is wrong, by field.
         """
         arm, manipulator = self.arm, self.arm.manipulator
-        scheduled = schedule(message, manipulator.dimension, arm.tolerance, arm.turn, self.pace, received, manipulator)
+        scheduled = schedule(
+            message, manipulator.dimension, arm.tolerance, arm.angle_tolerance, self.pace, received, manipulator
+        )
         return scheduled.corrected(self._bias())
 
     def plan(

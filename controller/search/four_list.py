@@ -196,10 +196,10 @@ class Proof:
         while True:
             stream = min(self._streams, key=lambda s: s.bound)
             incumbent.prove(min(stream.bound, self.rest))
-            limit = self._four.unexplored[stream.upper]
-            if incumbent.over or stream.bound >= self.rest or stream.done >= limit:
+            unexplored = self._four.unexplored[stream.upper]
+            if incumbent.over or stream.bound >= self.rest or stream.done >= unexplored:
                 return
-            if not self._advance(stream, incumbent, limit):
+            if not self._advance(stream, incumbent, unexplored):
                 return
 
     def _band(self, half: Segment, floor: float, ceiling: float) -> Side:
@@ -209,7 +209,7 @@ class Proof:
         side = half.side(rows=chosen)
         return seen(self._target.row, side) if half.first == 0 else side
 
-    def _advance(self, stream: Stream, incumbent: Incumbent, limit: float) -> bool:
+    def _advance(self, stream: Stream, incumbent: Incumbent, unexplored: float) -> bool:
         """Streams one layer, or looks up the band. Returns whether it finished in time."""
         four, band, target = self._four, stream.band, self._target
         count = int(np.searchsorted(band.costs, incumbent.cost - stream.done))
@@ -220,11 +220,14 @@ class Proof:
             size += layers[last]
             last += 1
         if count * len(outer.costs) * LOOKUP <= size:
-            return self._look_up(stream, count, incumbent, limit)
+            return self._look_up(stream, count, incumbent, unexplored)
         if stream.index is None or FEWER * count < len(stream.index.side.costs):
             cheap = band._replace(frames=band.frames[:count], costs=band.costs[:count], rows=band.rows[:count])
             stream.index = stream.cells.fill(cheap, target.radius, target.chord, BAND_CELLS)
-        low, high = stream.done - 1e-9 * four.unit, min(last * four.unit, limit) if last < len(layers) else limit
+        low, high = (
+            stream.done - 1e-9 * four.unit,
+            min(last * four.unit, unexplored) if last < len(layers) else unexplored,
+        )
         at_once = max(int(len(outer.costs) * AT_ONCE / max(size, 1.0)), 1)
         for start in range(0, len(outer.costs), at_once):
             if incumbent.late:
@@ -234,7 +237,7 @@ class Proof:
         stream.done = high
         return True
 
-    def _look_up(self, stream: Stream, count: int, incumbent: Incumbent, limit: float) -> bool:
+    def _look_up(self, stream: Stream, count: int, incumbent: Incumbent, unexplored: float) -> bool:
         """Looks up all rows of the band that a better pair may have. Returns whether it finished in time."""
         four, target, band, done = self._four, self._target, stream.band, stream.done
         if stream.upper:
@@ -247,10 +250,10 @@ class Proof:
                 break
             if incumbent.late:
                 # A remaining pair has a row of the band from `start` on, or a half that the quarters do not list.
-                stream.done = min(done + float(band.costs[start]) - stream.floor, limit)
+                stream.done = min(done + float(band.costs[start]) - stream.floor, unexplored)
                 incumbent.prove(min(self.rest, *(s.bound for s in self._streams)))
                 return False
             span = Span(0, len(outer.costs), start, min(start + at_once, count), -np.inf, np.inf)
             improve(incumbent, (outer, band, index), span, target, self._seed, nearer=False)
-        stream.done = limit
+        stream.done = unexplored
         return True
