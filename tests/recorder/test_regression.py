@@ -117,7 +117,7 @@ ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
         ({"result": {**DONE, "certificate": "bound"}}, Played(DONE, {0: "12"}), "unproven", "waypoint 1"),
         ({}, Played({**DONE, "configuration": "12"}, {0: "11"}), "differs", "at the end: 11 then, 12 now"),
         ({}, Played({"status": "aborted", "message": "stuck"}, {}), "differs", "it succeeded then, now: stuck"),
-        ({}, Played({"accepted": False, "message": "out of reach"}, {}), "differs", "and now: out of reach"),
+        ({}, Played({"accepted": False, "message": "out of reach"}, {}), "differs", "then, now: out of reach"),
         ({}, Played(DONE, {}, there=False), "skipped", "does not reach its start 00"),
         ({"accepted": False, "result": None}, Played({"accepted": False}, {}), "equal", ""),
         ({"accepted": False, "result": None}, Played(DONE, {}), "differs", "it was refused then, and is accepted now"),
@@ -125,7 +125,7 @@ ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
         ({"result": None}, Played(DONE, {}), "skipped", "the recording ends before its result"),
         ({"start": None}, Played(DONE, {}), "skipped", "the configuration before it is unknown"),
         ({"moving": True}, Played(DONE, {}), "skipped", "while the arm moved"),
-        ({"result": {**DONE, "bias": [0.0, 0.01]}}, Played(DONE, {}), "skipped", "by the tracker"),
+        ({"result": {**DONE, "bias": [0.0, 0.01]}}, Played(DONE, {}), "skipped", "measured tips corrected it"),
     ],
 )
 def test_what_becomes_of_a_goal_is_told(changes: dict[str, Any], played: Played, outcome: str, reason: str) -> None:
