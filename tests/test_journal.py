@@ -1,4 +1,4 @@
-"""Lines for the journal: its native protocol, fields, and a socket that must never be waited for."""
+"""Log lines for the journal: its native protocol, fields, and a socket that never blocks."""
 
 import logging
 import socket
@@ -20,7 +20,7 @@ from controller.journal import (
 
 
 class Others(logging.Handler):
-    """Remembers the records that the journal did not take."""
+    """Remembers the records that the journal did not accept."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -31,7 +31,7 @@ class Others(logging.Handler):
 
 
 class Journal:
-    """A journal's socket, a logger that writes to it, and what it took."""
+    """A journal's socket, a logger that writes to it, and the received datagrams."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "socket"

@@ -1,4 +1,4 @@
-"""The contract between planner and executor: every message comes through, and nothing else is taken for one."""
+"""The contract between planner and executor: each message is decoded as it was encoded, everything else is refused."""
 
 from typing import Any, get_args
 
@@ -96,7 +96,7 @@ def refused(data: bytes) -> str:
 
 
 def taken_or_malformed(data: bytes) -> None:
-    """Asserts that nothing but Malformed is raised, with a reason, and that what is taken comes through again."""
+    """Asserts that only Malformed is raised, with a reason, and that a decoded message is encoded to the same bytes."""
     for decode in (decode_down, decode_up):
         reason = ""
         try:

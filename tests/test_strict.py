@@ -1,4 +1,4 @@
-"""Strict reading: YAML with its traps, and values against structs."""
+"""Strict decoding: YAML with its traps, and values against structs."""
 
 from pathlib import Path
 from typing import Annotated

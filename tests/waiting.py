@@ -1,4 +1,4 @@
-"""The one way in which tests wait: for a condition, with an end."""
+"""How tests wait: for a condition, with a time-out."""
 
 import os
 import time
@@ -7,7 +7,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# How many times slower than usual this machine is: in an emulated one all times of tests and boards are longer by it.
+# How many times slower than usual this machine is. In an emulated one, all times of tests and boards are scaled by it.
 SLOWNESS = float(os.environ.get("HYPERBIT_SLOWNESS", "1"))
 PATIENCE = 60.0 * SLOWNESS  # [s]; a busy machine is slow
 
@@ -15,13 +15,13 @@ PATIENCE = 60.0 * SLOWNESS  # [s]; a busy machine is slow
 def eventually(
     what: Callable[[], T], patience: float = PATIENCE, told: Callable[[], str] = lambda: "", every: float = 0.005
 ) -> T:
-    """Returns the first true value of `what`, asked again and again; fails if none comes.
+    """Returns the first true value of `what`, called again and again; fails if none comes in time.
 
     Args:
         what: the condition.
         patience: time until it fails [s].
-        told: returns what the failure says.
-        every: pause between two questions [s], on a machine that is not slow.
+        told: returns the message of the failure.
+        every: pause between two calls [s], on a machine that is not slow.
     """
     until = time.monotonic() + patience
     while not (value := what()):

@@ -1,4 +1,4 @@
-"""A server with a planner that only remembers, on real Zenoh sessions over loopback TCP."""
+"""A server with a planner that only remembers requests, on real Zenoh sessions over loopback TCP."""
 
 import json
 import socket
@@ -22,11 +22,11 @@ ARM = "a"
 
 
 class FakePlanning:
-    """Remembers requests and answers them at once, or, while `holding`, when it is told to.
+    """Remembers requests and answers them at once, or on demand while `holding`.
 
     Attributes:
         heard: key and payload of each request.
-        waiting: answers that are held back.
+        waiting: answers that wait.
     """
 
     def __init__(self) -> None:
@@ -87,7 +87,7 @@ class FakePlanning:
 
 
 class Gateway:
-    """A server of one arm, and sessions that talk to it; all are closed with the test."""
+    """A server of one arm, and its clients' sessions; all are closed after the test."""
 
     def __init__(self, stack: ExitStack, endpoint: str) -> None:
         self._stack, self.endpoint = stack, endpoint
@@ -111,7 +111,7 @@ class Gateway:
         return client
 
     def results(self) -> list[dict[str, Any]]:
-        """What is published on `result` from now on."""
+        """The messages on `result` from now on."""
         heard: list[dict[str, Any]] = []
         self.client().subscribe("result", heard.append)
         self.reached()

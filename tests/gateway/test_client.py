@@ -1,4 +1,4 @@
-"""Clients that ask again when nobody answers, and goals that run once all the same."""
+"""Clients repeat a request without an answer, and the goal still runs once."""
 
 import json
 import threading
@@ -14,7 +14,7 @@ from tests.waiting import PATIENCE, eventually
 
 
 class Deaf:
-    """A session whose first gets bring no reply, as stale routes do; the daemon may have taken them all the same."""
+    """A session whose first gets bring no reply, as with stale routes; the daemon may have received them."""
 
     def __init__(self, session: Any, deaf: int) -> None:
         self._session, self.deaf, self.gets = session, deaf, 0

@@ -54,12 +54,12 @@ class Process:
 
     @property
     def executors(self) -> list[int]:
-        """Process numbers of its children."""
+        """Ids of its child processes."""
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         return [int(number) for number in children.read_text().split()]
 
     def failure(self) -> str:
-        """What it says when it ends by itself."""
+        """Its output when it ends by itself."""
         assert self.process.stderr
         _, errors = self.process.communicate(timeout=2 * PATIENCE)
         assert self.process.returncode == 1, errors
@@ -83,7 +83,7 @@ def process(arm_file: Path, endpoint: str, folder: Path) -> Iterator[Process]:
 
 @contextlib.contextmanager
 def connected(process: Process) -> Iterator[tuple[Client, list[dict[str, Any]], list[dict[str, Any]]]]:
-    """A client of a daemon that is ready, the states it hears, and the results."""
+    """A client of a daemon that is ready, the received states, and the results."""
 
     def opened() -> zenoh.Session | None:
         assert process.process.poll() is None, process.failure()
@@ -125,7 +125,7 @@ def test_goals_configurations_and_jogs_move_the_arm_and_a_signal_ends_all_in_ord
         assert client.request("goal", later, timeout=PATIENCE)["accepted"]
         assert client.request("goal", later, timeout=PATIENCE)["id"] == "later"
         eventually(lambda: states[-1]["goal"] == "later")
-        switches = result["switches"] + 1  # the executor tells its counts once a second
+        switches = result["switches"] + 1  # the executor sends its counts once a second
         eventually(lambda: sum(read(process.ledger)[0].values()) >= switches)
         (executor,) = process.executors
         process.process.send_signal(signal.SIGTERM)

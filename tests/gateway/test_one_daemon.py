@@ -1,4 +1,4 @@
-"""A second daemon of one name does not start."""
+"""A second daemon of the same arm does not start."""
 
 import os
 import threading

@@ -1,4 +1,4 @@
-"""What leaves the daemon, in which order, and what happens while peers take nothing."""
+"""The outbox: order of messages, and behaviour while peers read nothing."""
 
 import json
 import threading
@@ -14,7 +14,7 @@ from tests.waiting import PATIENCE, eventually
 
 
 class FakeSession:
-    """A session whose peers take nothing while `taking` is not set."""
+    """A session whose peers read nothing while `taking` is not set."""
 
     def __init__(self) -> None:
         self.taking = threading.Event()

@@ -1,4 +1,4 @@
-"""Goals that come twice are run once, and answered alike."""
+"""Repeated goals run once, and all get the same answer."""
 
 import json
 
@@ -12,7 +12,7 @@ ANONYMOUS = b'{"waypoints": []}'
 
 
 class Bench:
-    """A planner that answers when it is told to, and clients that remember their answers."""
+    """A planner that answers on demand, and clients that remember their answers."""
 
     def __init__(self) -> None:
         self.now = 0.0

@@ -1,4 +1,4 @@
-"""Notes on requests: whoever records hears of each with its answer, others of none."""
+"""Notes on requests: a recorder receives each request with its answer, other subscribers none."""
 
 import json
 from typing import Any
@@ -15,7 +15,7 @@ GOAL = b'{"id": "x", "waypoints": []}'
 
 
 def noted(gateway: Gateway, expression: str = "hyperbit/*/@request") -> list[dict[str, Any]]:
-    """What a recorder hears from now on."""
+    """The notes that a recorder receives from now on."""
     heard: list[dict[str, Any]] = []
     session = gateway.other()
     session.declare_subscriber(expression, lambda sample: heard.append(json.loads(sample.payload.to_bytes())))

@@ -1,4 +1,4 @@
-"""Keys and wildcards: which requests reach the planner, and who is answered."""
+"""Keys and wildcards: which requests reach the planner, and which get an answer."""
 
 import json
 import os

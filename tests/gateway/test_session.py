@@ -1,4 +1,4 @@
-"""Configurations of Zenoh sessions from files: those that are shipped, and paths in them."""
+"""Zenoh configurations from files: the shipped ones, and paths in them."""
 
 import json
 import signal
@@ -22,7 +22,7 @@ with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:
     print("ready", flush=True)
     sys.stdin.read()
 """
-STANDSTILL = 2.5  # [s], as processes of a busy machine have
+STANDSTILL = 2.5  # [s], as on a busy machine
 NAMES = ("root_ca_certificate", "connect_certificate", "connect_private_key")
 
 

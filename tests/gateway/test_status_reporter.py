@@ -1,4 +1,4 @@
-"""State and diagnostics: the latest, with warnings, and reports to systemd."""
+"""State and diagnostics: the latest, with warnings, and notifications to systemd."""
 
 import json
 import logging
@@ -123,7 +123,7 @@ def test_it_survives_a_state_that_cannot_be_published(bench: Bench, defect: Any)
 
 @pytest.fixture
 def systemd(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
-    """A socket in the place of systemd's; receives one message."""
+    """A socket in place of systemd's; receives one message."""
     with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(path := str(Path(folder) / "notify"))
         receiver.settimeout(PATIENCE)

@@ -1,4 +1,4 @@
-"""Warnings of clock, network and ledger on a clock of their own."""
+"""Warnings on clock, network and ledger, with simulated clocks."""
 
 import logging
 
@@ -9,7 +9,7 @@ from controller.program import Fault
 
 
 class Bench:
-    """A system whose clocks and network tests control."""
+    """A system whose clocks and network the test controls."""
 
     def __init__(self) -> None:
         self.now, self.set_by, self.reachable = 100.0, 1.7e9, True

@@ -1,4 +1,4 @@
-"""The arms that the tests run: the paper's, and a small one of other modules."""
+"""The arms of the tests: the paper's, and a small one with other modules."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from tests.waiting import SLOWNESS
 
 PLANAR = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 
-# Two actuators of each motor have codes that are no position of it.
+# Of the eight codes of three bits, each motor uses five.
 MOTOR = {
     "type": "revolute",
     "count": 4,
@@ -20,17 +20,17 @@ MOTOR = {
 SLIDE = {"type": "prismatic", "axis": [0, 0, 1], "lengths": [0.1, 0.15, 0.2, 0.25]}
 GRIPPER = {"type": "transforms", "table": "gripper.csv"}
 TABLE = "x,y,z,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0.02,0,0.045,0,0.1,0,0.995\n"
-BITS, BOARDS = [3, 3, 3, 3, 2, 6, 1], [[1, 2], [3, 4, 5], [6], [7]]  # of the modules; the modules of each board
+BITS, BOARDS = [3, 3, 3, 3, 2, 6, 1], [[1, 2], [3, 4, 5], [6], [7]]  # bits of each module; modules of each board
 
-# Times of the boards [s]. Boards and executor run beside tests, without real-time priority, on a busy machine.
-# A longer stall is a true loss. Tests of such losses have quick boards.
+# Times of the boards [s]. Boards and executor run beside tests, without real-time priority, on a busy machine. A longer
+# stall loses a board. Tests of such losses use quick boards.
 PATIENT = {"heartbeat": 0.1, "heartbeat_timeout": 10.0, "boot_timeout": 6.0, "settle_margin": 5.0}
-MOST = {"heartbeat_timeout": 30.0, "settle_margin": 10.0}  # that an arm's file may say
-QUICK = {"heartbeat_timeout": 5.0, "boot_timeout": 3.0, "settle_margin": 5.0}  # yet longer than most stalls
+MOST = {"heartbeat_timeout": 30.0, "settle_margin": 10.0}  # maxima of an arm's file
+QUICK = {"heartbeat_timeout": 5.0, "boot_timeout": 3.0, "settle_margin": 5.0}  # still longer than most stalls
 
 
 def planar() -> dict[str, Any]:
-    """The arm of the paper, with fewer boards where the machine is slow."""
+    """The paper's arm, with fewer boards if the machine is slow."""
     document: dict[str, Any] = yaml.safe_load(PLANAR.read_text())
     document["workspace"] = {"pixel": 0.02}
     if SLOWNESS > 1:
@@ -41,7 +41,7 @@ def planar() -> dict[str, Any]:
 
 
 def mixed() -> dict[str, Any]:
-    """Four motors of five positions, a slide, a platform and a measured gripper, on boards of twelve bits at most."""
+    """Four motors of five positions, a slide, a platform and a measured gripper, on boards of at most twelve bits."""
     from tests.test_chain import PLATFORM
 
     actuators: list[dict[str, Any]] = []
@@ -77,7 +77,7 @@ def write(folder: Path, kind: str, name: str, bus: dict[str, str], fields: dict[
     document = KINDS[kind]()
     boards = {**PATIENT, **fields.get("boards", {})}
     boards = {name: min(time * SLOWNESS, MOST.get(name, time * SLOWNESS)) for name, time in boards.items()}
-    silence = 5.0 if "boards" in fields else 20.0  # [s] of the planner, as it shares the machine too
+    silence = 5.0 if "boards" in fields else 20.0  # [s] of the planner, which shares the machine
     times = {"travel_time": 0.05 * SLOWNESS, "planner_timeout": min(silence * SLOWNESS, 60.0)}
     document |= {"name": name, **times, **fields, "boards": boards}
     document["buses"] = [{"name": "can0", **bus}]

@@ -1,4 +1,4 @@
-"""Arms that run, shared by the tests that need the same one; what is left in disorder is thrown away."""
+"""Running arms, shared by tests that need the same one; an arm left in disorder is replaced."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -62,20 +62,20 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where densities are kept."""
+    """The folder of densities."""
     return tmp_path_factory.mktemp("cache") / "hyperbit"
 
 
 @pytest.fixture(scope="session")
 def nurseries(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Nursery]]:
-    """Where executors and planners come from; the planners' is started by the first test that needs it."""
+    """The processes that fork executors and planners; the planners' one is started by the first test that needs it."""
     nurseries = Nurseries(cache, tmp_path_factory.mktemp("arm"))
     yield nurseries
     nurseries.close()
 
 
 class Nurseries(dict[str, Nursery]):
-    """Nurseries by kind, each started when it is first asked for."""
+    """Nurseries by kind, each started at its first use."""
 
     def __init__(self, cache: Path, folder: Path) -> None:
         self._cache, self._folder = cache, folder
@@ -93,14 +93,14 @@ class Nurseries(dict[str, Nursery]):
 
 
 class Shared:
-    """The arm that ran last, for the next test that needs the same."""
+    """The arm of the last test, for the next test that needs the same one."""
 
     def __init__(self) -> None:
         self.wanted = ""
         self.system: System | None = None
 
     def take(self, wanted: str, make: Callable[[], System]) -> System:
-        """Returns the arm that is wanted, in order."""
+        """Returns the requested arm, in order."""
         if self.wanted != wanted or self.system is None or not self._in_order(self.system):
             self.drop()
             self.wanted, self.system = wanted, make()
@@ -127,7 +127,7 @@ def shared() -> Iterator[Shared]:
 def system(
     request: pytest.FixtureRequest, kind: str, nurseries: dict[str, Nursery], cache: Path, shared: Shared
 ) -> Iterator[System]:
-    """The arm of the test's mark, which runs unless the test is marked as fresh."""
+    """The arm of the test's mark; it is running unless the test is marked as fresh."""
     mark = request.node.get_closest_marker("arm")
     base, fields = (mark.args or ("planar",))[0] if mark else "planar", mark.kwargs if mark else {}
 
@@ -135,7 +135,7 @@ def system(
         return System(kind, base, fields, nurseries, cache)
 
     if request.node.get_closest_marker("fresh"):
-        shared.drop()  # or it would take time from this one
+        shared.drop()  # otherwise it would slow this one down
         system = make()
         yield system
         system.close()
@@ -155,7 +155,7 @@ def started(system: System) -> System:
 
 @pytest.fixture
 def stack() -> Iterator[ExitStack]:
-    """Ends what a test begins."""
+    """Ends what the test has started."""
     with ExitStack() as stack:
         yield stack
 
@@ -183,7 +183,7 @@ def listener(system: System) -> Iterator[can.BusABC]:
 
 @pytest.fixture
 def motions(system: System, listener: can.BusABC) -> Motions:
-    """What moves from now on."""
+    """The motion from now on."""
     motions = Motions(system.wiring, listener, system.drives())
     motions.begin(system.boards)
     return motions
@@ -191,7 +191,7 @@ def motions(system: System, listener: can.BusABC) -> Motions:
 
 @pytest.fixture
 def client(system: System, motions: Motions, request: pytest.FixtureRequest) -> Iterator[Observer]:
-    """A client of an arm that is ready; at the end nothing has moved but for goals, each with one result."""
+    """A client of an arm that is ready. At the end, all motion was for goals, and each goal has one result."""
     with system.client() as client:
         client.wait_for("ready")
         yield client

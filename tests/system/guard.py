@@ -1,4 +1,4 @@
-"""Sessions with certificates, those of strangers, and what a planner is asked for."""
+"""Sessions with certificates, sessions of strangers, and the requests that reach a planner."""
 
 import json
 from contextlib import ExitStack
@@ -16,7 +16,7 @@ from tests.system.observer import Observer
 from tests.system.system import System
 
 PREFIX = "hyperbit/planar16"
-AT_ONCE = 0.5  # [s] for an answer that shall not come
+AT_ONCE = 0.5  # [s] in which an unwanted answer would arrive
 
 
 class Guard:
@@ -26,7 +26,7 @@ class Guard:
         self.system, self.keys, self.stack = system, keys, stack
 
     def config(self, who: str) -> zenoh.Config:
-        """The configuration in a folder of the keys', but for the port."""
+        """The configuration in the keys' folder, with another port."""
         config = session.from_file(self.keys / who / "zenoh.json5")
         endpoint = self.system.endpoint.replace("tcp/127.0.0.1", "tls/localhost")
         config.insert_json5(f"{'listen' if who == 'daemon' else 'connect'}/endpoints", json.dumps([endpoint]))
@@ -40,7 +40,7 @@ class Guard:
 
 
 class Seen:
-    """What a planner is asked for: keys and payloads of its requests, in order."""
+    """The requests that reach a planner: keys and payloads, in order."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.all: list[tuple[str, bytes]] = []
@@ -79,7 +79,7 @@ class Seen:
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:
-    """Whether each answer is one, of all that come at once."""
+    """Whether each answer is accepted, of all that arrive at once."""
     return [reply.ok is not None for reply in session.get(f"{PREFIX}/{key}", payload=payload, timeout=AT_ONCE)]
 
 
@@ -113,19 +113,19 @@ def expired(guard: Guard, folder: Path) -> zenoh.Config:
 
 
 def without(guard: Guard, folder: Path) -> zenoh.Config:
-    """Somebody who shows no certificate."""
+    """A client without a certificate."""
     config = guard.config("operator")
     config.insert_json5("transport/link/tls/enable_mtls", "false")
     return config
 
 
 def unencrypted(guard: Guard, folder: Path) -> zenoh.Config:
-    """Somebody who speaks no TLS."""
+    """A client without TLS."""
     return session.configuration("client", connect=guard.system.endpoint)
 
 
 def daemons(guard: Guard, folder: Path) -> zenoh.Config:
-    """Somebody who has the daemon's own certificate and key, good for listening only."""
+    """A client with the daemon's own certificate and key, which are valid for listening only."""
     config = guard.config("operator")
     for name, file in (("connect_certificate", "certificate.pem"), ("connect_private_key", "key.pem")):
         config.insert_json5(f"transport/link/tls/{name}", json.dumps(str(guard.keys / "daemon" / file)))

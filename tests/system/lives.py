@@ -1,4 +1,4 @@
-"""An arm whose executor and planner are killed or stopped at any instant, and what must hold all the while."""
+"""An arm whose executor and planner are killed or stopped at random times, and the invariants that must hold."""
 
 import itertools
 import signal
@@ -17,24 +17,24 @@ from tests.system.system import LEASE, System
 from tests.waiting import PATIENCE, eventually
 
 NEED_RESET = {"halted", "emergency", "board-stopped", "board-rebooted"}
-STALLED = NEED_RESET | {"board-lost"}  # faults that a stall of a process on a busy machine makes
+STALLED = NEED_RESET | {"board-lost"}  # faults caused by a stall of a process on a busy machine
 
 
 class Lives:
-    """One executor and one planner after another, each in a process of its own.
+    """Executors and planners, one after another, each in a process of its own.
 
-    The observer's session listens, and planners connect to it: it hears what any of them publishes, the first word too.
+    Planners connect to the observer's session, which listens. It therefore receives all messages, from the first on.
 
     Attributes:
         system: the arm.
-        client: hears all planners.
+        client: receives the messages of all planners.
         motions: of the boards, from the first start on.
     """
 
     def __init__(self, system: System, stack: ExitStack, lease: float = PATIENCE) -> None:
         self.system, self._stack = system, stack
         config = session.configuration("peer", listen=system.endpoint)
-        config.insert_json5(LEASE, str(round(1e3 * lease)))  # a long one: who is stopped keeps the session
+        config.insert_json5(LEASE, str(round(1e3 * lease)))  # long, so that a stopped process keeps its session
         self.session: zenoh.Session = stack.enter_context(zenoh.open(config))
         self.client = Observer(Client(self.session, system.name))
         self.motions = Motions(system.wiring, stack.enter_context(system.listener()))
@@ -42,7 +42,7 @@ class Lives:
         system.start_planner_process(lease)
 
     def ready(self) -> Message:
-        """Waits until the arm is ready for goals, with a reset if the fault needs one; returns that state."""
+        """Waits until the arm is ready for goals, with a reset if a fault needs one; returns that state."""
 
         def there() -> Message | None:
             state = self.client.next_state()
@@ -53,7 +53,7 @@ class Lives:
         return eventually(there, told=self.system.logs)
 
     def send(self, name: str, *positions: tuple[float, ...], times: list[float] | None = None) -> str:
-        """Sends a goal until it is accepted; returns its id. A stall of this machine may have ended the mode ready."""
+        """Sends a goal until it is accepted; returns its id. A stall of the machine may have ended the mode ready."""
         for attempt in itertools.count():
             self.ready()
             goal = f"{name} {attempt}"
@@ -64,7 +64,7 @@ class Lives:
         raise AssertionError
 
     def move(self, name: str, position: tuple[float, ...]) -> None:
-        """Sends a goal until one succeeds; only a fault that a stall of this machine makes may end it."""
+        """Sends a goal until one succeeds; only faults caused by a stall of the machine may end it."""
         for attempt in itertools.count():
             began = len(self.client.heard["state"])
             result = self.client.result(self.send(f"{name} {attempt}", position))
@@ -80,7 +80,7 @@ class Lives:
         return self.send(name, *((LEFT, RIGHT, MIDDLE)[k % 3] for k in range(31)), times=times)
 
     def begun(self) -> None:
-        """Waits until a switch is on the bus."""
+        """Waits for a switch on the bus."""
         before = self.motions.switched.sum()
 
         def moved() -> bool:
@@ -96,7 +96,7 @@ class Lives:
         return self._stack.enter_context(Operator(self.system.socket))
 
     def disturb(self, victim: str, number: signal.Signals) -> None:
-        """Kills a process and starts it again; or stops it until the others have noticed, and lets it go on."""
+        """Kills a process and starts it again; or stops it until the others have detected that, and continues it."""
         if number is signal.SIGKILL:
             self.kill(victim)
         elif victim == "planner":
@@ -118,13 +118,13 @@ class Lives:
             self.system.start_executor()
 
     def masterless(self) -> bool:
-        """Whether no board is operational: all have missed the executor."""
+        """Whether no board is operational, as all have lost the executor."""
         with self.system.boards._lock:
             boards = self.system.boards._boards._by_name.values()
             return all(board.state != 5 for board in boards)
 
     def check(self) -> None:
-        """Asserts one result of each goal, and the same counts on the bus, of the boards and of the executor."""
+        """Asserts one result of each goal, and equal counts on the bus, in the boards and in the executor."""
         for goal in self.client.accepted:
             assert len(self.client.results(goal)) == 1, (goal, self.client.results(goal))
         self.motions.agree(self.system.boards)

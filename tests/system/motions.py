@@ -1,4 +1,4 @@
-"""What moved, read from the frames on the bus alone, and whether somebody asked for it."""
+"""Motion, read from the frames on the bus alone, and whether it was requested."""
 
 from collections.abc import Sequence
 
@@ -16,21 +16,21 @@ from tests.system.observer import Observer
 from tests.waiting import eventually
 
 MASTER_LOST = bytes([0x30, 0x81])  # of an emergency
-SLACK = 1.0  # [s] by which a busy machine may hear of a frame later than of a result
+SLACK = 1.0  # [s] by which a busy machine may receive a frame later than a result
 
 
 class Motions:
-    """Follows the outputs of all boards as the frames on one bus switch them.
+    """Follows the outputs of all boards, from the frames on one bus.
 
     Attributes:
         outputs: (A,) the actuators' outputs.
-        switched: (A,) how often each was switched by RPDO and SYNC.
-        fell: (A,) how often each fell off with its board.
-        moved_at: when a SYNC switched any [UNIX s].
-        syncs: when there was a SYNC [UNIX s].
-        rows: (A,) outputs after each SYNC that switched any.
+        switched: (A,) number of switches by RPDO and SYNC.
+        fell: (A,) number of switches to off with a lost board.
+        moved_at: times of SYNCs that switched an output [UNIX s].
+        syncs: times of all SYNCs [UNIX s].
+        rows: (A,) outputs after each SYNC that switched one.
         identifiers: of all frames.
-        deaf: whether the interface was taken away or down, so that nothing is known.
+        deaf: whether the interface was removed or down, so that nothing is known.
     """
 
     def __init__(self, wiring: Wiring, listener: can.BusABC, outputs: Sequence[int] = ()) -> None:
@@ -46,7 +46,7 @@ class Motions:
         self.identifiers: list[int] = []
         self.deaf = False
         self._before = np.zeros(count, dtype=int)
-        self._latched: dict[int, dict[int, int]] = {}  # states by actuator, of boards by their index
+        self._latched: dict[int, dict[int, int]] = {}  # states by actuator, by index of the board
         self._operational = [True] * len(self._layout.boards)
 
     def begin(self, boards: Simulation) -> None:
@@ -54,7 +54,7 @@ class Motions:
         self._before = boards.switches()
 
     def read(self) -> None:
-        """Takes in what was on the bus since the last call."""
+        """Reads the frames since the last call."""
         try:
             while not self.deaf and (frame := self._listener.recv(0)) is not None:
                 if not frame.is_error_frame:
@@ -64,7 +64,7 @@ class Motions:
             self.deaf = True
 
     def clear(self) -> None:
-        """Forgets which frames came, and when."""
+        """Forgets the frames and their times."""
         self.read()
         for it in (self.moved_at, self.syncs, self.rows, self.identifiers):
             it.clear()
@@ -75,7 +75,7 @@ class Motions:
         return not self.syncs
 
     def agree(self, boards: Simulation) -> None:
-        """Waits until the boards have switched what was on the bus, which they may take in a moment later."""
+        """Waits until the boards have switched as the frames say, which may be a moment later."""
 
         def same() -> bool:
             self.read()
@@ -84,7 +84,7 @@ class Motions:
         eventually(same, told=lambda: f"{self.switched + self.fell} on the bus, {boards.switches()} of the boards")
 
     def check(self, client: Observer, boards: Simulation) -> None:
-        """Asserts that all motion was switched on the bus for accepted goals, which have one result each."""
+        """Asserts that all motion on the bus was for accepted goals, each with one result."""
         for goal in client.accepted:
             client.result(goal)
         results = [result for goal in client.accepted for result in client.results(goal)]

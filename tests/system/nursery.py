@@ -25,14 +25,14 @@ NEEDED = {
 
 
 def execute(arguments: list[str]) -> int:
-    """What `hyperbit execute` becomes."""
+    """The process of `hyperbit execute`."""
     from controller.executor.__main__ import main
 
     return main(arguments)
 
 
 def run(arguments: list[str]) -> int:
-    """`hyperbit run`."""
+    """The process of `hyperbit run`."""
     import typer
 
     from controller.commands.run import run
@@ -47,7 +47,7 @@ COMMANDS = {"executor": execute, "planner": run}
 
 
 def prepare(file: Path) -> None:
-    """Loads the kernels' machine code and the densities of an arm."""
+    """Loads the kernels' machine code and an arm's densities."""
     from controller.commands.common import densities_of
     from controller.config import load
     from controller.search.solver import Solver
@@ -84,7 +84,7 @@ def main(kind: str, *files: str) -> None:
     for file in files:
         prepare(Path(file))
     prctl = ctypes.CDLL(None).prctl
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the dead are not waited for
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # ended children need no wait
     print("ready", flush=True)
     for line in sys.stdin:
         child = os.fork()

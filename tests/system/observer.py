@@ -1,4 +1,4 @@
-"""A client that remembers everything it hears, and waits for what is to come."""
+"""A client that remembers all messages it receives, and waits for further ones."""
 
 import time
 from typing import Any
@@ -6,18 +6,18 @@ from typing import Any
 from controller.gateway.client import Client, Message
 from tests.waiting import PATIENCE, SLOWNESS, eventually
 
-KEYS = ("feedback", "result", "diagnostics", "state")  # state last: who hears that hears all
+KEYS = ("feedback", "result", "diagnostics", "state")  # state last: when it arrives, the others are subscribed
 
 
 class Observer:
-    """Hears everything that an arm's daemon publishes.
+    """Receives everything that an arm's daemon publishes.
 
     Attributes:
-        client: to ask the daemon with.
+        client: for requests.
         heard: messages of each key, oldest first.
-        times: when they came [UNIX s].
-        accepted: ids of the goals it sent that were accepted.
-        sent: when each was sent, by id [UNIX s].
+        times: of their arrival [UNIX s].
+        accepted: ids of its accepted goals.
+        sent: when each goal was sent, by id [UNIX s].
         streams: spans in which set-points were followed [UNIX s].
     """
 
@@ -43,13 +43,13 @@ class Observer:
         return self.client.request(key, payload, timeout=PATIENCE)
 
     def goal(self, *positions: tuple[float, ...], times: list[float] | None = None, **fields: Any) -> Message:
-        """Sends a goal; without times a single waypoint now, or one every 0.2 s; on a slow machine slower."""
+        """Sends a goal; by default one waypoint now, or one every 0.2 s; slower on a slow machine."""
         times = times or [0.2 * k for k in range(len(positions))]
         points = [{"t": t * SLOWNESS, "position": list(position)} for t, position in zip(times, positions, strict=True)]
         return self.send("goal", waypoints=points, **fields)
 
     def send(self, key: str, **payload: Any) -> Message:
-        """Sends a goal or a jog; notes it if it is accepted."""
+        """Sends a goal or a jog, and remembers it if it is accepted."""
         sent = time.time()
         answer = self.ask(key, **payload)
         if answer["accepted"]:
@@ -83,7 +83,7 @@ class Observer:
         return [fault["code"] for fault in self.state["faults"]]
 
     def wait_for(self, mode: str, reason: str = "", after: int = 0) -> Message:
-        """Waits until a state heard from index `after` on is in a mode; returns that state."""
+        """Waits for a state of a mode from index `after` on; returns it."""
 
         def found() -> Message | None:
             states = self.heard["state"][after:]
@@ -92,7 +92,7 @@ class Observer:
         return eventually(found, told=lambda: f"among {len(self.heard['state'])} states: {self.heard['state'][-1:]}")
 
     def wait_now(self, mode: str, reason: str = "") -> Message:
-        """Waits until a state that is published from now on is in a mode."""
+        """Waits for a new state of a mode."""
         return self.wait_for(mode, reason, after=len(self.heard["state"]))
 
     def next_state(self) -> Message:
@@ -101,7 +101,7 @@ class Observer:
         return eventually(lambda: self.heard["state"][before:])[0]
 
     def wait_fault(self, code: str, since: float) -> Message:
-        """Waits for a state of `since` [UNIX s] or later that names a fault."""
+        """Waits for a state of `since` [UNIX s] or later with a fault."""
 
         def found() -> Message | None:
             states = [s for s in self.heard["state"] if s["stamp"] >= since]
@@ -119,7 +119,7 @@ class Observer:
         return [result for result in self.heard["result"] if names(result, goal)]
 
     def span(self, goal: str) -> tuple[float, float]:
-        """From sending a goal to hearing its result: only then may it move the arm [UNIX s]."""
+        """The span from sending a goal to its result, in which alone it may move the arm [UNIX s]."""
         heard = [time for time, it in zip(self.times["result"], self.heard["result"], strict=True) if names(it, goal)]
         return self.sent[goal], heard[-1]
 
@@ -133,5 +133,5 @@ class Observer:
 
 
 def names(message: Message, goal: str | None) -> bool:
-    """Whether a message is of a goal; a stranger's, put on the daemon's key, may have no id."""
+    """Whether a message is on a goal; a stranger's message on the daemon's key may have no id."""
     return "id" in message and bool(message["id"] == goal)

@@ -1,4 +1,4 @@
-"""An operator at the executor's socket: hears what the executor says, with no planner and no Zenoh between."""
+"""An operator at the executor's socket: receives the executor's messages without planner and Zenoh."""
 
 import socket
 import threading
@@ -10,7 +10,7 @@ from tests.waiting import eventually
 
 
 class Operator:
-    """A client in the role "operator" that remembers what it hears.
+    """A client in the role "operator" that remembers its messages.
 
     Attributes:
         heard: all messages, oldest first.
@@ -38,13 +38,13 @@ class Operator:
         return eventually(lambda: next((it for it in self.heard[before:] if isinstance(it, Snapshot)), None))
 
     def wait_for(self, mode: str) -> Snapshot:
-        """Waits for a snapshot of a mode, from now on."""
+        """Waits for a new snapshot of a mode."""
         while (snapshot := self.snapshot()).mode != mode:
             pass
         return snapshot
 
     def counts(self) -> list[int]:
-        """Switches of each actuator by the executor's journal."""
+        """Switches of each actuator in the executor's journal."""
         before = len(self.heard)
         found = eventually(lambda: next((it for it in self.heard[before:] if isinstance(it, Diagnostics)), None))
         return list(found.counts)
@@ -59,7 +59,7 @@ class Operator:
 
 
 def connected(path: Path) -> socket.socket | None:
-    """A socket that is connected to the executor's; None if nobody listens there."""
+    """A connected socket; None if no executor listens there."""
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         client.connect(str(path))

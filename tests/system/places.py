@@ -1,4 +1,4 @@
-"""Places that the arm of the paper reaches, and where its tip and its actuators are."""
+"""Positions that the paper's arm reaches, and the states of its tip and its actuators."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ HOUR = 3600.0
 
 
 def tip(boards: Simulation, arm: Arm) -> np.ndarray:
-    """Where the tip physically is."""
+    """The physical position of the tip."""
     positions = boards.positions()
     assert np.isin(positions, (0, 1)).all(), "an actuator is between its ends"
     manipulator = arm.manipulator
@@ -20,19 +20,19 @@ def tip(boards: Simulation, arm: Arm) -> np.ndarray:
 
 
 def states_at(client: Observer, arm: Arm, goal: tuple[float, ...]) -> np.ndarray:
-    """Actuator states (A,) that a goal is planned to end in."""
+    """The actuator states (A,) at the end of a goal's plan."""
     planned = client.ask("plan", waypoints=[{"position": goal}])["waypoints"][0]["configuration"]
     return arm.manipulator.actuator_states(parse_configuration(arm.manipulator, planned))
 
 
 def first_to_switch(client: Observer, arm: Arm, goal: tuple[float, ...]) -> tuple[str, int]:
-    """The first actuator that a goal switches, and the state it is in now."""
+    """The first actuator that a goal switches, and its present state."""
     wanted, now = states_at(client, arm, goal), client.wait_now("ready")["measured"]
     k = int(np.flatnonzero(wanted != now)[0])
     return arm.manipulator.actuators[k], now[k]
 
 
 def other_place(client: Observer, arm: Arm) -> tuple[float, float]:
-    """A place that the arm, at rest, must switch actuators to get to."""
+    """A position that the arm can reach only by a switch."""
     now = client.state["measured"]
     return next(goal for goal in (RIGHT, MIDDLE) if (states_at(client, arm, goal) != now).any())

@@ -1,4 +1,4 @@
-"""Executors and planners as processes, which tests start, stop and kill."""
+"""Executors and planners as processes that tests start, stop and kill."""
 
 import json
 import os
@@ -17,8 +17,8 @@ class Process:
     """A command that was forked in a nursery.
 
     Attributes:
-        pid: its number.
-        log: file of what it writes.
+        pid: id of the process.
+        log: file of its output.
     """
 
     def __init__(self, pid: int, log: Path) -> None:
@@ -32,7 +32,7 @@ class Process:
         os.kill(self.pid, number)
 
     def freeze(self) -> None:
-        """Stops the process, and waits until all of its threads stand still."""
+        """Stops the process, and waits until all its threads stand still."""
         self.send(signal.SIGSTOP)
         eventually(lambda: Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T")
 
@@ -40,13 +40,13 @@ class Process:
         self.send(signal.SIGCONT)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> None:
-        """Ends the process by a signal, and waits until it is gone."""
+        """Ends the process by a signal, and waits for its end."""
         if self.alive:
             self.send(number)
             self.gone()
 
     def gone(self) -> None:
-        """Waits until the process is gone."""
+        """Waits for the end of the process."""
         eventually(lambda: not self.alive, told=lambda: f"of process {self.pid}: {tail(self.log)}")
 
     def kill(self) -> None:
@@ -54,7 +54,7 @@ class Process:
 
 
 class Nursery:
-    """Forks commands of one kind, "executor" or "planner", in a process that has imported what they need."""
+    """Forks commands of one kind, "executor" or "planner", in a process that has imported their modules."""
 
     def __init__(self, kind: str, environment: dict[str, str], *files: Path) -> None:
         command = [sys.executable, "-m", "tests.system.nursery", kind, *map(str, files)]

@@ -21,7 +21,7 @@ BAD = [b"{", b'{"position": [NaN, 1]}', b'{"position": [1, 2], "stamp": 1}', b'{
 
 
 def circle(t: float) -> tuple[float, float]:
-    """A goal that goes round at 0.1 m/s, on a slow machine slower, from START on."""
+    """A goal that moves in a circle at 0.1 m/s, slower on a slow machine, from START on."""
     turn = 0.5 * t / SLOWNESS
     return START[0] + 0.2 * math.sin(turn), START[1] + 0.2 * (1 - math.cos(turn))
 
@@ -30,7 +30,7 @@ class Publisher:
     """Streams set-points of a goal that moves with the clock.
 
     Attributes:
-        position: where the goal was last.
+        position: the last position of the goal.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Publisher:
         self._session.put(self._key, payload if isinstance(payload, bytes) else json.dumps(payload))
 
     def stream(self, ended: Callable[[float], bool], bad: bool = False) -> None:
-        """Streams until `ended`, a function of the time [s], with something bad after every set-point if told to.
+        """Streams until `ended(time)` returns true; with `bad` an invalid set-point follows each one.
 
         The goal does not jump: its time stands still while this machine does.
         """
@@ -61,7 +61,7 @@ class Publisher:
 
     @contextmanager
     def streaming(self) -> Iterator[None]:
-        """Streams while the context lasts; from then until the arm is ready nobody has to ask for motion."""
+        """Streams while the context lasts; after that no motion is requested until the arm is ready."""
         over, began = threading.Event(), time.time()
         thread = threading.Thread(target=self.stream, args=(lambda t: over.is_set(),))
         thread.start()
@@ -73,7 +73,7 @@ class Publisher:
             self.followed(began)
 
     def followed(self, began: float) -> None:
-        """Waits until the stream is followed no more; notes that the arm may have moved for it until now."""
+        """Waits until the stream is no longer followed; notes that the arm may have moved until now."""
         before = len(self._client.heard["state"])
 
         def ended() -> bool:

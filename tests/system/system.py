@@ -1,4 +1,4 @@
-"""One arm as it runs: simulated boards on a bus, an executor's process, a planner, and clients of it."""
+"""One running arm: simulated boards on a bus, an executor's process, a planner, and their clients."""
 
 import hashlib
 import itertools
@@ -32,7 +32,7 @@ from tests.system.processes import Nursery, Process, tail
 from tests.waiting import PATIENCE, eventually
 
 NUMBERS = itertools.count()
-LEASE = "transport/link/tx/lease"  # of a Zenoh configuration
+LEASE = "transport/link/tx/lease"  # path in a Zenoh configuration
 
 
 class System:
@@ -40,16 +40,16 @@ class System:
 
     Attributes:
         kind: of bus, "emulated" or "socketcan".
-        arm: what its file says.
+        arm: read from its file.
         file: of the arm.
-        interface: the bus, to be taken down and brought back.
+        interface: the bus, which tests take down and bring back.
         wiring: of the boards, on the bus as this process opens it.
         boards: the simulated boards, in threads of this process.
         executor: its process, once started.
-        planner: its process, if it is not in a thread of this process.
+        planner: its process, if it has one of its own.
         planning: the planner, if it is in this process.
         ledger: the planner's.
-        config: of the planner's Zenoh session, in place of listening at the endpoint.
+        config: of the planner's Zenoh session; by default it listens at the endpoint.
         clients: returns the configuration of clients' sessions.
 
     Args:
@@ -64,7 +64,7 @@ class System:
         self, kind: str, base: str, fields: dict[str, Any], nurseries: dict[str, Nursery], cache: Path
     ) -> None:
         self.kind, self._nurseries, self._cache = kind, nurseries, cache
-        self.folder = Path(tempfile.mkdtemp(prefix="hb"))  # of a short name, for the sockets in it
+        self.folder = Path(tempfile.mkdtemp(prefix="hb"))  # with a short name, because of the sockets in it
         self._closing = ExitStack()
         self._closing.callback(shutil.rmtree, self.folder, ignore_errors=True)
         self.interface = self._make_interface()
@@ -142,9 +142,9 @@ class System:
         return daemon.running(arm, densities, config, ledger, self.socket, digest)
 
     def start_planner_process(self, lease: float = PATIENCE) -> Process:
-        """Starts a planner in a process of its own; it connects to the endpoint, where somebody must listen.
+        """Starts a planner in a process of its own; it connects to the endpoint, where a session must listen.
 
-        With a long lease [s], a planner that is stopped keeps its session.
+        With a long lease [s], a stopped planner keeps its session.
         """
         file = self.folder / "zenoh.json5"
         config = session.configuration("client", connect=self.endpoint)
@@ -166,15 +166,15 @@ class System:
     def _environment(self) -> dict[str, str]:
         return {"STATE_DIRECTORY": str(self.folder), "XDG_CACHE_HOME": str(self._cache.parent), "NOTIFY_SOCKET": ""}
 
-    # --- what a test looks at
+    # --- for the test's assertions
 
     def session(self) -> zenoh.Session:
-        """A client's session; who asks for it closes it."""
+        """A client's session; the caller closes it."""
         return zenoh.open(self.clients())
 
     @contextmanager
     def client(self) -> Iterator[Observer]:
-        """A client that has heard a state."""
+        """A client that has received a state."""
 
         def connect() -> zenoh.Session | None:
             try:
@@ -189,18 +189,18 @@ class System:
 
     @contextmanager
     def listener(self) -> Iterator[can.BusABC]:
-        """Hears all frames on the bus from now on."""
+        """Receives all frames on the bus from now on."""
         with can.Bus(interface=self.bus.interface, channel=self.bus.channel, ignore_config=True) as listening:
             vcan.make_room(listening)
             yield listening
 
     def drives(self) -> list[int]:
-        """What each actuator's output is, 0 or 1."""
+        """The output of each actuator, 0 or 1."""
         with self.boards._lock:
             return self.boards._boards.drives()
 
     def counts(self) -> list[int]:
-        """What the ledger counts of each actuator."""
+        """The ledger's counts of each actuator."""
         switches = read(self.ledger)[0]
         return [switches.get(label, 0) for label in self.arm.manipulator.actuators]
 
@@ -217,7 +217,7 @@ def free_port() -> int:
 
 
 def settled(observer: Observer) -> bool:
-    """Whether the arm is as a test expects to find it: ready, with nothing left of a test before."""
+    """Whether the arm is ready, with nothing left of an earlier test."""
     state = observer.next_state()
     clean = not state["faults"] and not state["degraded"] and state["goal"] is None
     return state["mode"] == "ready" and clean and observer.ask("obstacles", regions=[])["accepted"]

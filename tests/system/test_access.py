@@ -1,4 +1,4 @@
-"""Who may command and who may only look: the shipped Zenoh configuration with certificates of the shipped script."""
+"""Rights of clients: the shipped Zenoh configuration, with certificates from the shipped script."""
 
 import itertools
 import json
@@ -42,7 +42,7 @@ CREDENTIALS = "/run/credentials/hyperbit.service/hyperbit."
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An authority's, the daemon's with the shipped configuration, an operator's, a viewer's, and one nobody listed."""
+    """Certificates: the authority's, the daemon's, an operator's, a viewer's, and one that is not listed."""
     keys = certificates(tmp_path_factory.mktemp("access") / "keys", clients=("operator", "viewer", "former"))
     shipped = (DEPLOY / "zenoh-tls.json5").read_text()
     assert shipped.count(CREDENTIALS) == 3
@@ -63,7 +63,7 @@ def seen(patching: pytest.MonkeyPatch) -> Seen:
 
 @pytest.fixture
 def guard(seen: Seen, system: System, keys: Path, stack: ExitStack) -> Guard:
-    """The arm's planner asks for certificates."""
+    """The arm's planner requires certificates."""
     guard = Guard(system, keys, stack)
     if system.config is None:
         system.end_planner()
@@ -74,7 +74,7 @@ def guard(seen: Seen, system: System, keys: Path, stack: ExitStack) -> Guard:
 
 @pytest.fixture
 def client(guard: Guard, motions: Motions, seen: Seen) -> Iterator[Observer]:
-    """An operator; at the end nothing has moved but for goals."""
+    """An operator; at the end, all motion was for goals."""
     client = guard.observer()
     client.wait_for("ready")
     seen.all.clear()
@@ -179,7 +179,7 @@ def test_what_is_too_large_does_not_get_through(seen: Seen, client: Observer, gu
         session.put(f"{PREFIX}/stop", bytes(size))
         assert answers(session, "goal", bytes(size)) != [True]
     assert seen.all == []
-    large = bytes(1_500_000)  # a slow machine may have lost the connection over the 20 MB
+    large = bytes(1_500_000)  # a slow machine may have lost the connection over 20 MB
     (reply,) = eventually(lambda: list(session.get(f"{PREFIX}/goal", payload=large, timeout=PATIENCE)))
     assert "1500000 bytes, at most" in json.loads(reply.ok.payload.to_bytes())["message"]
     client.move(MIDDLE)
@@ -194,7 +194,7 @@ def test_a_flood_is_thinned_out_and_holds_up_nobody(seen: Seen, client: Observer
     eventually(lambda: client.goal(MIDDLE, id=f"goal {next(tries)}")["accepted"])  # a slow planner is busy at first
     assert client.result(client.accepted[-1])["status"] == "succeeded"
     assert len(seen.all) < sent, "most of them reach nobody"
-    session.put(f"{PREFIX}/stop", b"")  # never thinned out
+    session.put(f"{PREFIX}/stop", b"")  # never dropped by Zenoh's downsampling
     session.put(f"{PREFIX}/cancel", b"")
     client.wait_now("stopped")
     client.reset()

@@ -1,4 +1,4 @@
-"""An arm of other modules: where its tip is, single actuators, and states that are no configuration."""
+"""An arm of other modules: its tip, single actuators, and states that are no configuration."""
 
 import numpy as np
 import pytest

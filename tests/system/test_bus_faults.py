@@ -1,4 +1,4 @@
-"""The bus fails as SocketCAN's do: it is told, nothing moves for it, and the arm is ready when the bus is back."""
+"""The bus fails as SocketCAN buses do: the fault is reported, nothing moves, and the arm recovers with the bus."""
 
 import threading
 import time
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.arm(boards=QUICK)
 
 @pytest.fixture
 def queue(interface: Interface) -> Interface:
-    """The interface, if its frames can be made to wait."""
+    """The interface, if its frames can be delayed."""
     if isinstance(interface, vcan.Interface) and (reason := vcan.queueless()):
         pytest.skip(reason)
     return interface
@@ -56,7 +56,7 @@ def test_after_bus_off_what_was_queued_switches_nothing(
 ) -> None:
     client.move(MIDDLE, goal="before")
     goal = other_place(client, system.arm)
-    queue.hold()  # so that what a goal sends is in the queue when the controller goes off
+    queue.hold()  # so that the goal's frames are in the queue at the bus-off
     assert client.goal(goal, id="a")["accepted"]
     off = time.time()
     queue.bus_off()
@@ -108,8 +108,8 @@ def test_a_queue_that_stays_full_is_told_and_what_is_in_it_switches_nothing(
 def test_a_bus_full_of_others_frames_does_not_stop_the_arm(
     interface: Interface, client: Observer, system: System
 ) -> None:
-    """Of low priority, so that ours still leave."""
-    bitrate = 250_000 if SLOWNESS == 1 else 20_000  # of frames as the machine can take in
+    """Frames of low priority, so that ours are still sent."""
+    bitrate = 250_000 if SLOWNESS == 1 else 20_000  # as many frames as the machine can read
     if isinstance(interface, vcan.Interface) and not vcan.queueless():
         interface.bound(bitrate)
     ending, every = threading.Event(), 0.01 * SLOWNESS
@@ -120,7 +120,7 @@ def test_a_bus_full_of_others_frames_does_not_stop_the_arm(
         with can.Bus(interface=system.bus.interface, channel=system.bus.channel, ignore_config=True) as other:
             vcan.give_way(other, vcan.LAST)
             while not ending.wait(every):
-                with suppress(can.CanOperationError):  # the queue is full, as it should be
+                with suppress(can.CanOperationError):  # the queue is full, as intended
                     for _ in range(frames):
                         other.send(busy)
 

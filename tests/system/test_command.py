@@ -1,4 +1,4 @@
-"""The command `hyperbit run --simulate` as a person starts it: planner and executor, and their ends."""
+"""The command `hyperbit run --simulate` as a person starts it: planner, executor, and their ends."""
 
 import os
 import signal
@@ -46,7 +46,7 @@ def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def endpoint(folder: Path) -> str:
-    """Where the daemon of a folder listens; the same at each call."""
+    """The endpoint of a folder's daemon; the same at each call."""
     file = folder / "endpoint"
     if not file.exists():
         file.write_text(f"tcp/127.0.0.1:{free_port()}")

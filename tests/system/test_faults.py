@@ -1,4 +1,4 @@
-"""Boards, actuators and a second master fail: it is told by name, nothing moves for it, and there is a way back."""
+"""Boards, actuators and a second master fail: the fault names the source, nothing moves, and the arm can recover."""
 
 import time
 from collections.abc import Callable
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.arm(boards=QUICK)
 
 
 def running(client: Observer, goal: str = "a") -> None:
-    """Sends a goal that is under way and would be for two hours."""
+    """Sends a goal that runs for two hours."""
     client.move(MIDDLE, goal=f"{goal} before")
     assert client.goal(MIDDLE, RIGHT, LEFT, times=[0, HOUR, 2 * HOUR], id=goal)["accepted"]
     client.wait_for("executing", f"goal {goal}")
@@ -35,13 +35,13 @@ def aborted(client: Observer, goal: str, word: str) -> None:
     assert word in result["message"]
 
 
-STALLED = {"halted", "emergency", "board-stopped", "board-lost"}  # also reported if this machine was too busy
+STALLED = {"halted", "emergency", "board-stopped", "board-lost"}  # faults that a busy machine may add
 
 
 def ready_by_itself(client: Observer, boards: Simulation, since: float) -> None:
-    """Waits until the arm is ready again, holds what was measured and takes a fresh goal.
+    """Waits until the arm is ready again, still in its measured state, and runs a fresh goal.
 
-    It is ready by itself, unless a stall of the executor's process or of the boards has added faults that need a reset.
+    A reset is sent only if a stall of the executor or of the boards has added faults that need one.
     """
 
     def ready() -> dict | None:
@@ -73,7 +73,7 @@ def test_a_stuck_actuator_is_named_and_its_goal_aborted_once(client: Observer, b
 
 
 def test_after_a_fault_planning_starts_from_what_was_measured(client: Observer, boards: Simulation, arm: Arm) -> None:
-    """An actuator that is stuck still is found again, and only if a goal needs it."""
+    """An actuator that is still stuck is detected again, but only if a goal needs it."""
     client.move(MIDDLE)
     label, state_now = first_to_switch(client, arm, RIGHT)
     boards.fault("stick", label, state_now)
@@ -87,7 +87,7 @@ def test_after_a_fault_planning_starts_from_what_was_measured(client: Observer, 
     planned = client.ask("plan", waypoints=[{"position": LEFT}])["waypoints"][0]
     assert planned["switches"] == np.count_nonzero(states_at(client, arm, LEFT) != state["measured"])
     loose = time.time()
-    boards.fault("release", label)  # its output is on still: it moves, which is told
+    boards.fault("release", label)  # its output is still on: it moves, which is reported
     client.wait_fault("unexpected-motion", loose)
     eventually(lambda: np.isin(boards.positions(), (0, 1)).all())
     client.reset()
@@ -180,7 +180,7 @@ def test_another_master_is_told_by_its_frame_and_what_it_latched_switches_nothin
 
 
 def starting(system: System, stop: Callable[[Observer], None]) -> None:
-    """Starts an arm of which one board has no power; calls `stop`, then gives the board its power."""
+    """Starts an arm with one board without power; calls `stop`, then powers the board."""
     system.boards.fault("power_cut", "can0/3")
     system.start_executor()
     system.start_planner()
@@ -232,6 +232,6 @@ def test_a_missing_board_at_start_is_named_and_may_come_later(system: System) ->
         refused = client.goal(MIDDLE)
         assert (refused["accepted"], "can0/3" in refused["message"]) == (False, True)
         system.boards.fault("power_on", "can0/3")
-        client.wait_now("ready")  # by itself: the board is heard, and tried again
+        client.wait_now("ready")  # without a reset: the board's heartbeat starts another boot
 
     starting(system, named)

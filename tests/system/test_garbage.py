@@ -1,4 +1,4 @@
-"""Spoiled requests on every key of an arm that runs: each has one answer in words, and nothing moves for them."""
+"""Invalid requests on every key of a running arm: each gets one answer, and nothing moves."""
 
 import json
 import random
@@ -27,7 +27,7 @@ RIGHT_ONES: dict[str, list[Any]] = {
 
 
 def spoiled(key: str, chance: random.Random) -> bytes:
-    """A payload with one or more parts that are wrong; of a goal one with a field that no goal has, if it has parts."""
+    """A payload with one or more invalid parts."""
     right = RIGHT_ONES[key]
     data = requests.spoiler(*right)(requests.written(chance.choice(right)), chance)
     try:

@@ -122,7 +122,7 @@ def test_results_and_switches_are_in_the_ledger(client: Observer, system: System
 def test_forty_waypoints_under_three_floods_have_forty_feedbacks_and_one_result(
     client: Observer, system: System, stack: ExitStack
 ) -> None:
-    """An obstacle, though far away, has the stages taken one by one: none is left out, however late."""
+    """Among obstacles, even distant ones, no stage is skipped, however late it is."""
     assert client.ask("obstacles", regions=[{"disc": {"centre": [9, 9], "radius": 0.1}}])["accepted"]
     over, sessions = threading.Event(), [stack.enter_context(system.session()) for _ in range(3)]
 

@@ -1,4 +1,4 @@
-"""An arm with a bound on the inrush: what each SYNC on the bus switches."""
+"""An arm with an inrush bound: the switches of each SYNC on the bus."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.arm(inrush=INRUSH)
 
 @pytest.fixture
 def counts(motions: Motions) -> list[int]:
-    """How many actuators each SYNC switches, as they are read."""
+    """The number of actuators that each SYNC switches."""
     counts, before = list[int](), [motions.outputs]
     take = motions._sync
 

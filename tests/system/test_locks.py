@@ -1,4 +1,4 @@
-"""Locked actuators: found stuck by their end-stops, or locked over Zenoh; the arm goes on without them."""
+"""Locked actuators, detected as stuck by their end-stops or locked over Zenoh; the arm continues without them."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.arm(on_stuck="continue", boards=QUICK)
 
 
 def locked(client: Observer, actuators: list[Any]) -> Message:
-    """Waits for a state in which an arm that is ready tells just these locked actuators; returns it."""
+    """Waits for a state of a ready arm with exactly these locked actuators; returns it."""
     return eventually(lambda: s if (s := client.wait_now("ready"))["degraded"] == actuators else None)
 
 

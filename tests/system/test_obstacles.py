@@ -1,4 +1,4 @@
-"""Obstacles: sent over Zenoh, or in the arm's file; the arm goes around them, or holds and says why."""
+"""Obstacles, sent over Zenoh or in the arm's file; the arm avoids them, or holds and says why."""
 
 import json
 from contextlib import ExitStack
@@ -21,7 +21,7 @@ from tests.system.system import System
 from tests.waiting import SLOWNESS, eventually
 
 CRATE = {"disc": {"centre": list(RIGHT), "radius": 0.2}, "name": "crate"}
-# Where the arm goes from MIDDLE to FAR, and beside the way.
+# Obstacles between MIDDLE and FAR, and beside.
 FAR = (-0.6, 2.7)
 AROUND = [
     {"disc": {"centre": [0.9, 1.4], "radius": 0.3}, "name": "pillar"},
@@ -29,7 +29,7 @@ AROUND = [
 ]
 SHAPES: list[Shape] = [Disc((0.9, 1.4), 0.3), Box(planar(-0.9, 1.2, 0.4), (0.5, 0.3))]
 WALL = {"half_plane": {"point": [2.5, 0], "normal": [-1, 0]}, "name": "wall"}
-POST = Disc((0.75, 2.2), 0.15)  # where many configurations have modules that bring the tip to the line
+POST = Disc((0.75, 2.2), 0.15)  # hit by many configurations that bring the tip to the line
 END = (START[0] + 0.6, START[1])
 
 PARTS = [truss("BC", 0.2, 0.2, 0.25), truss("AD", 0.2, 0.2, 0.25)] * 8  # of the paper's arm
@@ -44,14 +44,14 @@ def keep_out(client: Observer, *regions: object) -> str:
 
 @pytest.fixture
 def client(client: Observer) -> Observer:
-    """The client of an arm that has gone home: where the arm is at a place depends on where it came from."""
+    """The client of an arm in its start configuration, because configurations depend on the earlier ones."""
     assert client.send("goal", waypoints=[{"configuration": "0" * 16}], id="home")["accepted"]
     assert client.result("home")["status"] == "succeeded"
     return client
 
 
 def least_room(arm: Arm, rows: list[np.ndarray], shapes: list[Shape]) -> float:
-    """How near the arm may have come while its actuators went from each of the rows to the next as they liked."""
+    """The smallest distance of the arm, with actuators between the rows in any order."""
     chance, away = np.random.default_rng(0), np.inf
     for before, after in pairwise(rows):
         corners = np.where(chance.random((CORNERS, len(before))) < 0.5, before, after)
@@ -66,11 +66,11 @@ def test_goals_are_planned_around_regions_that_are_sent_until_they_are_gone(
 ) -> None:
     client.move(MIDDLE)
     before = boards.switches().tolist()
-    assert keep_out(client, CRATE) == "keeping out of 1 region, 1 of them sent"
+    assert keep_out(client, CRATE) == "1 obstacle, 1 of them sent"
     refused = client.goal(RIGHT)
     assert (refused["accepted"], refused["code"]) == (False, codes.GOAL_TOLERANCE_VIOLATED)
     assert boards.switches().tolist() == before
-    assert keep_out(client, *AROUND) == "keeping out of 2 regions, 2 of them sent"
+    assert keep_out(client, *AROUND) == "2 obstacles, 2 of them sent"
     motions.read()
     rows = [motions.outputs]
     motions.clear()
@@ -83,7 +83,7 @@ def test_goals_are_planned_around_regions_that_are_sent_until_they_are_gone(
     rows += motions.rows
     assert len(rows) > 3
     assert least_room(arm, rows, SHAPES) > 0
-    assert keep_out(client) == "keeping out of 0 regions, 0 of them sent"
+    assert keep_out(client) == "0 obstacles, 0 of them sent"
     client.move(RIGHT, goal="c")
 
 
@@ -107,7 +107,7 @@ def test_a_running_goal_whose_rest_would_touch_is_aborted_and_the_arm_holds(
 def test_regions_that_come_during_motion_are_kept_out_of_from_then_on(
     client: Observer, boards: Simulation, arm: Arm, motions: Motions
 ) -> None:
-    """The goal goes on stage by stage, or is aborted where its rest would touch."""
+    """The goal continues stage by stage, or is aborted if its remaining stages would collide."""
     client.move(MIDDLE)
     points = [(MIDDLE, LEFT)[k % 2] for k in range(20)]
     assert client.goal(*points, times=[0.1 * k for k in range(20)], id="a")["accepted"]
@@ -118,7 +118,7 @@ def test_regions_that_come_during_motion_are_kept_out_of_from_then_on(
     motions.clear()
     result = client.result("a")
     motions.read()
-    rows += motions.rows[1:]  # the first may have been under way
+    rows += motions.rows[1:]  # the first may have been begun before
     assert result["status"] in ("succeeded", "aborted"), result
     assert least_room(arm, rows[1:], SHAPES) > 0
     keep_out(client)
@@ -154,8 +154,8 @@ def test_a_new_planner_knows_the_regions_of_the_file_only(system: System) -> Non
         with system.client() as client:
             client.wait_for("ready")
             assert client.goal(RIGHT)["accepted"] is False
-            assert keep_out(client) == "keeping out of 1 region, 0 of them sent"
-            assert keep_out(client, *AROUND) == "keeping out of 3 regions, 2 of them sent"
+            assert keep_out(client) == "1 obstacle, 0 of them sent"
+            assert keep_out(client, *AROUND) == "3 obstacles, 2 of them sent"
         system.end_planner()
         system.start_planner()
 
@@ -166,7 +166,7 @@ def test_setpoints_past_a_region_are_followed_clear_of_it(
     publisher = Publisher(stack.enter_context(system.session()), client, system.name, line)
 
     def streamed(goal: str) -> list[np.ndarray]:
-        """What was switched from where a stream begins to its end."""
+        """The switches from the start of a stream to its end."""
         client.move(START, goal=goal)
         motions.read()
         first = [motions.outputs]
@@ -186,5 +186,5 @@ def test_setpoints_past_a_region_are_followed_clear_of_it(
 
 
 def line(t: float) -> tuple[float, float]:
-    """A goal that goes 0.6 to the right at 0.2 m/s, and stays there."""
+    """A goal that moves 0.6 to the right at 0.2 m/s, and stays there."""
     return min(START[0] + 0.2 * t / SLOWNESS, END[0]), START[1]

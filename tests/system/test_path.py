@@ -1,4 +1,4 @@
-"""A goal that follows straight lines: where the arm is after each SYNC on the bus."""
+"""A goal along straight lines: the tip after each SYNC on the bus."""
 
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from tests.waiting import SLOWNESS
 
 PATH = 0.03
 CORNER = (0.55, 2.8)
-POINTS, TIMES = (MIDDLE, CORNER, LEFT), [0.0, 2.0, 5.0]  # on a slow machine these are slow
+POINTS, TIMES = (MIDDLE, CORNER, LEFT), [0.0, 2.0, 5.0]  # slower on a slow machine
 
 
 def wanted(t: float) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_what_cannot_be_followed_is_refused_in_words(client: Observer, motions: 
     assert fast["message"].startswith(
         f"waypoints[0] to waypoints[1]: {0.3 * SLOWNESS:g} s for a line of 0.15 within path_tolerance"
     )
-    ends = (-2.6, 1.5), (2.6, 1.5)  # on the way the arm is too long
+    ends = (-2.6, 1.5), (2.6, 1.5)  # the straight line between them is out of reach
     far = client.goal(*ends, times=[0.0, 60.0], id="b", path_tolerance=0.05)
     assert (far["accepted"], far["code"]) == (False, codes.GOAL_TOLERANCE_VIOLATED)
     assert far["message"].startswith("waypoints[0] to waypoints[1]: (")

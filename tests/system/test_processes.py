@@ -34,7 +34,7 @@ def lives(system: System, stack: ExitStack) -> Lives:
 def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: str, number: signal.Signals) -> None:
     client, boards, system = lives.client, lives.system.boards, lives.system
 
-    # In motion: the goal ends once, and nothing of it moves afterwards.
+    # In motion: the goal ends once, and does not move the arm afterwards.
     goal = lives.zigzag("in motion")
     lives.begun()
     lives.disturb(victim, number)
@@ -52,7 +52,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
     with lives.publisher().streaming():
         client.wait_now("executing", "following")
         lives.disturb(victim, number)
-    eventually(lambda: not client.diagnosed()["setpoint"]["alive"])  # a planner that stood still has caught up
+    eventually(lambda: not client.diagnosed()["setpoint"]["alive"])  # a stopped planner has caught up
     lives.ready()
     lives.motions.agree(boards)
     before = boards.switches().tolist()
@@ -61,7 +61,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
     assert len(client.heard["result"]) == told
     lives.move("after following", LEFT)
 
-    # In a fault: it is not forgotten, and clears as ever.
+    # In a fault: the fault remains, and clears as usual.
     silenced = time.time()
     boards.fault("silence", "can0/5")
     client.wait_fault("board-lost", silenced)
@@ -99,7 +99,7 @@ def test_counts_and_results_are_exact_after_many_kills_and_nothing_moves_by_itse
             system.start_executor()
         else:
             lives.begun()
-            time.sleep(chance.uniform(0.0, 0.3))  # the one thing here that is no waiting for: the instant of the kill
+            time.sleep(chance.uniform(0.0, 0.3))  # the time of the kill is random on purpose
             lives.kill(victim)
         assert client.result(goals[-1])["status"] == "aborted"
     lives.move("last", MIDDLE)
@@ -112,7 +112,7 @@ def test_counts_and_results_are_exact_after_many_kills_and_nothing_moves_by_itse
 
 
 def at_the_sync(system: System, count: int) -> None:
-    """Kills the executor at one of its next SYNCs, which reaches the boards: it dies before it can know."""
+    """Kills the executor at one of its next SYNCs, which reaches the boards before the executor can know."""
     left = [count]
 
     def on_sent(cob_id: int, data: bytes) -> None:

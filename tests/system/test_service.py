@@ -1,4 +1,4 @@
-"""What the daemon publishes, how it bears bad peers, and who may run beside it."""
+"""The daemon's messages, its robustness against bad peers, and what else may run beside it."""
 
 import json
 import os
@@ -71,7 +71,7 @@ def test_a_wildcard_may_stop_and_ask_and_nothing_else(client: Observer, system: 
     answers = {str(ok.key_expr).rpartition("/")[2]: json.loads(ok.payload.to_bytes()) for ok in replies}
     assert answers["arm"]["name"] == system.name
     named = ("goal", "jog", "reset", "degrade", "obstacles")
-    for key in (*named, "cancel", "stop"):  # `**` does not name the commands that it reaches
+    for key in (*named, "cancel", "stop"):  # `**` does not name the commands that it matches
         assert answers[key]["accepted"] is False
         assert "must be named" in answers[key]["message"]
     goal = json.dumps({"waypoints": [{"position": RIGHT}]})
@@ -86,7 +86,7 @@ def test_a_wildcard_may_stop_and_ask_and_nothing_else(client: Observer, system: 
 
 
 def test_a_second_daemon_of_the_arm_does_not_start(client: Observer, system: System) -> None:
-    """Not on the same ledger, nor in the same network."""
+    """Neither on the same ledger, nor in the same network."""
     with pytest.raises(LedgerInUse), system.serving(configuration("peer"), system.ledger):
         pass
     elsewhere = system.folder / "other.sqlite"
@@ -156,7 +156,7 @@ def test_frozen_and_slow_readers_delay_nobody(client: Observer, system: System, 
 
 
 def test_a_client_asks_again_when_nobody_answers(client: Observer, system: System, stack: ExitStack) -> None:
-    """Known defects of routing lose a query: the client's next attempt, or its fresh session, gets an answer."""
+    """Known defects of Zenoh's routing lose a query; the next attempt, or a new session, gets an answer."""
     opened = stack.enter_context(system.session())
     lossy = Lossy(opened, losses=3)
     asking = Client(lossy, system.name, system.session)  # type: ignore[arg-type]
@@ -168,7 +168,7 @@ def test_a_client_asks_again_when_nobody_answers(client: Observer, system: Syste
 
 
 class Lossy:
-    """A session whose first queries reach nobody."""
+    """A session whose first queries reach no daemon."""
 
     def __init__(self, session: zenoh.Session, losses: int) -> None:
         self._session, self.losses = session, losses

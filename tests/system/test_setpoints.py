@@ -21,14 +21,14 @@ FOLLOWING = "following a setpoint"
 
 @pytest.fixture
 def publisher(client: Observer, system: System, stack: ExitStack) -> Publisher:
-    """A publisher; the arm is where it begins."""
+    """A publisher; the arm is at the start of the stream."""
     client.move(START)
     client.wait_now("ready")
     return Publisher(stack.enter_context(system.session()), client, system.name)
 
 
 def setpoint(client: Observer) -> dict[str, Any]:
-    """What is published next of the stream."""
+    """The next state with the stream."""
     told: dict[str, Any] = client.diagnosed()["setpoint"]
     return told
 
@@ -63,7 +63,7 @@ def test_the_arm_follows_and_bad_setpoints_change_nothing(
 
 
 def test_a_stream_that_rests_is_met(client: Observer, publisher: Publisher, boards: Simulation, arm: Arm) -> None:
-    """The goal goes 0.1 away and stays there: the arm is there when nothing is switched any more."""
+    """The goal moves 0.1 away and stays there. The arm is there when switching ends."""
     goal = START[0] + 0.1, START[1]
     publisher._way = lambda t: goal
     with publisher.streaming():
@@ -146,7 +146,7 @@ def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
         publisher.put({"position": LEFT if k % 2 else RIGHT})
         eventually(lambda k=k: system.planning.diagnostics()["setpoint"]["received"] >= before + k)
         client.ask("cancel")
-        motions.clear()  # a search may be quick enough to switch before the cancel, but not after it
+        motions.clear()  # a search may still switch before the cancel, but not after it
         eventually(lambda k=k: setpoint(client)["received"] >= before + k and not setpoint(client)["alive"])
         assert motions.still()
         client.streams.append((began, time.time()))

@@ -1,4 +1,4 @@
-"""What is around the arm fails: the system's clock, the ledger's disk, Zenoh's router. The arm goes on."""
+"""The arm's surroundings fail: the system's clock, the ledger's disk, Zenoh's router. The arm continues."""
 
 import itertools
 import sqlite3
@@ -22,7 +22,7 @@ from tests.waiting import SLOWNESS, eventually
 
 
 def written(ledger: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """What is in the ledger, which may not be there yet."""
+    """The content of the ledger, which may not exist yet."""
     try:
         return read(ledger)
     except sqlite3.Error:
@@ -31,7 +31,7 @@ def written(ledger: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Sets the clock of planners that start now, by so many seconds: the executor does not know the time of day."""
+    """Sets the clock of planners that start now by some seconds; the executor does not use the time of day."""
     real, ahead = time.time, [0.0]
 
     def wall() -> float:
@@ -104,7 +104,7 @@ def test_a_full_disk_is_told_and_the_arm_goes_on(system: System, disk: Path) -> 
         with (disk / "filler").open("wb", buffering=0) as filler, suppress(OSError):
             while True:
                 filler.write(bytes(1024))
-        for number in itertools.count():  # goals of long names until the file has no room for them
+        for number in itertools.count():  # goals with long names until the disk is full
             goal = f"{number} {'x' * 120}"
             client.move((LEFT, RIGHT)[number % 2], goal=goal)
             if "ledger-unwritten" in client.codes:
@@ -129,7 +129,7 @@ def test_a_ledger_that_cannot_be_written_stops_no_arm(system: System) -> None:
 
 @pytest.mark.fresh
 def test_a_damaged_ledger_is_moved_aside_and_no_switch_is_forgotten(system: System) -> None:
-    """Neither while it runs, nor if planner and executor start anew: the executor's journal has the counts, too."""
+    """Neither during operation nor at a restart; the executor's journal has the counts as well."""
     system.start()
     with system.client() as client:
         client.move(RIGHT, goal="before")
@@ -170,7 +170,7 @@ def test_a_damaged_journal_is_told_and_the_ledger_has_the_counts(system: System)
 def test_a_router_that_goes_and_comes_back_is_found_again_and_the_goal_goes_on(
     system: System, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Daemon and client meet at a router only; a goal that ends while it is away is told in the ledger."""
+    """Daemon and client meet at a router only; a goal that ends while the router is away is in the ledger."""
     listening = session.configuration("peer", listen=system.endpoint)
     system.config = system.clients()
     with zenoh.open(listening):

@@ -1,4 +1,4 @@
-"""A tracker that sees the tip beside where the daemon computes it, and goals that are met all the same."""
+"""A tracker measures the tip beside its computed position; goals are still reached."""
 
 import json
 import time
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.arm(tracker={"noise": 1e-4, "clamp": 0.03})
 
 @pytest.fixture
 def track(client: Observer, system: System, stack: ExitStack) -> Callable[[np.ndarray], None]:
-    """Measures the tip, beside where it is by a bias, until the daemon knows the bias."""
+    """Measures the tip with a bias until the daemon knows the bias."""
     session, key = stack.enter_context(system.session()), f"hyperbit/{system.name}/measured_tip"
 
     def track(bias: np.ndarray) -> None:
@@ -36,7 +36,7 @@ def track(client: Observer, system: System, stack: ExitStack) -> Callable[[np.nd
 
 
 def seen(result: dict) -> np.ndarray:
-    """Where a tracker sees the tip of a result."""
+    """The tip of a result, as a tracker measures it."""
     return np.array(result["position"]) + BIAS
 
 
