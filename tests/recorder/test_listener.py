@@ -10,7 +10,7 @@ import pytest
 import zenoh
 
 from controller.gateway import session
-from controller.recorder import heard
+from controller.recorder import listener as listening
 from controller.recorder.listener import Listener, LogClock, Received
 from tests.waiting import eventually
 
@@ -89,7 +89,7 @@ def test_the_daemon_is_heard_to_come_and_go_and_describes_the_arm(ends: tuple[ze
 def test_what_nobody_writes_does_not_fill_the_memory(
     ends: tuple[zenoh.Session, zenoh.Session], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(heard, "MOST_WAITING", 100)
+    monkeypatch.setattr(listening, "MOST_WAITING", 100)
     listener = Listener(ends[1], "a")
     for _ in range(30):
         listener._put("state", bytes(10))
