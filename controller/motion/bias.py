@@ -1,7 +1,7 @@
-"""How far the tip really is from where the actuators' states put it: filterpy's Kalman filter over measured tips.
+"""Tip bias: a Kalman filter (filterpy) over the difference between measured and computed tips.
 
-The bias, measured minus computed, is kept in the world's frame, as a base that has settled or an arm that sags make it.
-It changes slowly, as a random walk. Errors of single configurations are for calibration to find.
+The bias is measured minus computed position, in the world's frame. Causes are a base that has settled or an arm that
+sags. The model is a random walk. Errors that depend on the configuration are corrected by calibration.
 """
 
 import math
@@ -20,13 +20,13 @@ from controller.motion.tracking import GATES
 
 Vector = NDArray[np.float64]
 
-DRIFT = 0.1  # of the noise, where nothing is said
-FARTHEST = 2.0  # clamps that a tip may be from the computed one
-AGREEING = 20  # outliers in a row that agree on another bias make it the tip's
+DRIFT = 0.1  # default drift, as a share of the noise
+FARTHEST = 2.0  # greatest distance of a measured tip from the computed one, in clamps
+AGREEING = 20  # consecutive outliers that must agree before they replace the bias
 
 
 class MeasuredTipMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of a measured tip; `stamp` is UNIX seconds at which it was there. An orientation corrects nothing."""
+    """The payload of a measured tip; `stamp` is the time of the measurement [UNIX s]. `orientation` is not used."""
 
     position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
     stamp: Time
@@ -37,7 +37,7 @@ def decode(payload: bytes, dimension: int) -> tuple[Vector, float]:
     """Returns position (dimension,) and stamp [UNIX s] of the measured tip in a payload.
 
     Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
     message = parse(payload, MeasuredTipMessage, "measured tip")
     if len(message.position) != dimension:
@@ -50,13 +50,13 @@ def decode(payload: bytes, dimension: int) -> tuple[Vector, float]:
 
 @dataclass(frozen=True)
 class Tracker:
-    """What is known of tracker and tip.
+    """Parameters of the bias filter, from the arm's file.
 
     Attributes:
         noise: standard deviation of a measured coordinate.
-        clamp: greatest length of a bias that goals are corrected by.
-        drift: standard deviation by which the bias changes in a second.
-        hold: how long it is believed after the last sample [s].
+        clamp: greatest length of a bias by which goals are corrected.
+        drift: standard deviation of the bias's change in one second.
+        hold: time for which the bias is used after the last sample [s].
     """
 
     noise: float
@@ -65,8 +65,8 @@ class Tracker:
     hold: float
 
 
-class Walk:
-    """A bias that walks at random: a Kalman filter without any motion but that."""
+class RandomWalk:
+    """A Kalman filter of a bias that is a random walk."""
 
     def __init__(self, dimension: int, tracker: Tracker) -> None:
         """Builds the matrices, and imports filterpy."""
@@ -83,85 +83,85 @@ class Walk:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of a coordinate of it."""
+        """Standard deviation of one coordinate of the estimate."""
         return float(np.sqrt(self._kalman.P[0, 0]))
 
     def start(self, bias: Vector, deviation: float, time: float) -> None:
-        """Begins with a bias (dimension,) as sure as this."""
+        """Restarts the filter from a bias (dimension,) with a standard deviation."""
         self._kalman.x, self._kalman.P = bias.copy(), deviation**2 * np.eye(self._dimension)
         self.time, self.updates = time, 1
 
     def fits(self, difference: Vector, time: float) -> bool:
         """Returns whether a difference (dimension,) is within the gate around the estimate."""
-        variance = self._kalman.P[0, 0] + self._walked(time) + self._tracker.noise**2  # of every coordinate alike
+        variance = self._kalman.P[0, 0] + self._added_variance(time) + self._tracker.noise**2  # of each coordinate
         missed = difference - self._kalman.x
         return bool(missed @ missed <= GATES[self._dimension] * variance)
 
     def update(self, difference: Vector, time: float) -> None:
-        """Takes a difference (dimension,) measured at a time."""
-        self._kalman.predict(Q=self._walked(time) * np.eye(self._dimension))
+        """Updates the estimate with a difference (dimension,) measured at a time."""
+        self._kalman.predict(Q=self._added_variance(time) * np.eye(self._dimension))
         self._kalman.update(difference)
         self.time, self.updates = time, self.updates + 1
 
-    def _walked(self, time: float) -> float:
+    def _added_variance(self, time: float) -> float:
         return self._tracker.drift**2 * max(time - self.time, 0.0)
 
 
 class TipBias:
-    """The bias of one arm's tip. All times come from the caller, seconds of one clock.
+    """The tip bias of one arm. The caller gives all times, in seconds of one clock.
 
     Attributes:
         outliers: differences dropped by the gate so far.
-        jumps: how often outliers that agreed became the bias.
+        jumps: how often agreeing outliers replaced the bias.
     """
 
     def __init__(self, dimension: int, tracker: Tracker) -> None:
-        """Builds the filters; slow, to be done before anything moves."""
+        """Builds the filters. This is slow: call it before the arm moves."""
         self._tracker, self._none = tracker, np.zeros(dimension)
-        self._walk, self._rival = Walk(dimension, tracker), Walk(dimension, tracker)
+        self._estimate, self._rival = RandomWalk(dimension, tracker), RandomWalk(dimension, tracker)
         self.outliers = self.jumps = 0
 
     def measure(self, difference: Vector, time: float) -> bool:
-        """Takes measured minus computed (dimension,), and returns whether it fits; else it is an outlier.
+        """Takes a difference, measured minus computed (dimension,); returns False if it is an outlier.
 
         Raises:
-            Refusal: it is older than the last, or farther than any bias that would be corrected.
+            Refusal: the sample is older than the last one, or farther than FARTHEST clamps.
         """
-        if time <= self._walk.time:
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {self._walk.time - time:.3f} s before the last one taken")
+        if time <= self._estimate.time:
+            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {self._estimate.time - time:.3f} s before the last one taken")
         far, most = float(np.linalg.norm(difference)), FARTHEST * self._tracker.clamp
         if far > most:
             raise refusal(f"position: {far:.4g} from the computed tip, at most {most:.4g} is taken, twice the clamp")
-        if time - self._walk.time > self._tracker.hold:
-            self._walk.start(self._none, self._tracker.clamp, time)
-        if self._walk.fits(difference, time):
-            self._walk.update(difference, time)
-        elif not self._agreed(difference, time):
+        if time - self._estimate.time > self._tracker.hold:
+            self._estimate.start(self._none, self._tracker.clamp, time)
+        if self._estimate.fits(difference, time):
+            self._estimate.update(difference, time)
+        elif not self._rival_won(difference, time):
             self.outliers += 1
             return False
         self._rival.updates = 0
         return True
 
     def at(self, time: float) -> Vector:
-        """Returns what goals are corrected by (dimension,), no longer than the clamp; none long after all samples."""
-        if not time - self._walk.time <= self._tracker.hold:
+        """Returns the bias to correct goals by (dimension,), at most a clamp long; zero once `hold` is over."""
+        if not time - self._estimate.time <= self._tracker.hold:
             return self._none
-        bias = self._walk.bias
+        bias = self._estimate.bias
         return np.asarray(bias * min(1.0, self._tracker.clamp / max(float(np.linalg.norm(bias)), 1e-300)))
 
     @property
     def estimate(self) -> tuple[Vector, float] | None:
-        """The estimate before it is clamped, shape (dimension,), and its deviation; None before the first sample."""
-        return (self._walk.bias, self._walk.deviation) if self._walk.updates else None
+        """The estimate before clamping, shape (dimension,), and its standard deviation; None without samples."""
+        return (self._estimate.bias, self._estimate.deviation) if self._estimate.updates else None
 
-    def _agreed(self, difference: Vector, time: float) -> bool:
-        """Gives an outlier to the rival, and returns whether that has now become the tip's."""
+    def _rival_won(self, difference: Vector, time: float) -> bool:
+        """Adds an outlier to the rival estimate; returns whether the rival has replaced the bias."""
         if self._rival.updates and self._rival.fits(difference, time):
             self._rival.update(difference, time)
         else:
             self._rival.start(difference, self._tracker.noise, time)
         if self._rival.updates < AGREEING:
             return False
-        self._walk, self._rival = self._rival, self._walk
+        self._estimate, self._rival = self._rival, self._estimate
         self.jumps += 1
         return True

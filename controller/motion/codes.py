@@ -8,14 +8,14 @@ GOAL_TOLERANCE_VIOLATED = -5
 
 
 class Refusal(ValueError):
-    """A goal that is not accepted.
+    """A request that is not accepted; the text says why.
 
     Attributes:
         code: one of the codes above.
-        goal: its id, where that is known.
+        goal: id of the goal, if it is known.
     """
 
     def __init__(self, code: int, message: str, goal: str | None = None) -> None:
-        """Keeps code and id beside the sentence."""
+        """Stores code and id with the message."""
         super().__init__(message)
         self.code, self.goal = code, goal

@@ -1,4 +1,4 @@
-"""Requests to hold an actuator in a state, or to use it again: strict decoding."""
+"""Requests to lock or unlock an actuator: strict decoding."""
 
 from typing import Literal
 
@@ -8,7 +8,7 @@ from controller.motion.setpoint import parse
 
 
 class DegradeMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `degrade`: an actuator, and the state to hold it in, null to use it like any other."""
+    """The payload of `degrade`: an actuator and the state to lock it in; null unlocks it."""
 
     actuator: str
     state: Literal[0, 1] | None
@@ -18,6 +18,6 @@ def decode(payload: bytes) -> DegradeMessage:
     """Returns the message in a payload.
 
     Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
     return parse(payload, DegradeMessage, "degrade")

@@ -1,6 +1,6 @@
-"""Where waypoints lead: the rotation of an orientation, and the tip and actuator states of a configuration.
+"""Waypoints as numbers: the rotation of an orientation; the tip and the actuator states of a configuration.
 
-Kernels are imported in the functions, as they take a second to import: clients that only read messages do not wait.
+Functions import the kernels, which take a second to import. Clients that only decode messages need not wait for them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from controller.strict import UNIT
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator
 
-LONGEST = 200  # characters of a quoted sentence
+LONGEST = 200  # characters of a quoted message
 
 
 def destination(
@@ -27,7 +27,7 @@ def destination(
     """Returns the tip's position (dimension,) and the actuator states (A,) of a configuration.
 
     Raises:
-        Refusal: the arm has no such configuration.
+        Refusal: the text is no configuration of this arm.
     """
     from controller.manipulator.notation import parse_configuration
 
@@ -42,10 +42,10 @@ def destination(
 
 
 def rotation(orientation: float | list[float] | None, dimension: int, where: str) -> NDArray[np.float64]:
-    """Returns the rotation (3, 3) of an orientation, none where it is absent.
+    """Returns the rotation (3, 3) of an orientation; the identity if it is absent.
 
     Raises:
-        Refusal: it is not of the arm's kind, or no unit quaternion.
+        Refusal: a planar arm needs an angle, a spatial arm a unit quaternion.
     """
     from controller.manipulator import frames
 

@@ -1,4 +1,4 @@
-"""How far the tip strays from the straight line of a transition, whichever of its actuators have switched already."""
+"""Deviation of the tip from the straight line of a transition, for every subset of actuators that may have switched."""
 
 from dataclasses import dataclass, replace
 
@@ -12,24 +12,24 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Known = NDArray[np.bool_]
 
-COUNTED = 12  # most actuators of which every subset is tried
-STARTS = 16  # of the ascent to the greatest deviation, beside the two ends
+COUNTED = 12  # most actuators for which all subsets are enumerated
+STARTS = 16  # random starts of the ascent to the greatest deviation, beside the two ends
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """The n actuators that switch, in m modules; a module's state is the mask of those that have switched, 0 before.
+    """One transition: n actuators switch, in m modules. A module's mask has a bit for each of its switched actuators.
 
     Attributes:
         actuators: indices into the arm's actuators, shape (n,).
-        owners: module that each belongs to, shape (n,).
-        flags: its bit in that module's mask, shape (n,).
-        rotations: of each module for each mask, with the modules around it that stay, shape (m, 2^bits, 3, 3).
+        owners: module of each actuator, shape (n,).
+        flags: bit of each actuator in its module's mask, shape (n,).
+        rotations: of each module for each mask, composed with its neighbours that do not move, shape (m, 2^bits, 3, 3).
         translations: likewise, shape (m, 2^bits, 3).
-        known: whether the module has a state with these actuator states, shape (m, 2^bits).
-        end: masks when all have switched, shape (m,).
-        line: the tip before and after, shape (2, 3).
-        unknown: what counts as deviation where a module has no state with its actuator states.
+        known: whether the module has a state for the mask, shape (m, 2^bits).
+        end: masks after the transition, shape (m,).
+        line: tip before and after, shape (2, 3).
+        unknown: deviation that is assumed for masks without a state.
     """
 
     actuators: Index
@@ -43,20 +43,20 @@ class Transition:
     unknown: float = np.inf
 
     def masks(self, stages: list[Index]) -> Index:
-        """Returns the masks (m,) when stages, each of actuators (k,) counted among those that switch, have switched."""
+        """Returns the masks (m,) after stages, each of indices (k,) into `actuators`."""
         masks = np.zeros_like(self.end)
         for stage in stages:
             np.add.at(masks, self.owners[stage], self.flags[stage])
         return masks
 
     def deviations(self, masks: Index, stage: Index) -> Array:
-        """Returns the deviations (2^k,) of all subsets of a stage (k,) on top of masks (m,); bit j is stage[j]."""
+        """Returns the deviations (2^k,) after each subset of a stage (k,), from masks (m,); bit j is stage[j]."""
         t = self
         arguments = (t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks, stage, t.unknown)
         return np.asarray(subsets(*arguments))
 
     def greatest(self, masks: Index, stage: Index) -> float:
-        """Returns the greatest deviation of those subsets, for many actuators the greatest that ascent finds."""
+        """Returns the greatest of `deviations`; above COUNTED actuators the greatest found by coordinate ascent."""
         if len(stage) <= COUNTED:
             return float(self.deviations(masks, stage).max())
         t, every = self, np.arange(self.known.shape[1])
@@ -69,12 +69,12 @@ class Transition:
         return max(float(ascend(t.rotations, t.translations, between & t.known, t.line, s)) for s in starts)
 
     def singles(self, masks: Index) -> Array:
-        """Returns the deviations (k, n) of each actuator switched on top of masks (k, m); infinite if it cannot be."""
+        """Returns the deviations (k, n) after one more actuator, from masks (k, m); infinite if it cannot switch."""
         t = self
         return np.asarray(singles(t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks))
 
     def back(self) -> "Transition":
-        """Returns the transition from end to start, through the same states."""
+        """Returns the reverse transition, through the same states."""
         rows, masks = np.arange(len(self.end))[:, None], self.end[:, None] ^ np.arange(self.known.shape[1])
         r, b, known = (np.ascontiguousarray(a[rows, masks]) for a in (self.rotations, self.translations, self.known))
         return replace(self, rotations=r, translations=b, known=known, line=self.line[::-1].copy())
@@ -82,7 +82,7 @@ class Transition:
 
 @njit("f8(f8[::1], f8[:,::1])", cache=True, nogil=True, inline="always")
 def deviation(point: Array, line: Array) -> float:
-    """Returns the distance of a point (3,) from the straight line between two (2, 3)."""
+    """Returns the distance of a point (3,) from the line segment between two points (2, 3)."""
     dot, square, away = 0.0, 0.0, 0.0
     for i in range(3):
         along = line[1, i] - line[0, i]
@@ -118,10 +118,10 @@ def subsets(
     stage: Index,
     unknown: float,
 ) -> Array:
-    """Returns the deviation of every subset of the stage."""
+    """Returns the deviation of each subset of a stage; see Transition.deviations."""
     slots, count = np.full(len(masks), -1), 0
     slots[owners[stage]] = 0
-    # Modules that stay are composed once, into a lead before each that moves and one behind the last.
+    # Modules that do not move are composed once: a lead before each moving module, and one after the last.
     lead_r, lead_b = np.empty((len(stage) + 1, 3, 3)), np.zeros((len(stage) + 1, 3))
     lead_r[:] = np.eye(3)
     moving = np.empty(len(stage), dtype=np.int64)
@@ -152,7 +152,7 @@ def subsets(
 
 @njit("void(f8[:,:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
 def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
-    """Writes the tip in the frame below each module, (m + 1, 3)."""
+    """Writes the tip in the frame of each module, shape (m + 1, 3)."""
     tails[len(masks)] = 0.0
     for i in range(len(masks) - 1, -1, -1):
         carry(r[i, masks[i]], b[i, masks[i]], tails[i + 1], tails[i])
@@ -160,7 +160,7 @@ def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
 
 @njit("f8(f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], f8[:,::1], i8[::1])", cache=True, nogil=True)
 def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> float:
-    """Takes each module in turn to its mask of greatest deviation until none gains; returns the deviation."""
+    """Changes one mask at a time as long as the deviation grows; returns the deviation of that local maximum."""
     tails, point = np.empty((len(masks) + 1, 3)), np.empty(3)
     fill_tails(r, b, masks, tails)
     best, before = deviation(tails[0], line), -1.0
@@ -184,7 +184,7 @@ def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> flo
     "f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[:,::1])", cache=True, nogil=True
 )
 def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line: Array, masks: Index) -> Array:
-    """Returns the deviation of each actuator switched on top of each of the masks."""
+    """Returns the deviation after one more actuator, from each of the masks; see Transition.singles."""
     result, m = np.full((len(masks), len(owners)), np.inf), len(r)
     heads_r, heads_b, tails, point = np.empty((m + 1, 3, 3)), np.empty((m + 1, 3)), np.empty((m + 1, 3)), np.empty(3)
     heads_r[0], heads_b[0] = np.eye(3), 0.0

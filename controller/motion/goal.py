@@ -1,4 +1,4 @@
-"""Goals as they come over the network: strict decoding into a message, and that into a trajectory."""
+"""Goals from the network: strict decoding into a message, then into a trajectory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from controller.motion.destinations import destination, rotation
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
 from controller.strict import check
 
-if TYPE_CHECKING:  # its kernels take a second to import: who only reads messages does not wait for it
+if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
     from controller.manipulator.manipulator import Manipulator
     from controller.motion.pacing import Pace
 
@@ -26,19 +26,19 @@ MOST_BYTES = 1_000_000
 LONGEST_SENTENCE = 1_000
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
-# Upper bounds also keep out infinity and NaN; beyond these, lengths are slips of the unit and overflow when squared.
+# The bounds exclude infinity and NaN. Greater lengths are mistakes of the unit and overflow when they are squared.
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
 Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
-# An angle, or a quaternion's components.
+# An angle, or one component of a quaternion.
 Turn = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it goes into logs, a database and word to systemd
+Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it is written to logs, a database and systemd's status
 
 
 class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
-    """Where the arm is to be settled, `t` seconds after the stamp.
+    """A point at which the arm must have settled `t` seconds after the stamp.
 
-    Either the tip's position, with an orientation if it matters, or a configuration as `state` and `fk` write it.
+    It has either a position of the tip, with an optional orientation, or a configuration in the notation of `fk`.
     """
 
     position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)] | None = None
@@ -48,14 +48,14 @@ class Waypoint(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
-    """How near is good enough."""
+    """Tolerances of a waypoint: of the position, and of the orientation [rad]."""
 
     position: Tolerable | None = None
     orientation: Tolerable | None = None
 
 
 class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of a goal; `stamp` is UNIX seconds of t = 0, 0 meaning now.
+    """The payload of a goal; `stamp` is t = 0 in UNIX seconds, 0 means now.
 
     With a `path_tolerance` the tip follows the straight lines between the waypoints.
     """
@@ -75,7 +75,7 @@ def parse(payload: bytes) -> GoalMessage:
     """Returns the message in a payload.
 
     Raises:
-        Refusal: too large, not UTF-8, not JSON, or not a goal; nothing else, whatever the bytes.
+        Refusal: too large, not UTF-8, not JSON, or not a goal. No other exception is raised.
     """
     check_size(len(payload))
     message = parse_quickly(payload) or parse_strictly(payload)
@@ -84,9 +84,9 @@ def parse(payload: bytes) -> GoalMessage:
 
 
 def parse_quickly(payload: bytes) -> GoalMessage | None:
-    """Returns the message of a goal in which each name stands once, as in most of one waypoint; None of others."""
+    """Returns the message of a goal in which each name occurs at most once; None for all others."""
     if b"\\" in payload or any(payload.count(name) > 1 for name in _NAMES):
-        return None  # a name may stand twice in one object, which msgspec does not tell
+        return None  # a name may occur twice in one object, which msgspec does not detect
     try:
         return _decode(payload)
     except (msgspec.DecodeError, RecursionError, UnicodeError):
@@ -94,7 +94,7 @@ def parse_quickly(payload: bytes) -> GoalMessage | None:
 
 
 def parse_strictly(payload: bytes) -> GoalMessage:
-    """Returns the message in a payload; see `parse`, but destinations are not checked."""
+    """Returns the message in a payload as `parse` does, without the check of destinations."""
     try:
         value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:
@@ -111,7 +111,7 @@ def parse_strictly(payload: bytes) -> GoalMessage:
         msgspec.ValidationError,
         RecursionError,
         UnicodeError,
-    ):  # all that is wrong, by field, is told by the slower check
+    ):  # the slower check names each fault by its field
         raise refusal(faults_of(value)) from None
     return message
 
@@ -120,7 +120,7 @@ def check_destinations(message: GoalMessage) -> None:
     """Checks that each waypoint has either a position or a configuration.
 
     Raises:
-        Refusal: one has neither, both, or a configuration with an orientation or on a line.
+        Refusal: a waypoint has neither or both, or a configuration with an orientation or a path tolerance.
     """
     for k, waypoint in enumerate(message.waypoints):
         where = f"waypoints[{k}]"
@@ -139,17 +139,17 @@ def check_size(size: int) -> None:
     """Checks a payload's size in bytes.
 
     Raises:
-        Refusal: it is too large.
+        Refusal: the payload is too large.
     """
     if size > MOST_BYTES:
         raise refusal(f"goal of {size} bytes, at most {MOST_BYTES} are taken")
 
 
 def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Returns the object of its fields, of which JSON would silently keep the last of each name.
+    """Returns the object of name-value pairs; json.loads would silently keep the last of equal names.
 
     Raises:
-        ValueError: a name stands twice.
+        ValueError: a name occurs twice.
     """
     fields = dict(pairs)
     if len(fields) < len(pairs):
@@ -160,7 +160,7 @@ def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def faults_of(value: Any) -> str:
-    """Returns the first faults of a value that is no goal, by field."""
+    """Returns the first three faults of a value that is no goal, named by field."""
     faults: list[str] = []
     try:
         check(value, GoalMessage, faults)
@@ -171,7 +171,7 @@ def faults_of(value: Any) -> str:
 
 
 def refusal(message: str) -> Refusal:
-    """Returns the refusal of an invalid goal; what it quotes is cut and made printable."""
+    """Returns the refusal of an invalid goal; the message is cut at LONGEST_SENTENCE and made printable."""
     if len(message) > LONGEST_SENTENCE:
         message = message[:LONGEST_SENTENCE] + "..."
     return Refusal(INVALID_GOAL, message.encode("utf-8", "backslashreplace").decode())
@@ -186,19 +186,19 @@ def schedule(
     now: float,
     manipulator: Manipulator | None = None,
 ) -> Trajectory:
-    """Returns the trajectory that a message asks for.
+    """Returns the trajectory of a goal.
 
     Args:
-        message: a goal.
+        message: the goal.
         dimension: number of coordinates of a position, 2 or 3.
-        tolerance: of the position, where the goal has none.
-        turn: tolerance of the orientation, likewise [rad].
+        tolerance: default tolerance of the position.
+        turn: default tolerance of the orientation [rad].
         pace: of the actuators.
-        now: time of arrival, UNIX seconds.
+        now: time of arrival [UNIX s].
         manipulator: the whole arm, for waypoints that are configurations; None: such waypoints are refused.
 
     Raises:
-        Refusal: what is wrong, by field.
+        Refusal: the goal is invalid; the message names the field.
     """
     if not message.waypoints:
         raise refusal("waypoints: empty; at least one is needed")
@@ -232,7 +232,7 @@ def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: 
     """Checks the waypoints' times.
 
     Raises:
-        Refusal: they do not increase, follow faster than the actuators, lie in the past, or too far ahead.
+        Refusal: times do not increase, are closer than the actuators allow, lie in the past, or too far ahead.
     """
     steps = times[1:] - times[:-1]
     if (steps <= 0).any():

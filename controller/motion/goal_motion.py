@@ -1,22 +1,22 @@
-"""How moving goals move, and how streams of set-points behave."""
+"""Parameters of moving goals and of streams of set-points."""
 
 from dataclasses import dataclass, fields
 
-LEAST, MOST = 1e-9, 1e6  # of a value of Tracking; beyond, its square or another's is lost to rounding
+LEAST, MOST = 1e-9, 1e6  # of a value of Tracking; outside, squares lose all precision
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """How goals move and streams behave; lengths in the arm's unit, the defaults in metres.
+    """How goals move and how streams behave; lengths in the arm's unit, defaults in metres.
 
     Attributes:
-        acceleration: standard deviation of the goal's acceleration between two setpoints [m/s^2].
-        noise: standard deviation of a setpoint's coordinate [m].
-        speed: standard deviation of a coordinate's velocity at the start [m/s]; one four times as fast is not caught.
-        timeout: the stream has stopped when it has been quiet for so long [s]; no prediction looks further ahead.
-        validity: a setpoint older on arrival is stale [s].
-        slack: how far the sender's clock may run ahead of ours [s].
-        agreeing: outliers in a row that agree on a new track make it the goal's.
+        acceleration: standard deviation of the goal's acceleration between two set-points [m/s^2].
+        noise: standard deviation of a set-point's coordinate [m].
+        speed: standard deviation of the initial velocity, per coordinate [m/s]; four times this speed is not tracked.
+        timeout: silence after which the stream has stopped [s]; predictions look no further ahead.
+        validity: greatest age of a set-point on arrival [s].
+        slack: how far the sender's clock may be ahead of ours [s].
+        agreeing: consecutive outliers that must agree before they start a new track.
     """
 
     acceleration: float = 0.5
@@ -28,26 +28,26 @@ class Tracking:
     agreeing: int = 3
 
     def __post_init__(self) -> None:
-        """Raises ValueError where a value is out of bounds, or setpoints are valid for longer than the time-out."""
+        """Raises ValueError if a value is out of bounds, or if validity and slack exceed the time-out."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not LEAST <= value <= MOST:
                 raise ValueError(f"{field.name}: {value} given, a number from 1e-9 to 1e6 is needed")
-        if self.validity + self.slack > self.timeout:  # else, after a time-out, one could be older than the last
+        if self.validity + self.slack > self.timeout:  # otherwise the first set-point after a time-out may be too old
             raise ValueError(
                 f"validity: {self.validity:g} s and slack {self.slack:g} s exceed timeout {self.timeout:g} s"
             )
 
 
 def tracking_of(length: float, tolerance: float) -> Tracking:
-    """Returns how goals of an arm move, in its own unit of length.
+    """Returns the parameters of goals for one arm, in its own unit of length.
 
-    A set-point is about as exact as the tolerance. A goal passes an eighth of the arm's length in a second, and reaches
-    that speed in a second.
+    The noise of a set-point is about the tolerance. A goal crosses an eighth of the arm's length in one second, and
+    reaches that speed in one second.
 
     Args:
         length: of the arm.
-        tolerance: of its goals.
+        tolerance: of the position of its goals.
     """
     speed = min(max(length / 8, LEAST), MOST)
     return Tracking(acceleration=speed, noise=min(max(min(tolerance, length / 100), LEAST), MOST), speed=speed)

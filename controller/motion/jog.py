@@ -1,4 +1,4 @@
-"""Requests to switch single actuators, whatever the configuration: strict decoding."""
+"""Requests to switch single actuators, in any configuration or none: strict decoding."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -12,7 +12,7 @@ STATES = ("contracted", "extended")
 
 
 class JogMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `jog`: the state that each of some actuators is to switch to."""
+    """The payload of `jog`: the new state of each actuator, by label."""
 
     actuators: Annotated[dict[str, Literal["contracted", "extended"]], Meta(min_length=1)]
 
@@ -25,7 +25,7 @@ def decode(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
         actuators: labels, in the order of the state vectors.
 
     Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
     message = parse(payload, JogMessage, "jog")
     indices = {label: k for k, label in enumerate(actuators)}

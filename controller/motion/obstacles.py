@@ -1,4 +1,4 @@
-"""Requests to keep out of regions: strict decoding."""
+"""Obstacles from the network: strict decoding."""
 
 from msgspec import Struct
 
@@ -11,20 +11,20 @@ MOST_BYTES = 200_000  # 256 obstacles with long names and all digits
 
 
 class ObstaclesMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `obstacles`: all regions beside those of the arm's file, in the same notation."""
+    """The payload of `obstacles`: all obstacles beside those of the arm's file, in the same notation."""
 
     regions: ObstacleList
 
 
 def decode(payload: bytes, dimension: int) -> Obstacles:
-    """Returns the regions in a payload.
+    """Returns the obstacles in a payload.
 
     Args:
         payload: JSON.
         dimension: of the arm, 2 or 3.
 
     Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
     message = parse(payload, ObstaclesMessage, "obstacles", MOST_BYTES)
     faults = list[str]()

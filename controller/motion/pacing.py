@@ -1,4 +1,4 @@
-"""The pace of transitions: as many stages as there is time for, none above the bound on the inrush."""
+"""The pace of transitions: as many stages as the time allows, within the inrush bound."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,25 +16,25 @@ from controller.obstacles.sweep import Sweep
 from controller.settings import ArmSettings
 
 PERIOD = 0.01  # [s] of the executor's loop
-MOST_STAGES = 8  # of a transition, unless the bound needs more: the tip then strays little less
+MOST_STAGES = 8  # of a transition, unless the inrush bound needs more; further stages lower the deviation little
 
 
 class Infeasible(ValueError):
-    """A transition cannot be carried out in the time there is."""
+    """The time is too short for a transition."""
 
 
 class Blocked(Infeasible):
-    """No order of its actuators was found in which nothing is touched."""
+    """No collision-free sequence of stages was found."""
 
 
 @dataclass(frozen=True, eq=False)
 class Staged:
-    """A transition as it is carried out.
+    """A transition as a sequence of stages.
 
     Attributes:
-        stages: actuator states that each stage ends in, shape (k, A); k is at least 1, and 1 where nothing switches.
+        stages: actuator states after each stage, shape (k, A); k >= 1, also if nothing switches.
         deviation_source: the deviation, or a function that computes it. Computing it would delay the start of a goal.
-        strict: whether the stages keep clear of something, so that none may be left out or taken with another.
+        strict: the stages are collision-free one after the other; none may be skipped or merged with the next.
     """
 
     stages: NDArray[np.uint8]
@@ -43,18 +43,18 @@ class Staged:
 
     @cached_property
     def deviation(self) -> float | None:
-        """Greatest distance of the tip from the straight line; None: not known."""
+        """Greatest distance of the tip from the straight line; None if it is not known."""
         return self.deviation_source() if callable(self.deviation_source) else self.deviation_source
 
 
 @dataclass(frozen=True)
 class Pace:
-    """What bounds the pace of an arm's transitions.
+    """The limits on an arm's transitions.
 
     Attributes:
-        lead: time that one stage needs, from the tick before it to its end [s].
-        inrush: most actuators that may switch at once; None: no bound, and every transition is one stage unless it must
-            keep clear of something.
+        lead: time of one stage, from the tick before it to its end [s].
+        inrush: most actuators that may switch at once. None: no limit; a transition is one stage, unless obstacles
+            need more.
         rest: time that an actuator rests between two travels [s].
     """
 
@@ -69,15 +69,15 @@ class Pace:
 
     @property
     def unhurried(self) -> float:
-        """Time between two waypoints beyond which more changes nothing, however many actuators switch [s]."""
+        """Time between two waypoints that suffices for any number of switches [s]; more time changes nothing."""
         return self.rest + self.lead * (1 if self.inrush is None else MOST_STAGES)
 
     def needed(self, switches: int) -> float:
-        """Returns the least time between two waypoints that are so many switches apart [s]."""
+        """Returns the least time between two waypoints for a number of switches [s]."""
         return self.rest + self.lead * max(self._fewest(switches), 1)
 
     def longest(self, available: NDArray[np.float64], actuators: int, strict: bool) -> NDArray[np.float64]:
-        """Returns the most time that transitions of an arm take where so much is available (n,) [s]; see Staged."""
+        """Returns the longest duration of transitions (n,) [s], from the time that is available to each (n,) [s]."""
         if strict:
             return np.minimum(available - self.rest, self.lead * actuators)
         if self.inrush is None:
@@ -94,20 +94,20 @@ class Pace:
         sweep: Sweep | None = None,
         patience: float = DETOUR_TIME,
     ) -> Staged:
-        """Returns how a transition is carried out.
+        """Returns the stages of a transition.
 
         Args:
             manipulator: the arm.
             before: configuration, shape (B,).
             after: configuration, shape (B,).
-            available: time from the waypoint before to the one after [s]; None: as much as wanted.
-            with_deviation: whether to with_deviation the deviation where there is no bound on what switches at once.
-            sweep: of what must touch nothing, in no order and mid-stroke of a stage's actuators; None: anything may.
-            patience: time for a roundabout way, on which actuators switch to and fro, where no plain one is found [s].
+            available: time from the waypoint before to the one after [s]; None: unlimited.
+            with_deviation: compute the deviation, also without an inrush bound.
+            sweep: swept checks that the stages must pass, in any order of a stage's actuators; None: no checks.
+            patience: time to search for a detour, on which actuators switch back and forth [s].
 
         Raises:
-            Infeasible: that is too little; the message says what is needed.
-            Blocked: no stages are found that touch nothing; the message says what is in the way.
+            Infeasible: the time is too short; the message says what is needed.
+            Blocked: no collision-free stages were found; the message names the obstacle.
         """
         if sweep is not None:
             return self._clear(manipulator, before, after, available, with_deviation, sweep, patience)
@@ -127,7 +127,7 @@ class Pace:
         for limit in sorted({max(min(room, MOST_STAGES), fewest), room}):
             try:
                 found = order_stages(manipulator, before, after, self.inrush, limit)
-            except ValueError:  # every order of so few stages would end one in states that a module does not have
+            except ValueError:  # with so few stages, each order ends a stage in a module's unknown state
                 continue
             return Staged(rows(manipulator.actuator_states(before), found.actuators), found.deviation)
         raise Infeasible(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
@@ -142,29 +142,28 @@ class Pace:
         sweep: Sweep,
         patience: float,
     ) -> Staged:
-        """Returns a transition that touches nothing: as any other where that is clear, else in other stages."""
+        """Returns collision-free stages: those without obstacles if they are clear, otherwise a sequence of others."""
         start, transition = manipulator.actuator_states(before), build_transition(manipulator, before, after)
         n = len(transition.actuators)
         room = np.inf if available is None or self.lead == 0 else int((available - self.rest) / self.lead + 1e-9)
-        ways = StageSequencer(sweep, start, self.inrush or len(start))
+        sequencer = StageSequencer(sweep, start, self.inrush or len(start))
         usual = self.staged(manipulator, before, after, available, with_deviation)
         stages = numbered(start, usual.stages)
-        if ways.clear(stages):
+        if sequencer.clear(stages):
             return replace(usual, strict=True)
-        if (
-            touch := sweep.first_collision(start, np.arange(0))
-        ) is not None:  # however little time is left to look for ways
-            raise Blocked(f"the arm touches something where it stands: {sweep.describe(touch)}")
+        if (touch := sweep.first_collision(start, np.arange(0))) is not None:  # also if no time is left for a search
+            raise Blocked(f"the arm collides where it stands: {sweep.describe(touch)}")
         upwards, own = transition.actuators, np.concatenate(stages)
-        cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := ways.cut(order))]
+        cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := sequencer.cut(order))]
         if not any(len(cut) <= room for cut in cuts) and patience > 0:
-            order = ways.order(manipulator.actuator_states(after), self.rest == 0, patience)
-            cuts += [cut for cut in ([] if order is None else [ways.cut(order)]) if cut]
+            order = sequencer.order(manipulator.actuator_states(after), self.rest == 0, patience)
+            cuts += [cut for cut in ([] if order is None else [sequencer.cut(order)]) if cut]
         if not cuts:
-            raise Blocked(ways.blame)
+            raise Blocked(sequencer.obstruction)
         best = min(cuts, key=len)
         if len(best) > room:
-            raise Blocked(f"{len(best)} stages keep clear of all, there is time for {room}: {ways.blame}")
+            detail = f"takes {len(best)} stages, there is time for {room}: {sequencer.obstruction}"
+            raise Blocked(f"a collision-free transition {detail}")
         deviation = None
         if with_deviation and sum(map(len, best)) == n:
             known = replace(transition, unknown=SKIPPED)
@@ -172,7 +171,7 @@ class Pace:
         return Staged(rows(start, tuple(tuple(stage.tolist()) for stage in best)), deviation, strict=True)
 
     def _fewest(self, switches: int) -> int:
-        """Returns the fewest stages."""
+        """Returns the fewest stages for a number of switches."""
         return -(-switches // (self.inrush or max(switches, 1)))
 
 
@@ -196,7 +195,7 @@ def deviation_at_once(manipulator: Manipulator, before: Configuration, after: Co
 
 
 def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDArray[np.uint8]:
-    """Returns the actuator states (k, A) after each of the stages that follow on states (A,)."""
+    """Returns the actuator states (k, A) after each stage, from states (A,); a stage lists actuators that switch."""
     result = np.tile(states, (len(stages), 1))
     for k, stage in enumerate(stages):
         result[k:, list(stage)] ^= 1
@@ -204,5 +203,5 @@ def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDAr
 
 
 def numbered(states: NDArray[np.uint8], stages: NDArray[np.uint8]) -> list[NDArray[np.int64]]:
-    """Returns which actuators switch in each of the stages, as rows (k, A), that follow on states (A,)."""
+    """Returns the actuators that switch in each stage (k, A), from states (A,)."""
     return [np.flatnonzero(change) for change in np.diff(np.vstack([states, stages]).astype(int), axis=0)]

@@ -26,7 +26,7 @@ class PointStages:
     Attributes:
         point: index in the trajectory; the mark of the last stage.
         stages: at least one.
-        transition: of which they are.
+        transition: the transition that the stages carry out.
     """
 
     point: int
@@ -35,7 +35,7 @@ class PointStages:
 
     @property
     def deviation(self) -> float | None:
-        """Greatest distance of the tip from the straight line meanwhile; None: not known."""
+        """Greatest distance of the tip from the straight line; None if it is not known."""
         return self.transition.deviation
 
     @property
@@ -50,7 +50,7 @@ def pack_states(states: States) -> list[bytes]:
 
 
 def unpack_states(packed: bytes, actuators: int) -> States:
-    """Returns the states (A,) of so many actuators from the executor's packing."""
+    """Returns actuator states (A,) from the executor's packing."""
     return np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=actuators, bitorder="little")
 
 
@@ -62,10 +62,10 @@ def point_stages(
     Args:
         trajectory: of the goal.
         point: index in it.
-        transition: its stages.
-        lead: time that one stage needs [s].
+        transition: to the point.
+        lead: time of one stage [s].
         delay: the trajectory's t = 0 in the program's time [s].
-        not_before: when the stage before begins in the program's time [s]; begins never decrease.
+        not_before: begin of the stage before, in the program's time [s]; begins never decrease.
         pack: packs actuator states.
     """
     packed, time = pack(transition.stages), float(trajectory.times[point]) + delay
@@ -87,15 +87,15 @@ def stages_from(
 ) -> Iterator[PointStages]:
     """Yields the stages to each point of a plan from point `first` on.
 
-    A point between waypoints at which the arm holds its configuration has no stages and is left out.
+    A point between waypoints that needs no switch has no stages and is omitted.
 
     Args:
         plan: the plan.
         first: index of a point.
         end: packed states after the point before; None: there is none.
-        lead: time that one stage needs [s].
+        lead: time of one stage [s].
         delay: the trajectory's t = 0 in the program's time [s].
-        not_before: when the stage before `first` begins in the program's time [s].
+        not_before: begin of the stage before `first`, in the program's time [s].
         pack: packs actuator states.
     """
     trajectory, transitions = plan.trajectory, plan.transitions
@@ -108,19 +108,19 @@ def stages_from(
 
 
 def delay_of(trajectory: Trajectory, needed: float) -> float:
-    """Returns t = 0 of a trajectory without a stamp, after its program is taken [s].
+    """Returns t = 0 of a trajectory without a stamp, as a delay after the executor accepts the program [s].
 
-    It is as much later as the first point's actuators need: that point is not late, and all keep their distances.
+    The delay gives the first point's actuators the time they need. The times between points stay as they are.
 
     Args:
         trajectory: the goal.
-        needed: time from taking the program until the first point's actuators can be settled [s].
+        needed: time from acceptance until the first point's actuators can have settled [s].
     """
     return max(needed - float(trajectory.times[0]), 0.0)
 
 
 def in_groups(states: States, target: States, most: int) -> States:
-    """Returns the stages (k, A) from actuator states (A,) to others, at most `most` actuators at once, base first.
+    """Returns stages (k, A) between two actuator states (A,), with at most `most` actuators at once, base first.
 
     The stages may end in states that are no configuration.
     """
@@ -135,5 +135,5 @@ def in_groups(states: States, target: States, most: int) -> States:
 
 
 def flatten(points: Sequence[PointStages]) -> list[Stage]:
-    """Returns the stages of points in their order."""
+    """Returns the stages of all points, in order."""
     return [stage for point in points for stage in point.stages]

@@ -1,4 +1,4 @@
-"""From any actuator states to others, with a bound on how many switch at once; every module stays in states it has."""
+"""Restaging: stages from the present actuator states to a planned configuration, within the inrush bound."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,14 +9,15 @@ States = NDArray[np.uint8]
 
 
 def restage(manipulator: Manipulator, states: States, stages: States, most: int) -> States:
-    """Returns the stages by which a transition, planned from other states, is carried out from these.
+    """Returns the stages of a transition that was planned from other actuator states.
 
-    What has its last state already does not switch; if the states are those it was planned from, its stages stay.
+    Actuators that are already in their last state do not switch. If the states are those of the plan, the planned
+    stages are returned. Each stage ends in a configuration.
 
     Args:
         manipulator: the arm.
-        states: of a configuration, shape (A,).
-        stages: as planned, shape (k, A).
+        states: present states, of a configuration, shape (A,).
+        stages: planned stages, shape (k, A).
         most: actuators that may switch at once.
     """
     result: list[States] = []
@@ -33,9 +34,9 @@ def restage(manipulator: Manipulator, states: States, stages: States, most: int)
 
 
 def step(manipulator: Manipulator, states: States, wanted: States, most: int) -> States:
-    """Returns the states after one stage on the way between those of two configurations.
+    """Returns the states (A,) after one stage from `states` towards `wanted`, the states of two configurations.
 
-    Module by module is switched from the base on; one with more switches than the bound goes on its own.
+    Modules switch in order from the base. A module that exceeds the bound alone switches alone, in several stages.
     """
     result, left, start = states.copy(), most, 0
     for module in manipulator.modules:
@@ -52,10 +53,10 @@ def step(manipulator: Manipulator, states: States, wanted: States, most: int) ->
 
 
 def module_step(codes: States, code: States, wanted: States, most: int) -> States:
-    """Returns the code (a,) after the first of the fewest steps from one of a module's codes (K, a) to another.
+    """Returns the first code (a,) on a shortest path from `code` to `wanted` among a module's codes (K, a).
 
     Raises:
-        ValueError: there is no way with at most `most` switches a step.
+        ValueError: no path has at most `most` switches a step.
     """
     layer = seen = (codes == wanted).all(axis=1)
     near = (codes != code).sum(axis=1) <= most
@@ -69,7 +70,7 @@ def module_step(codes: States, code: States, wanted: States, most: int) -> State
 
 
 def is_configuration(manipulator: Manipulator, states: States) -> bool:
-    """Returns whether actuator states (A,) are a configuration's."""
+    """Returns whether actuator states (A,) spell a configuration."""
     try:
         manipulator.configuration(states)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Setpoints as they stream in over the network: strict decoding of one, and of the like of it."""
+"""Set-points from the network: strict decoding, shared with the other small messages."""
 
 import json
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ MOST_BYTES = 10_000
 
 
 class SetpointMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of a setpoint; `stamp` is UNIX seconds at which the goal was there, 0 meaning on arrival."""
+    """The payload of a set-point; `stamp` is the time of the position [UNIX s], 0 means on arrival."""
 
     position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
     stamp: Time = 0.0
@@ -28,11 +28,11 @@ class SetpointMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Setpoint:
-    """Where a moving goal was at one time.
+    """The position of a moving goal at one time.
 
     Attributes:
         position: of the goal in the world, shape (dimension,).
-        stamp: when it was there by the sender's clock [UNIX s], None: on arrival.
+        stamp: time of the position by the sender's clock [UNIX s]; None: on arrival.
         tolerance: greatest distance of the tip from the goal.
     """
 
@@ -42,15 +42,15 @@ class Setpoint:
 
 
 def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
-    """Returns the setpoint in a payload.
+    """Returns the set-point in a payload.
 
     Args:
         payload: JSON.
         dimension: number of coordinates of a position, 2 or 3.
-        tolerance: of the position, where the setpoint has none.
+        tolerance: default tolerance of the position.
 
     Raises:
-        Refusal: what is wrong, by field; nothing else, whatever the bytes.
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
     message = parse(payload, SetpointMessage, "setpoint")
     if len(message.position) != dimension:
@@ -65,10 +65,16 @@ def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
 
 
 def parse(payload: bytes, kind: type[S], name: str, most: int = MOST_BYTES) -> S:
-    """Returns the message of a kind in a payload of at most so many bytes; `name` is what a refusal calls it.
+    """Returns the message of a kind in a payload.
+
+    Args:
+        payload: JSON.
+        kind: of the message.
+        name: of the message in refusals.
+        most: greatest size [bytes].
 
     Raises:
-        Refusal: too large, not UTF-8, not JSON, or not such a message.
+        Refusal: too large, not UTF-8, not JSON, or not a message of this kind.
     """
     if len(payload) > most:
         raise refusal(f"{name} of {len(payload)} bytes, at most {most} are taken")
@@ -83,12 +89,12 @@ def parse(payload: bytes, kind: type[S], name: str, most: int = MOST_BYTES) -> S
         raise refusal(f"{name}: an object with {needed} is needed")
     try:
         return msgspec.convert(value, kind)
-    except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check tells what, by field
+    except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check names each fault
         raise _refusal_of(value, kind, name) from None
 
 
 def _refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
-    """Returns the refusal of a value that is no message of a kind."""
+    """Returns the refusal of a value that is no message of a kind; it names the first three faults."""
     faults: list[str] = []
     try:
         check(value, kind, faults)

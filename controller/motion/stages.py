@@ -1,4 +1,4 @@
-"""The stages of one transition: which actuators switch together, and in what order, so that the tip strays least."""
+"""The stages of one transition: which actuators switch together and in which order, so that the tip deviates least."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
@@ -12,26 +12,26 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.deviation import Array, Index, Transition
 from controller.motion.transition import build_transition
 
-EXACT = 11  # most switches of which every order is weighed: 9 ms, at 12 they would take 24
-WINDOW = 8  # most of a window of stages that are put in the best order
-ROUNDS = 20  # most changes made
-TRIES = 100  # most changes tried for each
+EXACT = 11  # most switches for which all orders are compared: 9 ms; 12 would take 24 ms
+WINDOW = 8  # most actuators of consecutive stages that are reordered exactly
+ROUNDS = 20  # most improvements
+TRIES = 100  # most changes tried for one improvement
 NEAR = 3  # stages on either side with which a stage swaps actuators
-BEAM = 75_000  # width of the beam times the square of the number of actuators
-PRESENT = 0.1  # weight of the deviation at the moment beside the greatest so far, in the beam
-SKIPPED = -1.0  # deviation of actuator states that the module has no state for
-SLACK = 1e-9  # of the greatest deviation; those no further apart count as equal
-ROUNDING = 1e-15  # of an deviation
+BEAM = 75_000  # beam width times the square of the number of actuators
+PRESENT = 0.1  # weight of the present deviation beside the greatest so far, in the beam's score
+SKIPPED = -1.0  # deviation that is assumed for actuator states that a module has no state for
+SLACK = 1e-9  # deviations that differ by this share of the greatest count as equal
+ROUNDING = 1e-15  # rounding error of a deviation
 
 
 @dataclass(frozen=True)
 class Stages:
-    """What switches together, and how far the tip strays from the straight line between its two ends.
+    """An ordered partition of the actuators that switch, and its deviation from the straight line.
 
     The actuators of a stage finish in any order, so every subset of them may have switched for a while.
 
     Attributes:
-        actuators: indices into the arm's actuators, ascending within a stage, stage by stage.
+        actuators: indices into the arm's actuators, for each stage, ascending within a stage.
         deviation: greatest distance of the tip from the line.
         at_once: likewise if all actuators switched in one stage.
     """
@@ -44,25 +44,25 @@ class Stages:
 def order_stages(
     manipulator: Manipulator, start: Configuration, end: Configuration, most: int, stages: int | None = None
 ) -> Stages:
-    """Returns the stages that take the tip from `start` to `end` with the smallest deviation found, and so the fewest.
+    """Returns the stages from `start` to `end` with the smallest deviation found, and the fewest of these.
 
-    For up to EXACT switches it is the smallest there is. For more, orders found by beam search, from base to tip and
-    from tip to base are cut into stages as well as can be, the best is taken and its worst stages are improved: it may
-    not be the smallest. Deviations of more actuators at once than deviation.COUNTED, in `at_once` or in a stage, are
-    found by ascent and may be too low.
+    Up to EXACT switches the deviation is the minimum. Above, several orders (by beam search in both directions, base to
+    tip, and tip to base) are cut into stages optimally; the best is then improved around its worst stages. The result
+    may not be the minimum. Deviations of more than deviation.COUNTED actuators at once are found by ascent and may be
+    too low.
 
-    Each stage ends in actuator states that every module has a state for. Others in between are avoided if the bounds
-    allow it, whatever the deviation, and otherwise left out of it: where the tip then is, nobody knows.
+    Each stage ends in actuator states that every module has a state for. Unknown states within a stage are avoided if
+    the bounds allow it. Otherwise their deviation is not counted, because the tip's position is not known in them.
 
     Args:
         manipulator: the arm.
         start: configuration, shape (B,).
         end: configuration, shape (B,).
-        most: actuators that may switch at once, a bound on the inrush current.
-        stages: for how many there is time, None: any number.
+        most: actuators that may switch at once (inrush bound).
+        stages: most stages that the time allows; None: any number.
 
     Raises:
-        ValueError: `most` is less than 1, `stages` too few, or no order ends each stage in states that modules have.
+        ValueError: `most` is less than 1, `stages` is too small, or each order found ends a stage in an unknown state.
     """
     if most < 1:
         raise ValueError(f"most: {most} actuators at once, at least 1 is needed")
@@ -89,14 +89,14 @@ def order_stages(
 
 
 def peaks(transition: Transition, masks: Index, stages: list[Index]) -> Iterator[float]:
-    """Yields each stage's greatest deviation, the first on top of masks (m,)."""
+    """Yields the greatest deviation of each stage, from masks (m,)."""
     for stage in stages:
         yield transition.greatest(masks, stage)
         masks = masks + transition.masks([stage])
 
 
 def least(levels: Array, split: Callable[[float], list[Index]], limit: int) -> list[Index]:
-    """Returns what `split` gives for the least level at which these are at most `limit` stages; it fails with none."""
+    """Returns split(level) for the least level that needs at most `limit` stages; an empty list if there is none."""
     levels = np.unique(levels[np.isfinite(levels)])
     slack = SLACK * levels.max(initial=0.0) + ROUNDING
     index = bisect_left(levels, True, key=lambda level: 0 < len(split(level + slack)) <= limit)
@@ -104,7 +104,7 @@ def least(levels: Array, split: Callable[[float], list[Index]], limit: int) -> l
 
 
 def best_stages(transition: Transition, masks: Index, actuators: Index, most: int, limit: int) -> list[Index]:
-    """Returns the best stages for some of the actuators on top of masks (m,), none if there are none."""
+    """Returns the best stages of some actuators from masks (m,); an empty list if there are none."""
     deviations = transition.deviations(masks, actuators)
     spans, bits = fill_spans(deviations), np.arange(len(actuators))
 
@@ -115,7 +115,7 @@ def best_stages(transition: Transition, masks: Index, actuators: Index, most: in
 
 
 def good_stages(transition: Transition, most: int, limit: int) -> list[Index]:
-    """Returns good stages for many actuators, none if none are found."""
+    """Returns good stages for more than EXACT actuators; an empty list if none are found."""
     upwards = np.arange(len(transition.actuators))
     orders = [beam(transition), beam(transition.back())[::-1].copy(), upwards, upwards[::-1].copy()]
     cuts = [stages for order in orders if (stages := cut(transition, order, most, limit))]
@@ -128,10 +128,10 @@ def good_stages(transition: Transition, most: int, limit: int) -> list[Index]:
 
 
 def beam(transition: Transition) -> Index:
-    """Returns the actuators one after the other (n,) so that the deviation is small; empty if none may follow."""
+    """Returns an order of all actuators (n,) with a small deviation, by beam search; empty if each order is blocked."""
     n, m = len(transition.actuators), len(transition.end)
     width = min(max(BEAM // n**2, 4), 32)
-    salts = np.random.default_rng(0).integers(0, 2**62, n)  # their sum stands for the set of those that have switched
+    salts = np.random.default_rng(0).integers(0, 2**62, n)  # their sum identifies the set of switched actuators
     masks, orders = np.zeros((1, m), dtype=np.int64), np.zeros((1, 0), dtype=np.int64)
     keys, greatest = np.zeros(1, dtype=np.int64), np.zeros(1)
     for _ in range(n):
@@ -150,9 +150,9 @@ def beam(transition: Transition) -> Index:
 
 
 def cut(transition: Transition, order: Index, most: int, limit: int) -> list[Index]:
-    """Returns the best stages of actuators that follow one another in `order`, none if there are none."""
+    """Returns the best cut of an order into stages; an empty list if there is none."""
     n, modules = len(order), np.arange(len(transition.end))
-    wide = limit * min(most, WINDOW) < n  # stages of so many actuators are judged by their number alone
+    wide = limit * min(most, WINDOW) < n  # stages must be too large for their deviations: minimize their number only
     reach = min(most, n if wide else WINDOW)
     masks = np.array([transition.masks([order[:i]]) for i in range(n + 1)])
     ends = np.all(transition.known[modules, masks[1:]], axis=1)
@@ -178,14 +178,14 @@ def cut(transition: Transition, order: Index, most: int, limit: int) -> list[Ind
 
 
 def improve(transition: Transition, stages: list[Index], most: int, limit: int) -> list[Index]:
-    """Returns the stages after changes around the worst of them, as long as one betters it."""
+    """Returns the stages after changes around the worst stage, repeated as long as one lowers its deviation."""
     tops = list(peaks(transition, transition.masks([]), stages))
     for _ in range(ROUNDS):
         worst = int(np.argmax(tops))
-        lower = tops[worst] * (1 - SLACK)
+        threshold = tops[worst] * (1 - SLACK)
         for first, last, change in islice(changes(transition, stages, worst, most, limit), TRIES):
             heights = peaks(transition, transition.masks(stages[:first]), change)
-            if change and len(fitting := list(takewhile(lower.__gt__, heights))) == len(change):
+            if change and len(fitting := list(takewhile(threshold.__gt__, heights))) == len(change):
                 stages, tops = stages[:first] + change + stages[last:], tops[:first] + fitting + tops[last:]
                 break
         else:
@@ -196,7 +196,7 @@ def improve(transition: Transition, stages: list[Index], most: int, limit: int) 
 def changes(
     transition: Transition, stages: list[Index], worst: int, most: int, limit: int
 ) -> Iterator[tuple[int, int, list[Index]]]:
-    """Yields first, end and replacement of stages around one: each window in its best order, then swaps with others."""
+    """Yields changes as (first, last, replacement of stages first:last): reordered windows, then swaps of actuators."""
     ends = np.cumsum([0, *map(len, stages)])
     for first in range(worst, -1, -1):
         last = int(np.searchsorted(ends, ends[first] + WINDOW, side="right")) - 1
@@ -204,7 +204,7 @@ def changes(
             break
         window, spare = np.concatenate(stages[first:last]), limit - len(stages) + last - first
         yield first, last, best_stages(transition, transition.masks(stages[:first]), window, most, spare)
-    if transition.unknown == np.inf:  # else a swap might end a stage where a module has no state
+    if transition.unknown == np.inf:  # otherwise a swap might end a stage in an unknown state
         for other in sorted(range(len(stages)), key=lambda k: abs(k - worst))[1 : 2 * NEAR + 1]:
             first, last = min(worst, other), max(worst, other) + 1
             for j, k in product(range(len(stages[worst])), range(len(stages[other]))):
@@ -214,9 +214,9 @@ def changes(
 
 
 def fill_spans(deviations: Array) -> Array:
-    """Returns the greatest deviation of every possible stage, from those of all subsets (2^k,).
+    """Returns the greatest deviation within every possible stage, from the deviations of all subsets (2^k,).
 
-    Digit j of the index to base 3 is 0 if actuator j switches later, 1 if earlier, 2 if in this stage; shape (3^k,).
+    Digit j of the base-3 index is 0 if actuator j switches later, 1 if earlier, 2 if in this stage; shape (3^k,).
     """
     right, spans = len(deviations), deviations
     while right > 1:
@@ -228,7 +228,7 @@ def fill_spans(deviations: Array) -> Array:
 
 @njit("i8[::1](f8[::1], f8[::1], i8, f8)", cache=True, nogil=True)
 def partition(deviations: Array, spans: Array, most: int, level: float) -> Index:
-    """Returns the fewest stages, as masks of actuators, whose deviations are at most the level; none if none are."""
+    """Returns the fewest stages, as masks of actuators, with deviations of at most `level`; empty if there are none."""
     size = len(deviations)
     ternary, ones, counts = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64), np.full(size, size)
     last = np.zeros(size, dtype=np.int64)
@@ -245,7 +245,7 @@ def partition(deviations: Array, spans: Array, most: int, level: float) -> Index
             if counts[rest] + 1 < counts[whole] and ones[part] <= most and spans[span] <= level:
                 counts[whole], last[whole] = counts[rest] + 1, part
             part = (part - 1) & whole
-    result = np.empty(counts[-1] % size, dtype=np.int64)  # empty if the last count is still `size`
+    result = np.empty(counts[-1] % size, dtype=np.int64)  # empty if counts[-1] is still `size`
     whole = size - 1
     for stage in range(len(result) - 1, -1, -1):
         result[stage] = last[whole]

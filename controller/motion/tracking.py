@@ -1,4 +1,4 @@
-"""Tracking of a moving goal: a Kalman filter over a stream of setpoints, and where the goal will be."""
+"""Tracking of a moving goal: a Kalman filter over a stream of set-points, and its prediction."""
 
 import math
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from controller.motion.kalman import kalman_filter, white_noise
 Vector = NDArray[np.float64]
 
 GATES = {2: 13.816, 3: 16.266}  # chi-square, 99.9 %, by dimension
-FARTHEST = 1e6  # as of goals; what lies beyond would overflow when squared
+FARTHEST = 1e6  # greatest coordinate, as for goals; greater ones overflow when squared
 
 
 class Prediction(NamedTuple):
-    """Where the goal will be.
+    """The predicted goal.
 
     Attributes:
         position: in the world, shape (dimension,).
@@ -32,11 +32,11 @@ class Prediction(NamedTuple):
 
 
 class ConstantVelocity:
-    """A track: filterpy's Kalman filter over the state [p; v], with white noise for acceleration.
+    """A track: filterpy's Kalman filter over the state [p; v], with white-noise acceleration.
 
     Attributes:
         time: of the last update [s].
-        updates: setpoints taken since the start, 0: there is no track.
+        updates: set-points taken since the start; 0: there is no track.
     """
 
     def __init__(self, dimension: int, tracking: Tracking) -> None:
@@ -49,20 +49,20 @@ class ConstantVelocity:
         self._start = np.diag(np.repeat([tracking.noise**2, tracking.speed**2], dimension))
 
     def start(self, position: Vector, time: float) -> None:
-        """Begins at rest, of unknown velocity, at `position` (dimension,)."""
+        """Starts at `position` (dimension,) with an unknown velocity of mean zero."""
         self._kalman.x = np.concatenate((position, np.zeros(self._dimension)))
         self._kalman.P = self._start
         self.time, self.updates = time, 1
 
     def update(self, position: Vector, time: float) -> None:
-        """Takes `position` (dimension,), measured at `time`."""
+        """Updates the track with `position` (dimension,), measured at `time`."""
         transition, noise = self._until(time)
         self._kalman.predict(F=transition, Q=noise)
         self._kalman.update(position)
         self.time, self.updates = time, self.updates + 1
 
     def predict(self, time: float) -> Prediction:
-        """Returns where the goal is at `time`."""
+        """Returns the predicted goal at `time`."""
         transition, noise = self._until(time)
         state, covariance = transition @ self._kalman.x, transition @ self._kalman.P @ transition.T + noise
         d = self._dimension
@@ -84,15 +84,15 @@ class ConstantVelocity:
 
 
 class GoalTracker:
-    """Follows one moving goal. All times come from the caller, UNIX seconds of one clock, save the senders' stamps.
+    """Tracks one moving goal. The caller gives all times, UNIX seconds of one clock; stamps are by the sender's clock.
 
     Attributes:
-        outliers: setpoints dropped by the gate so far.
-        jumps: how often the track was started anew where outliers agreed.
+        outliers: set-points dropped by the gate so far.
+        jumps: how often agreeing outliers started a new track.
     """
 
     def __init__(self, dimension: int, tracking: Tracking | None = None) -> None:
-        """Builds the filters; slow, to be done before anything moves.
+        """Builds the filters. This is slow: call it before the arm moves.
 
         Raises:
             ValueError: the dimension is neither 2 nor 3.
@@ -101,56 +101,56 @@ class GoalTracker:
             raise ValueError(f"dimension: {dimension} given, goals have 2 or 3 coordinates")
         self._dimension, self._tracking = dimension, tracking or Tracking()
         self._track = ConstantVelocity(dimension, self._tracking)
-        self._rival = ConstantVelocity(dimension, self._tracking)  # of the outliers since the last setpoint that fitted
+        self._rival = ConstantVelocity(dimension, self._tracking)  # of the outliers since the last accepted set-point
         self.outliers = self.jumps = 0
         self.forget()
 
     def forget(self) -> None:
-        """Ends the track; the next setpoint starts one."""
+        """Ends the track; the next set-point starts a new one."""
         self._track.updates = self._rival.updates = 0
         self._arrival = self._stamp = -math.inf
 
     def measure(self, position: ArrayLike, stamp: float | None, arrival: float) -> bool:
-        """Takes one setpoint, and returns whether it belongs to the track; else it is an outlier.
+        """Takes one set-point; returns False if it is an outlier.
 
         Args:
             position: of the goal, shape (dimension,).
-            stamp: when the goal was there by the sender's clock, None: on arrival.
-            arrival: now.
+            stamp: time of the position by the sender's clock; None: on arrival.
+            arrival: present time.
 
         Raises:
-            Refusal: it is not finite, out of order, stale or from the future; the track is as before.
+            Refusal: the set-point is not finite, out of order, stale or from the future. The track does not change.
         """
         point = self._checked(position, stamp, arrival)
-        if not self.alive(arrival):  # the stream paused, or our clock was set
+        if not self.alive(arrival):  # the stream paused, or our clock was adjusted
             self.forget()
         time = arrival if stamp is None else min(self._ordered(stamp, arrival), arrival)
         return self._associate(point, time, arrival)
 
     def alive(self, now: float) -> bool:
-        """Returns whether a setpoint that fits the track arrived within the time-out, by our clock alone."""
+        """Returns whether the last accepted set-point arrived within the time-out, by our clock."""
         return abs(now - self._arrival) <= self._tracking.timeout
 
     def predict(self, now: float, lead: float = 0.0) -> Prediction | None:
-        """Returns where the goal will be, None when the stream is not alive.
+        """Returns the predicted goal; None if the stream is not alive.
 
         Args:
-            now: time by our clock.
-            lead: how far ahead to look, cut where it exceeds the time-out after the last setpoint [s].
+            now: present time by our clock.
+            lead: how far ahead to predict [s]; at most to the time-out after the last set-point.
         """
         return self._track.predict(self._within(now + lead)) if self.alive(now) else None
 
-    def wants(self, now: float, lead: float, tip: ArrayLike, tolerance: float) -> Vector | None:
-        """Returns the position to solve a new configuration for; None: stay.
+    def next_target(self, now: float, lead: float, tip: ArrayLike, tolerance: float) -> Vector | None:
+        """Returns the position to search a configuration for; None: the tip may stay.
 
-        It is half the tolerance ahead of a moving goal: the tip lets the goal pass before it follows, and switches
-        less. A configuration within the other half of the tolerance is within all of it from the start.
+        The position is half a tolerance ahead of the moving goal. The goal then passes the tip before the tip follows,
+        which saves switches. A configuration within the other half of the tolerance is within the tolerance at once.
 
         Args:
-            now: time by our clock.
-            lead: time until a configuration that is asked for now is reached [s].
-            tip: where the tip will be by then if nothing is asked for, shape (dimension,).
-            tolerance: the tip stays while the goal will be no farther from it.
+            now: present time by our clock.
+            lead: time until a configuration requested now is reached [s].
+            tip: position of the tip then if nothing is requested, shape (dimension,).
+            tolerance: greatest distance from the predicted goal at which the tip stays.
         """
         goal = self.predict(now, lead)
         if goal is None or np.linalg.norm(goal.position - np.asarray(tip)) <= tolerance:
@@ -159,11 +159,11 @@ class GoalTracker:
         return self._track.predict(self._within(now + lead + passing)).position
 
     def _within(self, time: float) -> float:
-        """Returns `time`, or the last that the track can tell of."""
+        """Returns `time`, at most the time-out after the last update."""
         return min(time, self._track.time + self._tracking.timeout)
 
     def _checked(self, position: ArrayLike, stamp: float | None, arrival: float) -> Vector:
-        """Returns a position that the filter can take."""
+        """Returns the position if the filter can take it."""
         point = np.asarray(position, dtype=float)
         if point.shape != (self._dimension,):
             raise refusal(f"position: shape {point.shape} given, this arm's goals have shape ({self._dimension},)")
@@ -174,7 +174,7 @@ class GoalTracker:
         return point
 
     def _ordered(self, stamp: float, arrival: float) -> float:
-        """Returns a stamp that has passed the checks, and keeps it."""
+        """Returns a stamp that passed the checks, and stores it as the last one."""
         if not stamp <= arrival + self._tracking.slack:
             ahead = f"{stamp - arrival:.3f} s in the future, at most {self._tracking.slack:g} s are taken"
             raise refusal(f"stamp: {ahead}; stamps are UNIX seconds")
@@ -187,20 +187,20 @@ class GoalTracker:
         return stamp
 
     def _associate(self, point: Vector, time: float, arrival: float) -> bool:
-        """Gives a setpoint to the track that it fits; without any it starts one."""
+        """Updates the track with a set-point that fits, or starts one; returns False for an outlier."""
         if not self._track.updates:
             self._track.start(point, time)
         elif self._track.fits(point, time):
             self._track.update(point, time)
-        elif not self._rivals(point, time):
+        elif not self._rival_won(point, time):
             self.outliers += 1
             return False
         self._rival.updates = 0
         self._arrival = arrival
         return True
 
-    def _rivals(self, point: Vector, time: float) -> bool:
-        """Gives an outlier to the rival track, and returns whether that has now become the goal's."""
+    def _rival_won(self, point: Vector, time: float) -> bool:
+        """Adds an outlier to the rival track; returns whether the rival has become the track."""
         if self._rival.updates and self._rival.fits(point, time):
             self._rival.update(point, time)
         else:

@@ -1,7 +1,7 @@
-"""Trajectories: the points that the tip is to be at, the goal's waypoints and, where lines are followed, between them.
+"""Trajectories: the goal's waypoints and, if straight lines are followed, points between them.
 
-A line is followed in parts. While the arm holds a configuration, the wanted point moves on by one part at least; what
-is near enough to the part's middle is near enough to every point of it.
+Each line is divided into parts. The target moves by one part from one point to the next. A tip that is close enough to
+the middle of a part is close enough to all of the part.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 
-if TYPE_CHECKING:  # its kernels take a second to import: who only reads messages does not wait for it
+if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
     from controller.motion.pacing import Pace
 
 MOST_POINTS = 10_000  # of a trajectory
-FINEST, COARSEST = 4, 2  # parts of a line as long as the path tolerance: where there is time, and at the least
+FINEST, COARSEST = 4, 2  # parts a path tolerance of length: if there is time, and at least
 
 Array = NDArray[np.float64]
 
@@ -29,19 +29,19 @@ IDENTITY = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A goal that has passed all checks, as points in the order of their times.
+    """A goal that has passed all checks, as points ordered by time.
 
     Attributes:
-        stamp: UNIX seconds of t = 0, None: when it is taken.
-        times: t at which the tip is to be settled, shape (n,), increasing [s].
+        stamp: UNIX seconds of t = 0; None: when the executor accepts the program.
+        times: t at which the tip must have settled, shape (n,), increasing [s].
         positions: of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part.
-        tolerances: greatest distance of the tip from each, shape (n,).
-        rotations: of the tip in the world, shape (n, 3, 3), of no meaning where any will do.
-        turns: greatest angle of the tip's orientation from each, shape (n,) [rad]; infinite where any will do.
-        waypoints: which of the points are the goal's own, shape (m,), ascending; the last point is.
-        path_tolerance: greatest distance of a settled tip from the lines' moving point; None: no lines are followed.
-        bias: that the positions are corrected by, shape (dimension,); None: by none, as no tracker tells of the tip.
-        fixed: actuator states (A,) of the points that are configurations; the positions of these points are the tip's.
+        tolerances: greatest distances of the tip from the positions, shape (n,).
+        rotations: of the tip in the world, shape (n, 3, 3); ignored where `turns` is infinite.
+        turns: tolerances of the orientations, shape (n,) [rad]; infinite where any orientation serves.
+        waypoints: indices of the goal's own points, shape (m,), ascending; the last point is one.
+        path_tolerance: greatest distance of a settled tip from the moving target; None: no lines are followed.
+        bias: tip bias by which the positions are corrected, shape (dimension,); None: there is no tracker.
+        fixed: actuator states (A,) of points given as configurations; the positions of these points are their tips.
     """
 
     stamp: float | None
@@ -56,9 +56,9 @@ class Trajectory:
     fixed: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def corrected(self, bias: Array | None) -> Trajectory:
-        """Returns the trajectory for computed tips, the real one being so much (dimension,) beside them.
+        """Returns the trajectory for computed tips, given the tip bias (dimension,).
 
-        A configuration has its tip wherever that is: its position is not corrected.
+        The positions of points given as configurations are not corrected.
         """
         if bias is None:
             return self
@@ -67,7 +67,7 @@ class Trajectory:
         return replace(self, positions=positions, bias=bias)
 
     def goal(self, point: int) -> Array:
-        """Returns a point's position, shape (dimension,), or the tip's frame there, shape (4, 4), if it turns, too."""
+        """Returns a point's position (dimension,), or its frame (4, 4) if the orientation matters."""
         position: Array = self.positions[point]
         if self.turns[point] == np.inf:
             return position
@@ -76,15 +76,15 @@ class Trajectory:
         return frame
 
     def serve(self, tips: Array, points: slice) -> NDArray[np.bool_]:
-        """Returns whether tips (m, 4, 4) are within the tolerances of each of some points (k), shape (m, k).
+        """Returns whether tips (m, 4, 4) are within the tolerances of some points (k), shape (m, k).
 
-        A tip does not tell whether it is of the right configuration: points that are configurations count as missed.
+        Points given as configurations count as missed, because a tip does not determine its configuration.
         """
         away = np.linalg.norm(tips[:, None, : self.positions.shape[1], 3] - self.positions[points], axis=2)
         served = away <= self.tolerances[points]
         if self.fixed:
             free = [k not in self.fixed for k in range(*points.indices(len(self.times)))]
-            served &= np.array(free, dtype=np.bool_)  # also of no points
+            served &= np.array(free, dtype=np.bool_)  # the type is needed for an empty list
         turns = self.turns[points]
         if np.isfinite(turns).any():
             chords = np.linalg.norm(tips[:, None, :3, :3] - self.rotations[points], axis=(2, 3)) / math.sqrt(2.0)
@@ -92,15 +92,15 @@ class Trajectory:
         return np.asarray(served)
 
     def between(self, point: int) -> bool:
-        """Returns whether a point is none of the goal's waypoints."""
+        """Returns whether a point lies between waypoints."""
         return int(self.waypoints[self.next(point)]) != point
 
     def next(self, point: int) -> int:
-        """Returns the number of the first waypoint that is not before a point."""
+        """Returns the number of the first waypoint at or after a point."""
         return int(np.searchsorted(self.waypoints, point))
 
     def last(self, point: int) -> int:
-        """Returns the number of the last waypoint that is not after a point, -1 before the first."""
+        """Returns the number of the last waypoint at or before a point; -1 before the first."""
         return int(np.searchsorted(self.waypoints, point, side="right")) - 1
 
 
@@ -112,14 +112,14 @@ def through(
     rotations: Array | None = None,
     turns: Array | None = None,
 ) -> Trajectory:
-    """Returns the trajectory through waypoints (m, dimension) that may take any way between them, see Trajectory."""
+    """Returns the trajectory through waypoints (m, dimension), with free movement between them; see Trajectory."""
     if rotations is None or turns is None:
         rotations, turns = unoriented(len(times))
     return Trajectory(stamp, times, positions, np.full(len(times), tolerance), rotations, turns, np.arange(len(times)))
 
 
 def unoriented(count: int) -> tuple[Array, Array]:
-    """Returns rotations and turns of so many points where any orientation will do."""
+    """Returns rotations and turns of `count` points at which any orientation serves."""
     rotations = np.empty((count, 3, 3))
     rotations[:] = IDENTITY
     return rotations, np.full(count, np.inf)
@@ -130,19 +130,19 @@ def along(
 ) -> Trajectory:
     """Returns the trajectory along the straight lines between waypoints, with points between them.
 
-    The wanted point moves evenly along each line. At each point a configuration may be switched to; it serves, if its
-    tip is within the point's tolerance, until the next point's time, at every moment within the path tolerance.
+    The target moves along each line at constant speed. A configuration may change at each point. If its tip is within
+    the point's tolerance, it stays within the path tolerance of the target until the next point's time.
 
     Args:
         times: of the waypoints, shape (m,) [s].
         positions: of the waypoints, shape (m, dimension).
-        tolerance: of the tip's distance from a waypoint.
-        path_tolerance: of its distance from the moving point.
+        tolerance: greatest distance of the tip from a waypoint.
+        path_tolerance: greatest distance of the tip from the moving target.
         pace: of the transitions.
         stamp: UNIX seconds of t = 0.
 
     Raises:
-        Refusal: a line is too fast, or they are too long, for the path tolerance.
+        Refusal: a line is too fast, or the lines are too long, for the path tolerance.
     """
     lengths, durations = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times)
     fewest = count_parts(lengths, path_tolerance / COARSEST)
@@ -184,16 +184,16 @@ def along(
 
 
 def count_parts(lengths: Array, longest: float) -> Array:
-    """Returns how many parts, none longer than so much, lines (m,) have, at least 1 each; rounding makes no more."""
+    """Returns the number of parts of each line (m,), at least 1, so that no part exceeds `longest` but by rounding."""
     return np.maximum(np.ceil(lengths / longest - 1e-9), 1.0)
 
 
 def middles(parts: int) -> Array:
-    """Returns where on a line its points lie: the waypoint, then the middles of all parts but the first."""
+    """Returns the places of a line's points as shares of its length: 0, then the middles of all parts but the first."""
     return np.concatenate([[0.0], (np.arange(1, parts) + 0.5) / parts])
 
 
 def upwards(value: float) -> float:
-    """Returns a value rounded upwards to three digits, so that who takes it at its word is not refused again."""
+    """Returns a value rounded up to three digits: a goal with this value is not refused again."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return math.ceil(value / unit - 1e-9) * unit

@@ -1,4 +1,4 @@
-"""Builds the transition between two configurations: every state that a module takes on the way, with its frames."""
+"""Builds a transition between two configurations: the frames of each module in every intermediate state."""
 
 import numpy as np
 from numba import njit
@@ -46,7 +46,7 @@ def fill_links(
     out_b: Array,
     known: Known,
 ) -> None:
-    """Writes `rotations`, `translations` and `known` of a Transition from arrays of the arm; see Manipulator.
+    """Writes `rotations`, `translations` and `known` of a Transition from the arm's arrays; see Manipulator.
 
     Args:
         base: of the arm.
@@ -56,9 +56,9 @@ def fill_links(
         states: of the arm.
         start: configuration before, shape (B,).
         differ: which actuators of each module switch, shape (B, Amax).
-        out_r: rotations of each module that moves for each mask; identities.
-        out_b: translations, likewise; zeros.
-        known: likewise; false.
+        out_r: rotations of each moving module for each mask; identities on entry.
+        out_b: translations, likewise; zeros on entry.
+        known: likewise; false on entry.
     """
     lead_r, lead_b, row = base[:3, :3].copy(), base[:3, 3].copy(), -1
     for i in range(len(start)):
@@ -81,7 +81,7 @@ def fill_links(
                 compose(lead_r, lead_b, r, b, out_r[row, mask], out_b[row, mask])
                 known[row, mask] = True
         lead_r[:], lead_b[:] = np.eye(3), 0.0
-    if row >= 0:  # what follows the last module that moves
+    if row >= 0:  # modules after the last moving one
         for mask in range(known.shape[1]):
             r, b = out_r[row, mask], out_b[row, mask]
             compose(r, b, lead_r, lead_b, r, b)

@@ -1,4 +1,4 @@
-"""Plans of whole trajectories: the one planner of `hyperbit plan`, the daemon's `plan` and the library."""
+"""Plans of whole trajectories, for `hyperbit plan`, the daemon's `plan` key and the library."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,24 +9,25 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration
 from controller.motion.label_setting import LabelSetting
 from controller.motion.pacing import Pace
-from controller.motion.plan import Plan, plan
+from controller.motion.plan import Plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along
 from controller.search.method import Method
 from controller.search.solver import DEADLINE, Solver
 
-FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s] for the first answers of all points at most, and for the whole trajectory
+FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
 
 Array = NDArray[np.float64]
 
 
 class Goals(NamedTuple):
-    """What the tip is to come to, one after the other.
+    """Goals for the tip, in order.
 
     Attributes:
         positions: in the world, shape (n, dimension).
         tolerances: of the distances, shape (n,).
-        rotations: in the world, shape (n, 3, 3), of no meaning where any will do.
-        turns: tolerances of the orientations [rad], shape (n,); infinite where any will do.
+        rotations: in the world, shape (n, 3, 3); ignored where `turns` is infinite.
+        turns: tolerances of the orientations [rad], shape (n,); infinite where any orientation serves.
     """
 
     positions: Array
@@ -44,16 +45,16 @@ def plan_whole(
     first: float | None = None,
     seconds: float | None = None,
 ) -> Plan:
-    """Returns the plan of a trajectory: each point searched from the one before, or a better one if there is.
+    """Returns the cheapest plan found for a trajectory: point by point first, then over the whole trajectory.
 
     Args:
         solver: of the arm.
-        trajectory: what is asked for.
-        previous: configuration that the arm is in, shape (B,).
-        method: the algorithm; only for fewest switches is there a search over the whole trajectory.
+        trajectory: the goal.
+        previous: configuration of the arm at the start, shape (B,).
+        method: the search algorithm; the whole trajectory is searched for `minimum-switch` only.
         pace: of the transitions.
         first: time for the first answers of all points [s]; None: `first_time`.
-        seconds: time for the search over the whole trajectory [s]; None: WHOLE_TIME.
+        seconds: time for the search of the whole trajectory [s]; None: WHOLE_TIME.
 
     Raises:
         Refusal: see `plan`.
@@ -64,7 +65,7 @@ def plan_whole(
 
 
 def first_time(trajectory: Trajectory) -> float:
-    """Returns the time [s] for the first answers of all points where nobody waits to move."""
+    """Returns the time [s] for the first answers of all points if no arm waits for them."""
     return min(DEADLINE * len(trajectory.times), FIRST_TIME)
 
 
@@ -76,15 +77,15 @@ def look_ahead(
     seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Plan:
-    """Returns a plan that costs no more than that found, and what is proven of it.
+    """Returns a plan that costs at most as much as `found`, with the lower bound that is proven.
 
     Args:
         solver: of the arm.
         found: the plan to improve.
         previous: configuration before, shape (B,).
         pace: of the transitions.
-        seconds: time for the search [s], None: WHOLE_TIME; staging its answer comes on top.
-        stop: whether to end sooner.
+        seconds: time for the search [s], None: WHOLE_TIME; the time to stage its answer is extra.
+        stop: returns whether to end sooner.
     """
     search = LabelSetting(solver, found.trajectory, previous, stop)
     search.offer(
@@ -98,12 +99,12 @@ def look_ahead(
 
 
 def unhurried(goals: Goals, pace: Pace, path_tolerance: float | None = None) -> Trajectory:
-    """Returns the trajectory through goals with more time than the actuators need.
+    """Returns the trajectory through goals, with more time than the actuators need.
 
     Args:
-        goals: positions only if lines are followed; the least of the tolerances holds for all then.
+        goals: if lines are followed, only positions and the least tolerance are used.
         pace: of the transitions.
-        path_tolerance: of the tip's distance from the straight lines between the goals; None: any way.
+        path_tolerance: greatest distance of the tip from the straight lines between goals; None: no lines are followed.
 
     Raises:
         Refusal: the lines are too long for the path tolerance.

@@ -1,8 +1,8 @@
-"""Which requests may still begin: their order of arrival, and the executor's epoch at that moment.
+"""Admission: which requests may still begin, by their order of arrival and the executor's epoch.
 
-A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner knows that by
-the order of arrival; the executor knows it by its epoch. A request that arrives while such a cancel is not yet answered
-belongs to the epoch that the executor begins with the answer.
+A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner decides by
+order of arrival, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that begins with
+its answer.
 """
 
 import itertools
@@ -18,12 +18,12 @@ Receive = Callable[[], bytes | None]
 
 @dataclass(frozen=True)
 class Ticket:
-    """A request's place.
+    """The place of a request in the order of arrival.
 
     Attributes:
-        number: by arrival, among all requests and set-points.
-        bars: how many requests that may begin a new epoch were sent to the executor before it.
-        epoch: the executor's at arrival; None: one of these was not answered yet, or no snapshot came.
+        number: among all requests and set-points.
+        bars: number of requests sent to the executor before it that may begin a new epoch.
+        epoch: of the executor at arrival; None if one of these was unanswered, or no snapshot had come.
     """
 
     number: int
@@ -32,10 +32,9 @@ class Ticket:
 
 
 class Admission:
-    """Numbers requests and set-points by arrival and knows which are barred. For any thread.
+    """Numbers requests and set-points by arrival, and decides which are barred. For any thread.
 
-    Of set-points only the latest waits to be read. Before a request is numbered, a waiting set-point is, so that it
-    counts as earlier.
+    Only the latest set-point waits to be read. A waiting set-point gets its number before a request that arrives later.
     """
 
     def __init__(self) -> None:
@@ -46,30 +45,30 @@ class Admission:
         self._sent = self._answered = self._passed = 0  # bars
         self._barred = self._replaced = 0  # numbers
         self._epoch: int | None = None
-        self._first_epoch: int | None = None  # of the first snapshot after the last bar that was answered
+        self._first_epoch: int | None = None  # of the first snapshot after the last answered bar
 
     def read_setpoints(self, receive: Receive) -> None:
-        """Takes set-points from a mailbox: `receive` returns the latest, None if there is none, and never waits."""
+        """Sets the mailbox of set-points: `receive` returns the latest, or None, and never waits."""
         with self._changed:
             self._receive = receive
 
-    # --- arrivals
+    # --- arrival
 
     def arrive(self) -> Ticket:
-        """Returns the place of a request that comes now."""
+        """Returns the ticket of a request that arrives now."""
         with self._changed:
             self._number_setpoint()
             return self._ticket()
 
     def setpoint(self) -> tuple[bytes, Ticket] | None:
-        """Returns the latest set-point, and the place of the first since the last call; None if none came."""
+        """Returns the latest set-point with the ticket of the first one since the last call; None if none came."""
         with self._changed:
             self._number_setpoint()
             waiting, self._waiting = self._waiting, None
             return waiting
 
     def bar(self) -> None:
-        """Bars all that came so far, because a cancel, stop or reset is sent to the executor now."""
+        """Bars all earlier requests: a cancel, stop or reset goes to the executor now."""
         with self._changed:
             self._number_setpoint()
             self._barred = self._ticket().number
@@ -77,25 +76,25 @@ class Admission:
             self._changed.notify_all()
 
     def fence(self) -> None:
-        """Notes that a request is sent to the executor that may begin a new epoch: what came before is barred then."""
+        """Notes that a request goes to the executor that begins a new epoch if it is accepted."""
         with self._changed:
             self._number_setpoint()
             self._sent += 1
 
     def end_streams(self, ticket: Ticket) -> None:
-        """Ends the streams of set-points that began before a goal, because that goal was accepted."""
+        """Ends the streams of set-points that began before an accepted goal."""
         with self._changed:
             self._replaced = max(self._replaced, ticket.number)
 
     # --- the executor
 
     def unsent(self) -> None:
-        """Notes that such a request could not be sent: there is no executor, and no epoch."""
+        """Notes that the last such request could not be sent: there is no executor and no epoch."""
         with self._changed:
             self._answered = self._passed = self._sent
 
     def answered(self) -> None:
-        """Notes that the executor answered such a request: if it was accepted, the epoch has grown."""
+        """Notes that the executor answered such a request; if it was accepted, the epoch has grown."""
         with self._changed:
             self._answered += 1
 
@@ -108,7 +107,7 @@ class Admission:
             self._changed.notify_all()
 
     def lost(self) -> None:
-        """Bars all that came so far, because the connection to the executor is lost."""
+        """Bars all earlier requests: the connection to the executor is lost."""
         with self._changed:
             self._number_setpoint()
             self._barred = self._ticket().number
@@ -116,7 +115,7 @@ class Admission:
             self._epoch = self._first_epoch = None
             self._changed.notify_all()
 
-    # --- verdicts
+    # --- decisions
 
     def barred(self, ticket: Ticket) -> bool:
         """Returns whether a cancel, stop, reset or fault came after a request."""
@@ -124,12 +123,12 @@ class Admission:
             return self._is_barred(ticket)
 
     def stream_ended(self, ticket: Ticket) -> bool:
-        """Returns whether a stream of set-points that began with a ticket is no longer followed."""
+        """Returns whether a stream of set-points is no longer followed, given the ticket of its first set-point."""
         with self._changed:
             return ticket.number <= self._replaced or self._is_barred(ticket)
 
     def epoch(self, ticket: Ticket, timeout: float) -> int | None:
-        """Returns the epoch that a request belongs to; None if that is not known within the time-out.
+        """Returns the epoch of a request; None if it is not known within the time-out.
 
         Raises:
             Refusal: the request is barred.

@@ -1,4 +1,4 @@
-"""Requests that wait for the executor's answer."""
+"""Pending requests to the executor."""
 
 import itertools
 import logging
@@ -14,10 +14,10 @@ OnAnswer = Callable[[Answer | None], None]
 
 
 class Answers:
-    """Numbers requests, and gives each its answer once. For any thread.
+    """Numbers requests, and delivers each answer once. For any thread.
 
     Args:
-        patience: an executor that has not answered by then is broken [s].
+        patience: time after which an unanswered request is overdue [s].
         clock: [s].
     """
 
@@ -27,7 +27,7 @@ class Answers:
         self._waiting: dict[int, tuple[OnAnswer, float]] = {}
 
     def __len__(self) -> int:
-        """Returns how many wait."""
+        """Returns the number of pending requests."""
         return len(self._waiting)
 
     def expect(self, on_answer: OnAnswer) -> int:
@@ -38,32 +38,32 @@ class Answers:
             return number
 
     def withdraw(self, number: int) -> bool:
-        """Forgets a request that could not be sent; returns whether it still waited."""
+        """Removes a request that could not be sent; returns whether it was still pending."""
         with self._lock:
             return self._waiting.pop(number, None) is not None
 
     def answer(self, answer: Answer) -> None:
-        """Gives a request its answer."""
+        """Delivers an answer to its request."""
         with self._lock:
             waiting = self._waiting.pop(answer.request, None)
         if waiting is not None:
-            tell(waiting[0], answer)
+            deliver(waiting[0], answer)
 
     def overdue(self) -> bool:
-        """Returns whether a request has waited too long."""
+        """Returns whether a request is overdue."""
         with self._lock:
             return any(until < self._clock() for _, until in self._waiting.values())
 
-    def lose(self) -> None:
-        """Tells all that wait that no answer will come."""
+    def fail_all(self) -> None:
+        """Delivers None to all pending requests, as no answer will come."""
         with self._lock:
             waiting, self._waiting = list(self._waiting.values()), {}
         for on_answer, _ in waiting:
-            tell(on_answer, None)
+            deliver(on_answer, None)
 
 
-def tell(on_answer: OnAnswer, answer: Answer | None) -> None:
-    """Gives an answer; a defect of who takes it must not end the link."""
+def deliver(on_answer: OnAnswer, answer: Answer | None) -> None:
+    """Calls `on_answer`; its exceptions are logged, so that they do not end the link."""
     try:
         on_answer(answer)
     except Exception:

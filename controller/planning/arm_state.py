@@ -16,13 +16,13 @@ Measured = NDArray[np.int8]  # actuator states, -1 unknown
 
 
 def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
-    """Returns packed measured states as an array, -1 where they are not known, shape (A,)."""
+    """Unpacks measured states to shape (A,); -1 where they are not known."""
     states = unpack_states(measured, actuators).astype(np.int8)
     return np.where(unpack_states(known, actuators) == 1, states, -1).astype(np.int8)
 
 
 class ArmState:
-    """The arm at one snapshot. Immutable; its arrays are reckoned when they are asked for.
+    """The arm at one snapshot. Immutable; its arrays are computed at first use.
 
     Attributes:
         snapshot: as the executor sent it.
@@ -39,7 +39,7 @@ class ArmState:
 
     @cached_property
     def measured(self) -> Measured:
-        """Measured states, -1 where they are not known, shape (A,)."""
+        """Measured states, shape (A,); -1 where they are not known."""
         return measured_states(self.snapshot.measured, self.snapshot.known, len(self.manipulator.actuators))
 
     @cached_property
@@ -54,14 +54,15 @@ class ArmState:
 
     @cached_property
     def commanded(self) -> States:
-        """The states that stages begin from, shape (A,): outputs; of a locked actuator the state it is locked in."""
+        """The states from which stages begin, shape (A,): the outputs; for a locked actuator its locked state."""
         return np.where(self.locked & (self.measured >= 0), self.measured, self.outputs).astype(np.uint8)
 
     @cached_property
     def states(self) -> States:
-        """The states to plan from, shape (A,): at rest those measured, as an actuator may not have followed its output.
+        """The states to plan from, shape (A,).
 
-        While actuators are on their way, the states are those commanded.
+        At rest these are the measured states, because an actuator may not have followed its output. While actuators
+        travel, they are the commanded states.
         """
         if self.snapshot.moving:
             return self.commanded
@@ -69,23 +70,23 @@ class ArmState:
 
     @cached_property
     def homing(self) -> NDArray[np.bool_]:
-        """Which actuators are of unknown state, (A,); the executor brings them to their bit of `outputs` first."""
+        """Which actuators have an unknown state, (A,); the executor homes them to their bit of `outputs` first."""
         actuators = len(self.manipulator.actuators)
         return unpack_states(self.snapshot.homing or bytes((actuators + 7) // 8), actuators).astype(np.bool_)
 
     @property
     def known(self) -> bool:
-        """Whether all boards are up, so that the outputs are known, or are brought about first."""
+        """Whether each actuator's state is known or will be homed. It is not while a board is missing."""
         return bool(((self.measured >= 0) | self.homing).all())
 
     @cached_property
     def configuration(self) -> Configuration | None:
-        """The configuration to plan from, shape (B,); None if the outputs spell none or are not known."""
+        """The configuration to plan from, shape (B,); None if the states spell none or are not known."""
         return self._spelled(self.states) if self.known else None
 
     @cached_property
     def unknown_state(self) -> str | None:
-        """Why the arm at rest is in no configuration, in words; None if it is in one, moves, or a board is missing."""
+        """Why the arm at rest is in no configuration; None if it is in one, moves, or a board is missing."""
         if self.snapshot.moving or not self.known:
             return None
         try:
@@ -96,11 +97,11 @@ class ArmState:
 
     @property
     def locked_states(self) -> LockedStates:
-        """The state in which each actuator is locked, -1 if it is free or not known, shape (A,)."""
+        """The state in which each actuator is locked, shape (A,); -1 if it is free or not known."""
         return np.where(self.locked, self.measured, none_locked(self.manipulator)).astype(np.int8)
 
     def pack(self, stages: States) -> list[bytes]:
-        """Returns stages (k, A) packed for the executor; the executor sets those of locked actuators itself."""
+        """Returns stages (k, A) packed for the executor, which sets the bits of locked actuators itself."""
         return pack_states(np.where(self.locked, self.outputs, stages).astype(np.uint8))
 
     def _spelled(self, states: States | Measured) -> Configuration | None:
@@ -111,10 +112,10 @@ class ArmState:
 
 
 class RestClock:
-    """When each actuator switched last, as far as the snapshots tell. For the link's thread to note, for any to read.
+    """When each actuator switched last, according to the snapshots. The link's thread writes; any thread may read.
 
     Args:
-        actuators: how many there are.
+        actuators: number of actuators.
         travel: longest time of an actuator from end-stop to end-stop [s].
         pace: of the transitions.
     """
@@ -124,13 +125,13 @@ class RestClock:
         self._travel, self._pace = travel, pace
 
     def note(self, before: ArmState | None, state: ArmState) -> None:
-        """Notes what has switched between two snapshots."""
+        """Notes which actuators switched between two snapshots."""
         if before is not None and before.snapshot.outputs != state.snapshot.outputs:
             changed = before.outputs != state.outputs
             self._switched_at = np.where(changed, state.snapshot.at, self._switched_at)
 
     def ready(self, state: ArmState, stage: States, strict: bool) -> float:
-        """Returns from when on a stage (A,) may begin [s]: the last stage has ended, and its actuators have rested."""
+        """Returns the earliest time of a stage (A,) [s]: the last stage has ended, and its actuators have rested."""
         differ, ready, switched_at = state.commanded != stage, -np.inf, self._switched_at
         if differ.any() and (self._pace.inrush is not None or strict):
             ready = switched_at.max() + self._travel

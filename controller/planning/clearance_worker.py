@@ -1,4 +1,4 @@
-"""One thread that checks stages for collisions: the executor's questions, and what is left of a running program."""
+"""A thread that checks stages for collisions: questions of the executor, and remaining stages of a running program."""
 
 import logging
 import queue
@@ -9,7 +9,7 @@ import numpy as np
 
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.program import unpack_states
-from controller.planning.goal_check import touching
+from controller.planning.goal_check import collision_outcome
 from controller.planning.goals import RunningGoals
 from controller.planning.keep_out import KeepOut, KeepOutSet, States
 from controller.planning.monitor import ArmMonitor
@@ -20,12 +20,12 @@ log = logging.getLogger(__name__)
 
 MOST_WAITING = 32
 
-# Takes the obstacles that were checked, and what is touched in words, None for nothing.
+# Takes the obstacles of the check, and the collision in words, None if there is none.
 OnChecked = Callable[[KeepOutSet, str | None], None]
 
 
 class ClearanceWorker:
-    """Checks one thing after the other; `ask` and `check_rest` may be called from any thread and never wait.
+    """Checks one task after the other. `ask` and `check_remaining` may be called from any thread and never wait.
 
     Args:
         keep_out: the obstacles.
@@ -35,7 +35,7 @@ class ClearanceWorker:
     def __init__(self, keep_out: KeepOut, answer: Callable[[Clearance], None]) -> None:
         self._keep_out, self._answer = keep_out, answer
         self._tasks: queue.Queue[Callable[[], None] | None] = queue.Queue(MOST_WAITING)
-        self._checks = 0  # of a running program asked for so far; only the latest counts
+        self._checks = 0  # number of calls of check_remaining; only the latest counts
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="clearance", daemon=True)
 
@@ -44,7 +44,7 @@ class ClearanceWorker:
         self._thread.start()
 
     def close(self, timeout: float = 2.0) -> None:
-        """Ends the thread after the check under way."""
+        """Ends the thread after the present check."""
         with self._lock:
             self._checks += 1
         try:
@@ -54,13 +54,13 @@ class ClearanceWorker:
         self._thread.join(timeout)
 
     def waiting(self) -> int:
-        """Returns how many checks wait."""
+        """Returns the number of waiting checks."""
         return self._tasks.qsize()
 
     def ask(self, question: Question, start: States, stage: States) -> None:
-        """Answers a question of the executor: what a stage (A,) touches on the way from actuator states (A,).
+        """Answers the executor's question: what a stage (A,) collides with, from actuator states (A,).
 
-        Where there is nothing to keep clear of, the answer is given at once, in the calling thread.
+        Without obstacles the answer is sent at once, in the calling thread.
         """
         current = self._keep_out.current
         if current.free:
@@ -68,15 +68,17 @@ class ClearanceWorker:
             return
         try:
             self._tasks.put_nowait(
-                lambda: self._answer(Clearance(question.question, self._keep_out.current.touched(start, [stage])))
+                lambda: self._answer(
+                    Clearance(question.question, self._keep_out.current.first_collision(start, [stage]))
+                )
             )
         except queue.Full:
             self._answer(Clearance(question.question, "too many stages wait to be checked for collisions"))
 
-    def check_rest(self, states: States, stages: Sequence[States], on_checked: OnChecked) -> None:
-        """Checks the stages (k, A) that a running program has left, from actuator states (A,) on.
+    def check_remaining(self, states: States, stages: Sequence[States], on_checked: OnChecked) -> None:
+        """Checks the remaining stages (k, A) of a running program, from actuator states (A,).
 
-        A check that was asked for before is given up. If the queue is full, the stages count as touching.
+        A new call abandons the check of an earlier one. If the queue is full, the stages count as colliding.
         """
         current = self._keep_out.current
         with self._lock:
@@ -87,9 +89,9 @@ class ClearanceWorker:
             return number == self._checks
 
         def check() -> None:
-            touched = current.touched(states, stages, latest)
+            collision = current.first_collision(states, stages, latest)
             if latest():
-                on_checked(current, touched)
+                on_checked(current, collision)
 
         try:
             self._tasks.put_nowait(check)
@@ -104,15 +106,15 @@ class ClearanceWorker:
                 log.exception("a collision check failed")
 
 
-class RestCheck:
-    """Ends a running goal whose rest would touch something. For any thread; never waits.
+class RemainingCheck:
+    """Ends a running goal whose remaining stages would collide. For any thread; never waits.
 
     Args:
         manipulator: the whole arm.
         monitor: of the arm.
-        goals: that run.
+        goals: the running goals.
         keep_out: the obstacles.
-        worker: that checks.
+        worker: does the checks.
     """
 
     def __init__(
@@ -127,18 +129,18 @@ class RestCheck:
         self._monitor, self._goals, self._keep_out, self._worker = monitor, goals, keep_out, worker
 
     def check(self) -> None:
-        """Has the rest of the running goal checked among the obstacles as they are now, and makes it strict."""
+        """Checks the running goal's remaining stages against the present obstacles, and makes its program strict."""
         goal, state, current = self._goals.current, self._monitor.state, self._keep_out.current
         if goal is None or state is None or current.free:
             return
-        self._goals.tighten(goal)
-        stages = [unpack_states(stage.states, self._actuators) for stage in self._goals.rest(goal)]
+        self._goals.make_strict(goal)
+        stages = [unpack_states(stage.states, self._actuators) for stage in self._goals.remaining(goal)]
         locked, states = state.locked, state.commanded
-        # The stages have the output bits of locked actuators; collisions go by the states in which they are.
+        # The stages have the output bits of locked actuators; the check needs their locked states.
         real = [np.where(locked, states, stage).astype(np.uint8) for stage in stages]
-        self._worker.check_rest(states, real, lambda checked, touched: self._checked(goal, checked, touched))
+        self._worker.check_remaining(states, real, lambda checked, collision: self._checked(goal, checked, collision))
 
-    def _checked(self, goal: RunningGoal, checked: KeepOutSet, touched: str | None) -> None:
-        """Ends the goal if its rest touches something that is still there."""
-        if touched is not None and checked is self._keep_out.current:
-            self._goals.end(goal, touching(goal.report.id, touched))
+    def _checked(self, goal: RunningGoal, checked: KeepOutSet, collision: str | None) -> None:
+        """Ends the goal if its remaining stages collide with obstacles that are still present."""
+        if collision is not None and checked is self._keep_out.current:
+            self._goals.end(goal, collision_outcome(goal.report.id, collision))

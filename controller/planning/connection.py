@@ -1,4 +1,4 @@
-"""One connection to the executor's socket, on which several threads send and one listens."""
+"""One connection to the executor's socket. Several threads send, one receives."""
 
 import contextlib
 import select
@@ -9,7 +9,7 @@ from pathlib import Path
 from controller.program import MOST_BYTES
 
 CONNECTING = 0.5  # [s]
-PATIENCE = 0.2  # [s] that a send waits for an executor that does not read
+PATIENCE = 0.2  # [s] that `send` waits for an executor that does not read
 
 FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 
@@ -25,7 +25,7 @@ class Connection:
         path: of the executor's socket.
 
     Raises:
-        NotConnected: nobody listens there.
+        no process listens there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,7 +40,7 @@ class Connection:
             raise NotConnected(f"waiting for the executor at its socket: {error.strerror or error}") from None
 
     def send(self, data: bytes) -> None:
-        """Sends one packet; from any thread.
+        """Sends one packet. For any thread.
 
         Raises:
             NotConnected: the connection has ended, or the executor does not read.
@@ -54,7 +54,7 @@ class Connection:
                 raise NotConnected(f"the connection to the executor is broken: {error}") from None
 
     def receive(self) -> bytes:
-        """Waits for one packet; empty if the connection has ended.
+        """Waits for one packet; returns an empty one if the connection has ended.
 
         Raises:
             NotConnected: the connection is broken.
@@ -65,12 +65,12 @@ class Connection:
             raise NotConnected(f"the connection to the executor is broken: {error}") from None
 
     def shut(self) -> None:
-        """Ends the connection; who listens still reads what came before."""
+        """Ends the connection; packets that arrived before can still be received."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Closes the socket; for the thread that listens."""
+        """Closes the socket. For the receiving thread only."""
         self.shut()
         with self._lock:
             self._socket.close()

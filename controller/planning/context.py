@@ -1,4 +1,4 @@
-"""What travels with a program and comes back with its result, so that a restarted planner can publish the result."""
+"""The context that goes with a program and comes back with its result, for a planner that was restarted meanwhile."""
 
 import time
 
@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 
 from controller.planning.goal_check import Target
 
-MOST_BYTES = 8_192  # of the executor's contract
+MOST_BYTES = 8_192  # limit of the executor's contract
 
 
 class GoalContext(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A goal as its result needs it.
+    """What the result of a goal needs.
 
     Attributes:
         id: of the goal.
-        waypoints: how many it has.
-        last_mark: the mark of its last waypoint.
+        waypoints: number of waypoints.
+        last_mark: mark of the last waypoint.
         position: of the last waypoint, `dimension` coordinates; empty for a jog, which has no target.
         tolerance: of the position.
         rotation: nine numbers, row by row; empty: any orientation serves.
         angle_tolerance: [rad].
-        configuration: that the arm must end in, as text; None: any.
-        bias: that the goal was corrected by; None: no tracker.
-        sent: when its program was made [UNIX s].
+        configuration: in which the arm must end, as text; None: any.
+        bias: tip bias by which the goal was corrected; None: no tracker.
+        sent: time at which the program was made [UNIX s].
     """
 
     id: str
@@ -56,7 +56,7 @@ class GoalContext(msgspec.Struct, frozen=True, omit_defaults=True):
 def encode_context(
     goal: str, waypoints: int, last_mark: int, target: Target | None, bias: NDArray[np.float64] | None
 ) -> bytes:
-    """Returns the context of a program; without the configuration where that is too long."""
+    """Returns the context of a program; it omits the configuration if the context would be too long."""
     context = GoalContext(goal, waypoints, last_mark, bias=None if bias is None else bias.tolist(), sent=time.time())
     if target is not None:
         context = msgspec.structs.replace(
@@ -74,7 +74,7 @@ def encode_context(
 
 
 def decode_context(data: bytes) -> GoalContext | None:
-    """Returns the context in a result; None if it is none, as of another version of the planner."""
+    """Returns the context in a result; None if it cannot be decoded, as from another version of the planner."""
     try:
         return msgspec.msgpack.decode(data, type=GoalContext)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""What the planner tells of the arm itself: the payload of `arm`, and what it has on demand."""
+"""The description of the arm: the payload of `arm`, and the parts that it has on request."""
 
 import base64
 import hashlib
@@ -44,7 +44,7 @@ def description(arm: Arm) -> Payload:
 
 
 def drawing(arm: Arm) -> Payload:
-    """Returns what draws the arm: `kinds`, the distinct modules, and `modules`, the kind of each module (B,).
+    """Returns the drawing of the arm: `kinds`, the distinct modules, and `modules`, the kind of each module (B,).
 
     A kind has `bits`, the actuator states (K, A) of its states, and `body`, line segments (K, L, 2, 3) of its structure
     in the frame before the module.
@@ -57,7 +57,7 @@ def drawing(arm: Arm) -> Payload:
 
 
 def file(arm: Arm) -> Payload | None:
-    """Returns the arm's file, as it is now, and the tables that it names; None if there is none or it is not readable.
+    """Returns the arm's file as it is now, with the tables that it names; None if it cannot be read.
 
     `sha256` is of the file's bytes.
     """
@@ -77,7 +77,7 @@ def file(arm: Arm) -> Payload | None:
 def density(densities: Densities, *, planar: bool) -> Payload:
     """Returns the logarithm of the whole arm's point density, as bytes.
 
-    `values` are the pixels (z, y, x), compressed by zlib, in Base64: 0 where no configuration ends, else 1 to 255 from
+    `values` are the pixels (z, y, x), compressed by zlib, in Base64: 0 for no configuration, otherwise 1 to 255 from
     the least to the greatest. `first` is the first pixel's centre in the base's frame, `pixel` the side of a pixel,
     `greatest` the logarithm of the greatest density.
     """

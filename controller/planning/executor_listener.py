@@ -1,4 +1,4 @@
-"""What becomes of each message of the executor; runs in the link's thread, and never waits."""
+"""Dispatches the executor's messages to the parts of the planner. Runs in the link's thread and never waits."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -17,17 +17,17 @@ from controller.program import Counted, Counts, Diagnostics, Question, Snapshot,
 
 
 class CountLedger(Protocol):
-    """Where switches are entered; must not wait."""
+    """Records switches; must not wait."""
 
     def counts(self, counts: Sequence[int]) -> None:
         """Takes the executor's counts, one for each actuator."""
 
     def known(self) -> Sequence[int]:
-        """Returns the switches of each actuator so far."""
+        """Returns the number of switches of each actuator so far."""
 
 
 class ExecutorListener:
-    """Hands each message to the part of the planner that it is for.
+    """Dispatches each message.
 
     Attributes:
         counted: switches of all actuators when the first executor welcomed this planner; None before.
@@ -36,7 +36,7 @@ class ExecutorListener:
         link: to the executor.
         monitor: takes snapshots.
         admission: takes epochs.
-        goals: take what concerns programs.
+        goals: take the messages on programs.
         locked: takes the locked actuators.
         clearance: answers questions.
         numbers: of programs.
@@ -62,7 +62,7 @@ class ExecutorListener:
         self.counted: int | None = None
 
     def welcomed(self, welcome: Welcome) -> None:
-        """Counts on from the executor's numbers, and tells it the ledger's counts."""
+        """Continues the executor's program numbers, and sends it the ledger's counts."""
         self._numbers.at_least(welcome.program)
         known = tuple(self._ledger.known())
         if self.counted is None:
@@ -72,7 +72,7 @@ class ExecutorListener:
         self._on_change()
 
     def heard(self, message: Up) -> None:
-        """Hands on a message."""
+        """Dispatches a message."""
         match message:
             case Snapshot():
                 self._admission.snapshot(message.epoch)
@@ -90,7 +90,7 @@ class ExecutorListener:
         self._on_change()
 
     def lost(self, reason: str) -> None:
-        """Ends all that the executor was to do."""
+        """Ends all running goals, as the executor is lost."""
         self._admission.lost()
         self._goals.lost(reason)
         self._monitor.lost()

@@ -1,7 +1,7 @@
-"""Following a moving goal: set-points, tracked, and made into single stages for the executor.
+"""Follows a moving goal: tracks set-points and sends single stages to the executor.
 
-A stream is all set-points without a pause of the tracker's time-out. A cancel, stop, fault, reset or goal ends the
-stream that runs: only a stream that begins later is followed.
+A stream is a sequence of set-points without a pause longer than the tracker's time-out. A cancel, stop, fault, reset or
+goal ends the present stream. Only a stream that begins later is followed.
 """
 
 import logging
@@ -33,29 +33,29 @@ from controller.program import Setpoint as SetpointCommand
 
 log = logging.getLogger(__name__)
 
-POLL, IDLE_POLL = 0.005, 0.02  # [s] between two looks for a set-point
-WORD_EVERY = 0.02  # [s] between two commands that only say: the stream is alive
-SENTENCE_EVERY = 1.0  # [s]; the sentence on a goal out of reach changes no more often
-RETRY = 0.1  # [s] after a search that found nothing within reach, which takes longest
-SMOOTHING = 0.1  # share of the latest in running means
-LONGEST = 1_000  # characters of a sentence
+POLL, IDLE_POLL = 0.005, 0.02  # [s] between two polls for a set-point
+ALIVE_EVERY = 0.02  # [s] between commands without stages, which keep the stream alive
+NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
+RETRY = 0.1  # [s] after a search that found nothing within tolerance, which takes longest
+SMOOTHING = 0.1  # weight of the latest value in running means
+LONGEST = 1_000  # characters of a reason
 
 
 class Follower:
-    """Follows one stream of set-points at a time; all but `status` belongs to one thread.
+    """Follows one stream of set-points at a time. All methods but `status` belong to one thread.
 
-    Times are monotonic. The tracker, which compares with senders' stamps, gets UNIX seconds: the same clock moved by an
-    offset that stays while a track is alive, so that a change of the wall clock moves nothing.
+    Times are monotonic. The tracker compares times with senders' stamps and gets UNIX seconds: monotonic time plus an
+    offset that is fixed while a track is alive, so that a change of the wall clock has no effect.
 
     Args:
-        arm: whose goals move.
-        solver: used by nobody else.
+        arm: the arm that follows.
+        solver: not shared.
         monitor: of the arm.
-        admission: gives set-points, and knows which streams have ended.
-        goals: that run.
+        admission: gives set-points, and decides which streams have ended.
+        goals: the running goals.
         numbers: of streams.
-        send: sends to the executor, raises NotConnected.
-        bias: returns what the tip is beside the computed one, shape (dimension,); None: no tracker.
+        send: sends to the executor; raises NotConnected.
+        bias: returns the tip bias, shape (dimension,); None: no tracker.
         wall: UNIX time [s].
     """
 
@@ -71,7 +71,7 @@ class Follower:
         bias: Bias,
         wall: Callable[[], float] = time.time,
     ) -> None:
-        """Builds the tracker, which takes most of a second."""
+        """Builds the tracker, which takes almost a second."""
         self._arm, self._solver, self._monitor, self._admission = arm, solver, monitor, admission
         self._goals, self._numbers, self._send, self._bias = goals, numbers, send, bias
         self._clock, self._wall = monitor.clock, wall
@@ -80,9 +80,9 @@ class Follower:
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._pace = pace_of(arm.settings)
         self._search = SetpointSearch(arm, self._pace)
-        self._stream: Ticket | None = None  # of its first set-point; None: there is none, or it is followed no more
+        self._stream: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME / 2
-        self._heard = self._fitted = self._next_word = self._next_sentence = self._retry = -math.inf
+        self._heard = self._fitted = self._next_alive = self._next_note = self._retry = -math.inf
         self._interval, self._received, self._refused = math.inf, 0, 0
         self._last_refusal: str | None = None
         self._note = ""
@@ -92,7 +92,7 @@ class Follower:
     # --- the thread
 
     def start(self) -> None:
-        """Starts the thread that takes the set-points."""
+        """Starts the thread."""
         self._thread.start()
 
     def close(self, timeout: float = 2.0) -> None:
@@ -105,7 +105,7 @@ class Follower:
             self.step()
 
     def step(self) -> None:
-        """Takes a set-point if one has come, and commands what the goal asks for now."""
+        """Takes a set-point if one has come, and commands the arm."""
         try:
             if (arrived := self._admission.setpoint()) is not None:
                 self.take(*arrived)
@@ -118,33 +118,33 @@ class Follower:
     # --- the stream
 
     def take(self, payload: bytes, ticket: Ticket) -> None:
-        """Takes a set-point that has arrived; one that is refused is only counted."""
+        """Takes a set-point that has arrived; a refused one is only counted."""
         self._received += 1
         try:
             setpoint = decode(payload, self._dimension, self._arm.tolerance)
             now = self._clock()
-            self._belongs(now, ticket)
+            self._assign(now, ticket)
             if self._stream is not None and not self._admission.stream_ended(self._stream):
                 self._measure(setpoint, now)
         except Refusal as refusal:
             self._refused += 1
             self._last_refusal = str(refusal)
 
-    def _belongs(self, now: float, ticket: Ticket) -> None:
-        """Counts a set-point to the stream that runs, or begins one with it."""
+    def _assign(self, now: float, ticket: Ticket) -> None:
+        """Assigns a set-point to the present stream, or begins a new one."""
         if self._alive(self._heard):
             last = now - self._heard
-            self._interval = last if math.isinf(self._interval) else mixed(self._interval, last)
+            self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
         else:
             self._stream, self._number, self._interval, self._note = ticket, 0, math.inf, ""
-            self._next_word = self._next_sentence = self._retry = -math.inf
+            self._next_alive = self._next_note = self._retry = -math.inf
         self._heard = now
 
     def _measure(self, setpoint: Setpoint, now: float) -> None:
-        """Gives a set-point to the tracker.
+        """Passes a set-point to the tracker.
 
         Raises:
-            Refusal: it is stale, from the future or out of order.
+            Refusal: the set-point is stale, from the future or out of order.
         """
         if not self._alive(self._fitted):
             self._tracker.forget()
@@ -153,15 +153,15 @@ class Follower:
             self._fitted, self._tolerance = now, setpoint.tolerance
 
     def consider(self) -> None:
-        """Commands what the goal asks for now, which changes without a new set-point, too, for it moves."""
+        """Commands the arm to the predicted goal; also without a new set-point, because the goal moves."""
         state, now = self._monitor.state, self._clock()
         if not self._alive(self._fitted):
             return
         if self._goals.offered:
             return
-        if self._number <= self._goals.taken:  # a stream that goes on after a goal counts as a new one
+        if self._number <= self._goals.last_accepted:  # a stream that continues after a goal counts as a new one
             self._number = self._numbers.next()
-        # A goal that is taken from here on has a greater number, and the executor follows this stream no more.
+        # A goal accepted from now on has a greater number, and the executor then ignores this stream.
         stream, mode = self._stream, self._monitor.mode()[0]
         if stream is None or mode not in ("ready", "executing") or self._admission.stream_ended(stream):
             self._stream, self._fitted = None, -math.inf
@@ -170,10 +170,10 @@ class Follower:
         epoch = self._admission.epoch(stream, 0.0)
         if state is None or epoch is None:
             return
-        stages = self._wanted(state, now)
-        if stages is None and now < self._next_word:
+        stages = self._stages_now(state, now)
+        if stages is None and now < self._next_alive:
             return
-        self._next_word = now + WORD_EVERY
+        self._next_alive = now + ALIVE_EVERY
         packed = () if stages is None else tuple(state.pack(stages))
         until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"[:LONGEST]
         strict = not self._solver.now()[1].free
@@ -182,8 +182,8 @@ class Follower:
         except NotConnected:
             self._stream = None
 
-    def _wanted(self, state: ArmState, now: float) -> States | None:
-        """Returns the stages (k, A) to switch to from a state; None: stay, or it is too early to tell."""
+    def _stages_now(self, state: ArmState, now: float) -> States | None:
+        """Returns the stages (k, A) from a state to the goal; None: stay, or it is too early to decide."""
         free_at = state.snapshot.free_at
         if now < max(free_at - self._searching - PERIOD, self._retry):
             return None
@@ -191,25 +191,26 @@ class Follower:
         try:
             start = self._monitor.start(state, solver.manipulator)
         except Refusal as refusal:
-            self._say(f", which is not possible now: {refusal}", now)
+            self._set_note(f", which is not possible now: {refusal}", now)
             return None
         bias, tolerance = self._bias(), self._tolerance
         shift = np.zeros(self._dimension) if bias is None else bias
         tip = solver.manipulator.tip(start)[: self._dimension, 3] + shift
         lead = max(free_at - now, self._searching) + self._pace.lead
-        goal = self._tracker.wants(now + self._offset, lead, tip, tolerance)
+        goal = self._tracker.next_target(now + self._offset, lead, tip, tolerance)
         if goal is None:
-            self._say("", now)
+            self._set_note("", now)
             return None
         began = time.perf_counter()
-        query = Query(
-            solver, keep_out, state.commanded, start, goal - shift, tolerance / 2
-        )  # half: see GoalTracker.wants
+        # Half the tolerance: see GoalTracker.next_target.
+        query = Query(solver, keep_out, state.commanded, start, goal - shift, tolerance / 2)
         found = self._search.find(query)
-        self._searching = mixed(self._searching, time.perf_counter() - began)
+        self._searching = running_mean(self._searching, time.perf_counter() - began)
         if found.error > tolerance:
             where = ", ".join(f"{x:.4f}" for x in goal)
-            self._say(f", which is out of reach at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now)
+            self._set_note(
+                f", which is out of reach at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now
+            )
             self._retry = now + RETRY
             return None
         stages, note = None, ""
@@ -217,21 +218,21 @@ class Follower:
             try:
                 stages = self._search.stages(query, found.configuration)
             except Blocked as blocked:
-                self._retry, note = now + RETRY, f", the way to which is barred: {blocked}"
-        self._say(note, now)
+                self._retry, note = now + RETRY, f", but the transition to it is blocked: {blocked}"
+        self._set_note(note, now)
         return stages
 
-    def _say(self, note: str, now: float) -> None:
-        """Takes a note on the stream, unless the last is too young."""
-        if note != self._note and now >= self._next_sentence:
-            self._note, self._next_sentence = note, now + SENTENCE_EVERY
+    def _set_note(self, note: str, now: float) -> None:
+        """Sets the note that `state` shows on the stream, at most once in NOTE_EVERY."""
+        if note != self._note and now >= self._next_note:
+            self._note, self._next_note = note, now + NOTE_EVERY
 
     def _alive(self, last: float) -> bool:
-        """Returns whether the last set-point came within the time-out."""
+        """Returns whether the given time of the last set-point is within the time-out."""
         return self._clock() - last <= self._timeout
 
     def status(self) -> Payload:
-        """Returns how the stream fares; from any thread."""
+        """Returns the state of the stream for `diagnostics`. For any thread."""
         return {
             "received": self._received,
             "refused": self._refused,
@@ -243,6 +244,6 @@ class Follower:
         }
 
 
-def mixed(mean: float, latest: float) -> float:
-    """Returns a running mean with the latest value in it."""
+def running_mean(mean: float, latest: float) -> float:
+    """Returns the running mean updated with the latest value."""
     return mean + SMOOTHING * (latest - mean)

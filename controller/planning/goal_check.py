@@ -1,4 +1,4 @@
-"""What the measured states say of a goal: where the tip is, and whether the goal is reached or its path left."""
+"""Checks of a goal against measured states: the measured tip, the goal reached or missed, the path left."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,8 +23,8 @@ UNKNOWN: Payload = {
 }
 
 
-class Verdict(NamedTuple):
-    """The end of a goal: its result's status, code and message, and a sentence on what the arm does then."""
+class Outcome(NamedTuple):
+    """The end of a goal: status, code and message of its result, and a sentence on what the arm does then."""
 
     status: str
     code: int
@@ -34,14 +34,14 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What one point of a goal asks for.
+    """The target at one point of a goal.
 
     Attributes:
         position: of the tip in the world, shape (dimension,).
-        tolerance: greatest distance from it.
+        tolerance: greatest distance from the position.
         rotation: of the tip in the world, shape (3, 3); None: any orientation serves.
-        angle_tolerance: greatest angle from it [rad].
-        configuration: that the arm must be in, as text; None: any that brings the tip there.
+        angle_tolerance: greatest angle from the rotation [rad].
+        configuration: that the arm must have, as text; None: any.
     """
 
     position: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Target:
     configuration: str | None = None
 
     def angle(self, tip: Frame) -> float | None:
-        """Returns the angle between the orientations of a tip (4, 4) and of the target [rad]; None: any serves."""
+        """Returns the angle between a tip (4, 4) and the target [rad]; None if any orientation serves."""
         if self.rotation is None:
             return None
         frame = np.eye(4)
@@ -60,7 +60,7 @@ class Target:
 
 
 def target_of(manipulator: Manipulator, trajectory: Trajectory, point: int) -> Target:
-    """Returns what a point of a trajectory asks for."""
+    """Returns the target at a point of a trajectory."""
     turns, fixed = float(trajectory.turns[point]), trajectory.fixed.get(point)
     return Target(
         trajectory.positions[point],
@@ -72,14 +72,14 @@ def target_of(manipulator: Manipulator, trajectory: Trajectory, point: int) -> T
 
 
 def measured_tip(manipulator: Manipulator, measured: Measured) -> Frame | None:
-    """Returns the tip's frame (4, 4) from measured actuator states (A,); None if they spell no configuration."""
+    """Returns the tip's frame (4, 4) for measured actuator states (A,); None if they spell no configuration."""
     try:
         return manipulator.tip(manipulator.configuration(measured))
     except ValueError:
         return None
 
 
-def whereabouts(manipulator: Manipulator, measured: Measured, target: Target | None) -> Payload:
+def measured_pose(manipulator: Manipulator, measured: Measured, target: Target | None) -> Payload:
     """Returns configuration and pose of measured actuator states (A,), and the errors from a target.
 
     All are None if the states spell no configuration; the errors are None without a target.
@@ -96,8 +96,8 @@ def whereabouts(manipulator: Manipulator, measured: Measured, target: Target | N
     }
 
 
-def at_the_end(goal: str, target: Target, where: Payload) -> Verdict:
-    """Judges a goal whose last waypoint, the target, has settled; `where`: see whereabouts."""
+def check_last_waypoint(goal: str, target: Target, where: Payload) -> Outcome:
+    """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
     error, angle = where["error"], where["orientation_error"]
     if target.configuration is not None:
         reached = where["configuration"] == target.configuration
@@ -112,12 +112,12 @@ def at_the_end(goal: str, target: Target, where: Payload) -> Verdict:
             tolerances = f"tolerances {target.tolerance:g} and {target.angle_tolerance:g}"
             message = f"the measured tip is {away} and turned {angle:.4f} rad, {tolerances}"
     if reached:
-        return Verdict("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
-    return Verdict("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
+        return Outcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
+    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
 
 
-def on_the_way(goal: str, trajectory: Trajectory, point: int, where: Payload) -> Verdict | None:
-    """Judges a goal that follows lines at a point before its last; None as long as the tip has not left them."""
+def check_path(goal: str, trajectory: Trajectory, point: int, where: Payload) -> Outcome | None:
+    """Returns the outcome of a goal whose measured tip has left its path at a point before the last; otherwise None."""
     error = where["error"]
     if trajectory.path_tolerance is None:
         return None
@@ -128,11 +128,11 @@ def on_the_way(goal: str, trajectory: Trajectory, point: int, where: Payload) ->
     away = "unknown" if error is None else f"{error:.4f} from the line's point"
     at = f"after waypoints[{trajectory.last(point)}] the measured tip is {away}"
     message = f"{at}, path_tolerance {trajectory.path_tolerance:g}"
-    return Verdict("aborted", codes.PATH_TOLERANCE_VIOLATED, message, f"holding; goal {goal} left its path: {message}")
+    return Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, f"holding; goal {goal} left its path: {message}")
 
 
-def touching(goal: str, words: str) -> Verdict:
-    """Judges a goal that would touch something on its way."""
-    message = f"on the way that was planned, {words}; the arm holds"
-    sentence = f"holding; goal {goal} was aborted: on the way that was planned, {words}"
-    return Verdict("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)
+def collision_outcome(goal: str, words: str) -> Outcome:
+    """Returns the outcome of a goal whose remaining stages would collide."""
+    message = f"the planned motion would collide: {words}; the arm holds"
+    sentence = f"holding; goal {goal} was aborted: the planned motion would collide: {words}"
+    return Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)

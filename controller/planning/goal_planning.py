@@ -1,4 +1,4 @@
-"""From a goal's message to a plan from where the arm is. Pure but for the search; each thread has its own."""
+"""Plans goals from the arm's present state. Each thread has its own instance."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -13,7 +13,8 @@ from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.goal import GoalMessage, parse, schedule
 from controller.motion.pacing import pace_of
-from controller.motion.plan import PLANNING_TIME, Plan, plan
+from controller.motion.plan import Plan
+from controller.motion.point_by_point import PLANNING_TIME, plan
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import ArmState
 from controller.planning.keep_out import CollisionAwareSolver, KeepOutSet
@@ -22,21 +23,21 @@ from controller.planning.program_feed import most_stages
 from controller.program import MOST_PROGRAM_STAGES
 from controller.search.solver import Solver
 
-TRIES = 3  # plans of a goal, while the arm moves on or the obstacles change
+TRIES = 3  # most plans of a goal while the arm moves or the obstacles change
 
 Bias = Callable[[], NDArray[np.float64] | None]
 
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan, and what it was made with.
+    """A plan, and what it was made from.
 
     Attributes:
         plan: of the goal.
-        state: of the arm before.
-        previous: configuration before, of the solver's arm, shape (B,).
-        solver: that found it.
-        keep_out: the obstacles that it keeps clear of.
+        state: of the arm before the plan.
+        previous: configuration before the plan, of the solver's arm, shape (B,).
+        solver: that found the plan.
+        keep_out: obstacles of the plan.
     """
 
     plan: Plan
@@ -47,13 +48,13 @@ class Planned:
 
 
 class GoalPlanning:
-    """Makes plans of goals. One thread's.
+    """Plans goals. Belongs to one thread.
 
     Args:
         arm: to plan for.
-        solver: used by nobody else.
+        solver: not shared.
         monitor: of the arm.
-        bias: returns what goals are corrected by, shape (dimension,); None: no tracker.
+        bias: returns the tip bias that corrects goals, shape (dimension,); None: no tracker.
     """
 
     def __init__(self, arm: Arm, solver: CollisionAwareSolver, monitor: ArmMonitor, bias: Bias) -> None:
@@ -61,17 +62,17 @@ class GoalPlanning:
         self._solver, self._monitor, self._bias = solver, monitor, bias
         manipulator, tracker = arm.manipulator, arm.settings.tracker
         self._base = manipulator.base[: manipulator.dimension, 3]
-        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # that a tip may be from the base
+        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # of a tip from the base
 
     def now(self) -> tuple[Solver, KeepOutSet]:
-        """Returns the solver as it is now, and the obstacles that it keeps clear of."""
+        """Returns the present solver, and the obstacles that it avoids."""
         return self._solver.now()
 
     def read(self, payload: bytes) -> GoalMessage:
-        """Returns the message of a goal, in microseconds; goals beyond the arm's length need no search to be refused.
+        """Decodes a goal, in microseconds. Positions beyond the arm's length are refused here, without a search.
 
         Raises:
-            Refusal: it is malformed, or has a position that no configuration comes near.
+            Refusal: the goal is malformed, or a position is farther than the arm's length.
         """
         message = parse(payload)
         tolerance = message.tolerance.position or self.arm.tolerance
@@ -87,14 +88,14 @@ class GoalPlanning:
         return message
 
     def trajectory(self, message: GoalMessage, received: float) -> Trajectory:
-        """Returns the trajectory that a message asks for, corrected by the tip's bias.
+        """Returns the trajectory of a goal, corrected by the tip bias.
 
         Args:
-            message: a goal.
-            received: when it came [UNIX s].
+            message: the goal.
+            received: time of arrival [UNIX s].
 
         Raises:
-            Refusal: what is wrong, by field.
+            Refusal: the goal is invalid; the message names the field.
         """
         arm, manipulator = self.arm, self.arm.manipulator
         scheduled = schedule(
@@ -105,16 +106,16 @@ class GoalPlanning:
     def plan(
         self, trajectory: Trajectory, proceed: Callable[[], None], run: bool, seconds: float = PLANNING_TIME
     ) -> Planned:
-        """Returns a plan from where the arm is; a new one if the arm or the obstacles moved on meanwhile.
+        """Returns a plan from the arm's state; plans again if the arm or the obstacles changed meanwhile.
 
         Args:
-            trajectory: what is asked for.
+            trajectory: the goal.
             proceed: called before each point; a Refusal that it raises ends the planning.
-            run: whether the plan is to be run.
+            run: whether the plan will be run.
             seconds: time for the searches of all points [s].
 
         Raises:
-            Refusal: there is none.
+            Refusal: there is no plan.
         """
         for _ in range(TRIES):
             found = self._plan(trajectory, proceed, run, seconds)
@@ -130,13 +131,13 @@ class GoalPlanning:
         previous = self._monitor.start(state, solver.manipulator)
         found = plan(solver, trajectory, previous, self.arm.settings.method, proceed, self.pace, seconds)
         self._check_size(found)
-        touched = keep_out.touched(solver.manipulator.actuator_states(previous), stages_of(found))
-        if touched is not None:  # checked once more, so that the executor need not ask
-            raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan that was found is not taken: {touched}")
+        collision = keep_out.first_collision(solver.manipulator.actuator_states(previous), stages_of(found))
+        if collision is not None:  # checked again here, so that the executor need not ask
+            raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan would collide: {collision}")
         return Planned(found, state, previous, solver, keep_out)
 
     def _check_size(self, found: Plan) -> None:
-        """Checks that the executor takes a plan.
+        """Checks that the executor accepts the size of a plan.
 
         Raises:
             Refusal: it has too many stages.
@@ -152,6 +153,6 @@ class GoalPlanning:
 
 
 def stages_of(found: Plan) -> Iterator[NDArray[np.uint8]]:
-    """Yields the actuator states (A,) that each stage of a plan ends in."""
+    """Yields the actuator states (A,) after each stage of a plan."""
     for transition in found.transitions:
         yield from transition.stages

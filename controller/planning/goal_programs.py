@@ -1,4 +1,4 @@
-"""Programs of plans: from the arm's latest outputs, with what the executor and the goal's result need."""
+"""Makes programs from plans: first stages from the arm's latest outputs, times, and the context of the result."""
 
 import time
 from collections.abc import Callable
@@ -28,12 +28,12 @@ Make = Callable[[ArmState, int, int], RunningGoal]
 
 
 class GoalPrograms:
-    """Makes programs of plans.
+    """Makes programs from plans.
 
     Args:
         planning: that made the plans.
         monitor: of the arm.
-        goals: that run.
+        goals: the running goals.
     """
 
     def __init__(self, planning: GoalPlanning, monitor: ArmMonitor, goals: RunningGoals) -> None:
@@ -41,15 +41,15 @@ class GoalPrograms:
         self._manipulator, self._pace = planning.arm.manipulator, planning.pace
 
     def maker(self, goal: str, found: Planned, reply: Reply, proceed: Callable[[], None]) -> Make:
-        """Returns what makes the program of a plan from the arm's state, with a number and an epoch.
+        """Returns a function that makes the program of a plan from the arm's state, a number and an epoch.
 
-        What is made raises Refusal if the goal may not begin, CollisionError if its first stages touch something.
+        The function raises Refusal if the goal may not begin, and CollisionError if its first stages collide.
 
         Args:
             goal: its id.
             found: the plan.
-            reply: answers the goal when the executor has taken it.
-            proceed: raises Refusal if the goal is not wanted any more.
+            reply: answers the goal when the executor has accepted it.
+            proceed: raises Refusal if the goal is no longer wanted.
         """
 
         def make(state: ArmState, number: int, epoch: int) -> RunningGoal:
@@ -62,7 +62,7 @@ class GoalPrograms:
     def _program(
         self, state: ArmState, number: int, epoch: int, goal: str, found: Planned, reply: Reply
     ) -> RunningGoal:
-        stages, plan, strict = self._from_here(state, found), found.plan, not found.keep_out.free
+        stages, plan, strict = self._first_stages(state, found), found.plan, not found.keep_out.free
         trajectory, first = plan.trajectory, plan.transitions[0]
         if stages is not first.stages and not np.array_equal(stages, first.stages):
             plan = replace(plan, transitions=(Staged(stages, None, first.strict), *plan.transitions[1:]))
@@ -77,7 +77,7 @@ class GoalPrograms:
         return run
 
     def _times(self, state: ArmState, trajectory: Trajectory, stages: States, strict: bool) -> tuple[float, float]:
-        """Returns the begin of a program, and t = 0 of its trajectory after that [s]."""
+        """Returns the begin of a program [s], and the delay of its trajectory's t = 0 [s]."""
         now = self._monitor.clock()
         if trajectory.stamp is not None:
             return trajectory.stamp + now - time.time(), 0.0
@@ -88,7 +88,7 @@ class GoalPrograms:
         """Checks that a goal may begin now.
 
         Raises:
-            Refusal: it is late, runs already, or was planned among other obstacles.
+            Refusal: the goal is late, runs already, or was planned among other obstacles.
         """
         trajectory, running = found.plan.trajectory, self._goals.current
         late = 0.0 if trajectory.stamp is None else time.time() - trajectory.stamp - float(trajectory.times[-1])
@@ -96,36 +96,35 @@ class GoalPrograms:
             words = f"stamp: the trajectory ended {late:.3f} s before it was planned"
             raise Refusal(OLD_HEADER_TIMESTAMP, words)
         if running is not None and running.report.id == goal:
-            words = f"id: goal {goal} is running already; one that replaces it needs its own"
+            words = f"id: goal {goal} is running already; a goal that replaces it needs another id"
             raise Refusal(INVALID_GOAL, words)
         current = self._planning.now()[1]
         if found.keep_out is not current and not current.free:
-            words = "what is to be kept out of changed while the goal was planned; send it again"
+            words = "the obstacles changed while the goal was planned; send it again"
             raise Refusal(INVALID_GOAL, words)
 
-    def _from_here(self, state: ArmState, found: Planned) -> States:
-        """Returns the stages (k, A) to a plan's first point from the states as they are.
+    def _first_stages(self, state: ArmState, found: Planned) -> States:
+        """Returns the stages (k, A) to a plan's first point from the arm's present state.
 
-        Those that keep clear of obstacles stay as they were planned if that is possible: actuators may switch to and
-        fro in them.
+        Planned stages among obstacles stay if they are valid from the present state, because they may contain detours.
 
         Raises:
-            CollisionError: something would be touched on the way.
+            CollisionError: the stages would collide.
         """
         planned, keep_out = found.plan.transitions[0].stages, found.keep_out
         if np.array_equal(state.commanded, found.solver.manipulator.actuator_states(found.previous)):
-            return planned  # as it was checked
+            return planned  # these stages were checked by the planning
         most = self._pace.inrush or len(self._manipulator.actuators)
         rows = np.vstack([state.commanded, planned]).astype(int)
         fits = abs(np.diff(rows, axis=0)).sum(axis=1).max() <= most
-        if fits and not keep_out.free and keep_out.touched(state.commanded, planned) is None:
+        if fits and not keep_out.free and keep_out.first_collision(state.commanded, planned) is None:
             return planned
         stages: NDArray[np.uint8] = restage(self._manipulator, state.commanded, planned, most)
-        if (touched := keep_out.touched(state.commanded, stages)) is not None:
-            raise CollisionError(touched)
+        if (collision := keep_out.first_collision(state.commanded, stages)) is not None:
+            raise CollisionError(collision)
         return stages
 
 
 def accepted(plan: Plan) -> str:
-    """Returns the sentence on a goal that is taken."""
+    """Returns the message of an accepted goal."""
     return f"accepted, {len(plan.trajectory.waypoints)} waypoints, {plan.switches} switches planned"

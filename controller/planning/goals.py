@@ -1,4 +1,4 @@
-"""Programs that the executor runs for this planner: each is told its feedback, and exactly one result."""
+"""Programs that the executor runs for this planner: their feedback, and exactly one result each."""
 
 import contextlib
 import logging
@@ -10,9 +10,9 @@ from controller.motion import codes
 from controller.motion.plan import Plan
 from controller.planning.arm_state import Measured, measured_states
 from controller.planning.connection import NotConnected
-from controller.planning.goal_check import Verdict
+from controller.planning.goal_check import Outcome
 from controller.planning.link import ExecutorLink
-from controller.planning.reports import verdict_of
+from controller.planning.reports import outcome_of
 from controller.planning.results import Publish, Results
 from controller.planning.running_goal import GoalLedger, RunningGoal
 from controller.program import (
@@ -37,7 +37,7 @@ class RunningGoals:
     """The programs that are sent, run, or wait for their results. For any thread.
 
     Attributes:
-        taken: number of the latest program that the executor has taken.
+        last_accepted: number of the latest program that the executor accepted.
 
     Args:
         manipulator: the whole arm.
@@ -45,7 +45,7 @@ class RunningGoals:
         ledger: of goals.
         publish: sends a payload on "feedback", "result", or "inherited" (`Results`); must not wait.
         measured: returns the latest measured states, shape (A,).
-        ended: told the sentence on the end of each program.
+        ended: takes the sentence on the end of each program.
     """
 
     def __init__(
@@ -62,9 +62,9 @@ class RunningGoals:
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
         self._goals: dict[int, RunningGoal] = {}
-        self.taken = 0
+        self.last_accepted = 0
 
-    # --- from the planner's threads
+    # --- called by the planner's threads
 
     def offer(self, goal: RunningGoal) -> None:
         """Sends a program.
@@ -81,7 +81,7 @@ class RunningGoals:
                 raise
 
     def withdraw(self, goal: RunningGoal) -> bool:
-        """Gives up a program that the executor does not answer; returns whether it was taken meanwhile."""
+        """Abandons a program that the executor does not answer; returns whether it was accepted meanwhile."""
         with self._lock:
             if not goal.answered.is_set():
                 self._results.waive(goal.program.program)
@@ -91,7 +91,7 @@ class RunningGoals:
 
     @property
     def current(self) -> RunningGoal | None:
-        """The running one; None if there is none."""
+        """The running program; None if there is none."""
         with self._lock:
             running = [goal for goal in self._goals.values() if goal.accepted]
             return running[-1] if running else None
@@ -103,45 +103,45 @@ class RunningGoals:
             return any(not goal.answered.is_set() for goal in self._goals.values())
 
     def runs(self, goal: RunningGoal) -> bool:
-        """Returns whether a program is running and not about to end."""
+        """Returns whether a program is running, and no outcome ends it yet."""
         with self._lock:
-            return self._goals.get(goal.program.program) is goal and goal.accepted and goal.verdict is None
+            return self._goals.get(goal.program.program) is goal and goal.accepted and goal.outcome is None
 
     def improve(self, goal: RunningGoal, plan: Plan) -> None:
-        """Takes a better plan for what a program has not begun."""
+        """Replaces the stages of a running program that have not begun by those of a better plan."""
         with self._lock:
             if self.runs(goal) and goal.feed is not None:
                 goal.feed.improve(plan)
                 self._send_more(goal)
 
-    def end(self, goal: RunningGoal, verdict: Verdict) -> None:
-        """Has the executor hold, as a verdict ends a program."""
+    def end(self, goal: RunningGoal, outcome: Outcome) -> None:
+        """Cancels a running program at the executor; the outcome becomes its result."""
         with self._lock:
             if self.runs(goal):
-                goal.verdict = verdict
-                self._cancel(goal.program.program, verdict.message)
+                goal.outcome = outcome
+                self._cancel(goal.program.program, outcome.message)
 
     def wait_ended(self, timeout: float) -> None:
-        """Waits until no program runs, for a time [s]."""
+        """Waits until no program runs, at most for a time [s]."""
         with self._changed:
             self._changed.wait_for(lambda: not self._goals, timeout)
 
-    def rest(self, goal: RunningGoal) -> Sequence[Stage]:
+    def remaining(self, goal: RunningGoal) -> Sequence[Stage]:
         """Returns the stages of a program that have not begun."""
         with self._lock:
-            return goal.program.stages if goal.feed is None else goal.feed.rest()
+            return goal.program.stages if goal.feed is None else goal.feed.remaining()
 
-    def tighten(self, goal: RunningGoal) -> None:
-        """Makes a running program strict, as obstacles have come."""
+    def make_strict(self, goal: RunningGoal) -> None:
+        """Makes a running program strict, because obstacles were sent."""
         with self._lock:
             if self.runs(goal) and goal.feed is not None:
-                goal.feed.tighten()
+                goal.feed.make_strict()
                 self._send_more(goal)
 
-    # --- from the link's thread
+    # --- called by the link's thread
 
     def heard(self, message: Up) -> None:
-        """Acts on a message of the executor."""
+        """Handles a message of the executor."""
         with self._lock:
             match message:
                 case Accepted():
@@ -149,7 +149,7 @@ class RunningGoals:
                 case Declined():
                     self._declined(message)
                 case Replaced() | Begun():
-                    self._went_on(message)
+                    self._continue(message)
                 case Settled():
                     self._settled(message)
                 case Ended():
@@ -158,22 +158,22 @@ class RunningGoals:
                     pass
 
     def lost(self, reason: str) -> None:
-        """Tells every program that it is aborted, as the executor is gone."""
+        """Ends all programs as aborted, because the executor is lost."""
         with self._lock:
             goals, self._goals = list(self._goals.values()), {}
             for goal in goals:
                 if goal.accepted:
                     message = f"{reason}; the arm holds"
-                    verdict = goal.verdict or Verdict("aborted", codes.PATH_TOLERANCE_VIOLATED, message, "")
-                    self._results.tell(goal, verdict, goal.switches, self._measured())
+                    outcome = goal.outcome or Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, "")
+                    self._results.publish(goal, outcome, goal.switches, self._measured())
                 goal.answered.set()
 
     def _accepted(self, message: Accepted) -> None:
         goal = self._goals.get(message.program)
-        if goal is None:  # it was given up meanwhile
+        if goal is None:  # the program was abandoned meanwhile
             self._cancel(message.program, GAVE_UP)
             return
-        goal.accepted, goal.begin, self.taken = True, message.begin, message.program
+        goal.accepted, goal.begin, self.last_accepted = True, message.begin, message.program
         self._ledger.accepted(message.program, goal.report.id, goal.waypoints)
         goal.on_accepted()
         goal.answered.set()
@@ -183,8 +183,8 @@ class RunningGoals:
             goal.declined = message
             goal.answered.set()
 
-    def _went_on(self, message: Replaced | Begun) -> None:
-        """Sends what follows when a replacement was answered, or a stage has begun."""
+    def _continue(self, message: Replaced | Begun) -> None:
+        """Sends the next part after a replacement was answered or a stage has begun."""
         goal = self._goals.get(message.program)
         if goal is None or goal.feed is None:
             return
@@ -201,11 +201,11 @@ class RunningGoals:
         goal.switches = message.switches
         deviation = goal.feed.deviation(message.mark) if goal.feed is not None and message.planned else None
         measured = self._states(message.measured, message.known)
-        told, verdict = goal.report.settled(message.mark, measured, message.switches, message.stages, deviation)
+        told, outcome = goal.report.settled(message.mark, measured, message.switches, message.stages, deviation)
         if told is not None:
             self._publish("feedback", told)
-        if verdict is not None:
-            self.end(goal, verdict)
+        if outcome is not None:
+            self.end(goal, outcome)
 
     def _end(self, message: Ended) -> None:
         goal = self._goals.pop(message.program, None)
@@ -213,10 +213,10 @@ class RunningGoals:
         if goal is not None:
             goal.answered.set()
             done = message.status == "done"
-            verdict = goal.verdict or (goal.report.judged(measured) if done else verdict_of(message))
-            self._results.tell(goal, verdict, message.switches, measured, message.travels)
+            outcome = goal.outcome or (goal.report.final_outcome(measured) if done else outcome_of(message))
+            self._results.publish(goal, outcome, message.switches, measured, message.travels)
         else:
-            self._results.foreign(message, measured)
+            self._results.publish_inherited(message, measured)
         with contextlib.suppress(NotConnected):
             self._link.send(Acknowledge(message.result))
         self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""Better plans while the arm moves: look-ahead over the points still to come, each in time for its own."""
+"""Improves a plan while the arm moves: look-ahead decides each point shortly before its actuators switch."""
 
 import time
 from collections.abc import Iterator
@@ -11,32 +11,31 @@ from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
 from controller.search.solver import Solver
 
-MARGIN = 0.1  # [s] before a point's actuators switch, at which its configuration is handed over at the latest
-BATCH = 4  # points staged at a time: each may take some hundredths of a second, and the next is due soonest
+MARGIN = 0.1  # [s] between the decision of a point and its first switch, at least
+BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
 
 
 class Improvement:
-    """Improves a plan from its second point on; the arm moves to the first already.
+    """Improves a plan from its second point on; the arm already moves to the first.
 
     Args:
         solver: of the arm.
         plan: to improve.
         pace: of the arm's transitions.
-        start: t = 0 of its trajectory [s on the monotonic clock]; infinite: nothing is due.
+        start: t = 0 of the trajectory [s, monotonic clock]; infinite: no point is ever due.
     """
 
     def __init__(self, solver: Solver, plan: Plan, pace: Pace, start: float = np.inf) -> None:
         self._solver, self._plan, self._pace, self._start = solver, plan, pace, start
-        self._longest = 0.0  # time of extending to a point and staging [s], in which nothing is decided
+        self._longest = 0.0  # to extend to a point and to stage [s]; nothing is decided meanwhile
 
     def plans(self) -> Iterator[Plan]:
-        """Yields a better plan whenever more is decided, and the same again in between, so that others have a say.
+        """Yields the plan again and again, improved whenever more points are decided, so that the caller can act.
 
-        A point is decided when the time that was needed so far for the next one, and MARGIN, are left before its
-        actuators switch. If the next one takes longer, the point may be reached by the plan before: as near, with more
-        switches.
+        A point is due when only MARGIN and the longest time of one iteration are left before its first switch. If an
+        iteration takes longer, the point keeps its earlier plan, which is as accurate but may switch more.
         """
-        trajectory, told = self._plan.trajectory, 0
+        trajectory, handed_over = self._plan.trajectory, 0
         first = self._plan.solutions[0].configuration
         ahead = LookAhead(self._solver, first, trajectory, 1)
         between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
@@ -52,14 +51,14 @@ class Improvement:
             decided = ahead.decided()
             while True:
                 began = time.perf_counter()
-                self._improve(told + 1, decided[told : told + BATCH])
+                self._improve(handed_over + 1, decided[handed_over : handed_over + BATCH])
                 self._longest = max(self._longest, extended + time.perf_counter() - began)
-                told = min(told + BATCH, len(decided))
+                handed_over = min(handed_over + BATCH, len(decided))
                 yield self._plan
-                if told == len(decided):
+                if handed_over == len(decided):
                     break
 
     def _improve(self, first: int, configurations: list[Configuration]) -> None:
-        """Takes configurations from point `first` on, if there are any."""
+        """Puts configurations into the plan from point `first` on."""
         if configurations:
             self._plan = self._plan.improved(self._solver, self._pace, first, configurations)

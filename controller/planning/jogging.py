@@ -1,4 +1,4 @@
-"""Single actuators switched on request, whatever the arm's configuration."""
+"""Switches single actuators on request, in any configuration or none."""
 
 import uuid
 from collections.abc import Callable
@@ -17,16 +17,16 @@ from controller.planning.reports import JogReport
 from controller.planning.running_goal import RunningGoal
 from controller.program import Program, Stage
 
-Switches = dict[int, int]  # states by actuator
+Switches = dict[int, int]  # new state of each actuator, by index
 
-UNCHECKED = "; nobody knows what the arm touches meanwhile, as it is in no configuration"
+UNCHECKED = "; collisions were not checked, because the arm is in no configuration"
 
 
 class Jogging:
-    """Makes programs of single actuators.
+    """Makes programs that switch single actuators.
 
     Args:
-        arm: whose actuators are switched.
+        arm: the arm.
         keep_out: the obstacles.
     """
 
@@ -34,7 +34,7 @@ class Jogging:
         self._manipulator, self._keep_out, self._pace = arm.manipulator, keep_out, pace_of(arm.settings)
 
     def decode(self, payload: bytes) -> Switches:
-        """Returns the actuators of a request and their states.
+        """Returns the new states of a request, by actuator.
 
         Raises:
             Refusal: the request is malformed.
@@ -42,9 +42,9 @@ class Jogging:
         return decode(payload, self._manipulator.actuators)
 
     def maker(self, wanted: Switches, reply: Reply) -> Callable[[ArmState, int, int], RunningGoal]:
-        """Returns what makes the program of a request from the arm's state, with a number and an epoch.
+        """Returns a function that makes the program of a request from the arm's state, a number and an epoch.
 
-        What is made raises Refusal if an actuator is locked or would touch something.
+        The function raises Refusal if an actuator is locked or a stage would collide.
         """
         name = f"jog-{uuid.uuid4().hex[:8]}"
 
@@ -59,15 +59,15 @@ class Jogging:
         labels, current = self._manipulator.actuators, self._keep_out.current
         for k in wanted:
             if state.locked[k]:
-                raise Refusal(INVALID_GOAL, f"actuators: {labels[k]} is held: use it again with `degrade` first")
+                raise Refusal(INVALID_GOAL, f"actuators: {labels[k]} is locked: unlock it with `degrade` first")
         target = state.commanded.copy()
         target[list(wanted)] = list(wanted.values())
         most = self._pace.inrush or len(labels)
         stages = in_groups(state.commanded, target, most)
         known = self._is_configuration(state)
         strict = known and not current.free
-        if strict and (touched := current.touched(state.commanded, stages)) is not None:
-            raise Refusal(INVALID_GOAL, f"on the way from where the arm is, {touched}")
+        if strict and (collision := current.first_collision(state.commanded, stages)) is not None:
+            raise Refusal(INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
         last, lead = len(stages) - 1, self._pace.lead
         packed = state.pack(stages)
         program = Program(
@@ -90,5 +90,5 @@ class Jogging:
         return run
 
     def _is_configuration(self, state: ArmState) -> bool:
-        """Returns whether outputs and measured states are configurations."""
+        """Returns whether outputs and measured states spell configurations."""
         return state.unknown_state is None and state.configuration is not None

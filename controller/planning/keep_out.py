@@ -1,4 +1,4 @@
-"""What the arm keeps clear of: the obstacles of its file, those sent since, and itself."""
+"""The set of obstacles: those of the arm's file, those sent since, and the arm itself."""
 
 import logging
 import threading
@@ -20,21 +20,21 @@ log = logging.getLogger(__name__)
 
 States = NDArray[np.uint8]
 
-REMEMBERED = 20_000  # stages
+REMEMBERED = 20_000  # results of stage checks
 
 
 class CollisionError(ValueError):
-    """A stage would touch something; the text says what."""
+    """A stage would collide; the text says with what."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeepOutSet:
-    """The obstacles from one change to the next, with what is known of stages among them. For any thread.
+    """The obstacles between two changes, with the results of stage checks among them. For any thread.
 
     Attributes:
         generation: grows with each change.
         clearance: of the whole arm.
-        sent: the obstacles that were sent; those of the arm's file are not among them.
+        sent: the obstacles that were sent, without those of the arm's file.
     """
 
     generation: int
@@ -44,31 +44,31 @@ class KeepOutSet:
 
     @property
     def free(self) -> bool:
-        """Whether there is nothing to keep clear of."""
+        """Whether there is nothing to collide with."""
         return self.clearance.free
 
-    def touched(
+    def first_collision(
         self, states: States, stages: Iterable[States], proceed: Callable[[], bool] = lambda: True
     ) -> str | None:
-        """Returns what the first of stages touches, in words; None if all are clear.
+        """Returns the first collision of consecutive stages, in words; None if all are clear.
 
-        A stage that was not checked before takes up to a third of a second.
+        The first check of a stage takes up to a third of a second.
 
         Args:
-            states: of the actuators before, shape (A,).
-            stages: the states that each stage ends in, each of shape (A,).
-            proceed: asked before each stage; if it says no, the rest is not checked.
+            states: actuator states before, shape (A,).
+            stages: actuator states after each stage, each of shape (A,).
+            proceed: asked before each stage; if it returns False, the rest is not checked.
         """
         for stage in () if self.free else stages:
             if not proceed():
                 return None
-            if (words := self._touched(states, stage)) is not None:
+            if (words := self._collision(states, stage)) is not None:
                 return words
             states = stage
         return None
 
-    def where(self, measured: Measured) -> str | None:
-        """Returns what the arm touches where its actuators are measured (A,); None if nothing, or not known."""
+    def collision_at(self, measured: Measured) -> str | None:
+        """Returns the collision in measured states (A,), in words; None if there is none or a state is unknown."""
         if self.free:
             return None
         try:
@@ -78,13 +78,13 @@ class KeepOutSet:
         return self.clearance.where(standing)
 
     def sentence(self, measured: Measured | None) -> str:
-        """Returns how many obstacles there are, and what the arm touches where it stands (A,)."""
+        """Returns the number of obstacles, and the collision in the present actuator states (A,), as a sentence."""
         count = len(self.clearance.obstacles)
-        said = f"keeping out of {count} {'region' if count == 1 else 'regions'}, {len(self.sent)} of them sent"
-        words = None if measured is None else self.where(measured)
+        said = f"{count} {'obstacle' if count == 1 else 'obstacles'}, {len(self.sent)} of them sent"
+        words = None if measured is None else self.collision_at(measured)
         return said if words is None else f"{said}; {words} where the arm stands"
 
-    def _touched(self, states: States, stage: States) -> str | None:
+    def _collision(self, states: States, stage: States) -> str | None:
         key = np.concatenate([states, stage]).astype(np.uint8).tobytes()
         if (known := self._known.get(key, "")) != "":
             return known
@@ -102,10 +102,10 @@ class KeepOutSet:
 
 
 class KeepOut:
-    """The one owner of the obstacles. For any thread.
+    """The owner of the obstacles. For any thread.
 
     Attributes:
-        current: replaced as a whole when the obstacles change.
+        current: the present set; replaced as a whole.
 
     Args:
         arm: with the obstacles of its file.
@@ -116,21 +116,21 @@ class KeepOut:
         self.current = KeepOutSet(0, arm.clearance())
 
     def change(self, sent: Obstacles) -> bool:
-        """Takes other obstacles in place of those sent before; returns whether their content differs."""
+        """Replaces the obstacles that were sent before; returns whether anything changed."""
         with self._lock:
             before = self.current
-            if same(before.sent, sent):
+            if same_content(before.sent, sent):
                 return False
             self.current = KeepOutSet(before.generation + 1, self._arm.clearance(others=sent), sent)
             return True
 
 
 class CollisionAwareSolver:
-    """A solver that keeps clear of the current obstacles. One thread's, but for `use`.
+    """A solver that avoids the present obstacles. Belongs to one thread; `use` is for any.
 
     Args:
         arm: the whole arm.
-        solver: of it, or of the arm reduced by locked actuators.
+        solver: of the arm, or of the arm reduced by locked actuators.
         keep_out: the obstacles.
     """
 
@@ -139,11 +139,11 @@ class CollisionAwareSolver:
         self._latest: tuple[Solver, KeepOutSet, Solver] | None = None
 
     def use(self, solver: Solver) -> None:
-        """Takes another solver from now on."""
+        """Sets the solver, from the next call of `now` on."""
         self._base = solver
 
     def now(self) -> tuple[Solver, KeepOutSet]:
-        """Returns the solver, and the obstacles that it keeps clear of."""
+        """Returns the solver, and the obstacles that it avoids."""
         base, current, latest = self._base, self._keep_out.current, self._latest
         if latest is None or latest[0] is not base or latest[1] is not current:
             aware = base if current.free else base.avoiding(self._clearance(base.manipulator, current))
@@ -155,7 +155,7 @@ class CollisionAwareSolver:
         return current.clearance if same_arm else self._arm.clearance(manipulator, current.sent)
 
 
-def same(first: Obstacles, second: Obstacles) -> bool:
+def same_content(first: Obstacles, second: Obstacles) -> bool:
     """Returns whether two sets of obstacles have the same content."""
     arrays = ("kinds", "axes", "centres", "sizes")
     return first.names == second.names and all(

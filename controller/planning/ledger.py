@@ -1,7 +1,7 @@
-"""The ledger: switches of every actuator, goals and their results, in one SQLite file.
+"""The ledger: switches of each actuator, goals and their results, in one SQLite file.
 
-The counts are the executor's: its switch journal counts each switch exactly once. The ledger keeps a second copy, so
-that neither file alone can lose them; the greater of the two counts holds.
+The executor's switch journal counts each switch exactly once. The ledger keeps a second copy of the counts. The greater
+of two counts is valid, so losing one of the files loses no counts.
 """
 
 import fcntl
@@ -13,25 +13,25 @@ from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
-from controller.planning.ledger_file import KEPT, Entry, LedgerFile, counted, damaged
+from controller.planning.ledger_file import MOST_GOALS, Entry, LedgerFile, counted, damaged
 from controller.program import Fault
 
 log = logging.getLogger(__name__)
 
-WRITE_EVERY = 5.0  # [s] between two transactions: flash memory wears with each
+WRITE_EVERY = 5.0  # [s] between two transactions, because each one wears flash memory
 
 
 class Ledger:
-    """Collects counts and results in memory and writes them in batches. All methods may be called from any thread.
+    """Collects counts and results in memory and writes them in batches. For any thread.
 
-    A thread with one open connection writes at most every WRITE_EVERY seconds, and the end of a goal as soon as that
-    allows. If the file cannot be written, `fault` says why, and what was collected is written later. A damaged file is
-    moved aside, and a new one begins with the counts.
+    A thread with one connection writes at most every WRITE_EVERY seconds. The end of a goal is written as soon as that
+    allows. If the file cannot be written, `fault` says why, and the data is written later. A damaged file is renamed;
+    a new file begins with the present counts.
 
     Attributes:
         path: of the file.
-        fault: why the file cannot be written now; None while it can.
-        damage: what became of a damaged file; None if no file was damaged.
+        fault: why the file cannot be written now; None if it can.
+        damage: what happened to a damaged file; None if no file was damaged.
 
     Args:
         path: of the file; it and its folder are made if they are missing.
@@ -51,19 +51,19 @@ class Ledger:
         self._actuators, self._write_every = tuple(actuators), write_every
         self._counts = tuple(known.get(label, 0) for label in actuators)
         self._file = LedgerFile(path, self._actuators)
-        self._goals: deque[Entry] = deque(maxlen=2 * KEPT)
+        self._goals: deque[Entry] = deque(maxlen=2 * MOST_GOALS)
         self._news = threading.Condition()
         self._due, self._closing = 0.0, False
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
         self._thread.start()
 
     def accepted(self, number: int, goal: str, waypoints: int) -> None:
-        """Enters an accepted goal.
+        """Records an accepted goal.
 
         Args:
-            number: of its program; `ended` names it by this number.
+            number: of its program; `ended` refers to the goal by this number.
             goal: its id.
-            waypoints: how many it has.
+            waypoints: number of waypoints.
         """
         self._enter(Entry(number, accepted=(plain(goal), time.time(), waypoints)), self._write_every)
 
@@ -76,7 +76,7 @@ class Ledger:
         switches: int,
         accepted: tuple[str, float, int] | None = None,
     ) -> None:
-        """Enters the result of the latest goal of a program number.
+        """Records the result of the latest goal of a program number.
 
         Args:
             number: of the program.
@@ -84,8 +84,8 @@ class Ledger:
             code: of the result.
             message: of the result.
             switches: of all actuators.
-            accepted: id, time [UNIX s] and waypoints of a goal that another run of the planner has accepted. That run
-                may have been killed before it wrote the goal; then the goal is entered now.
+            accepted: id, time [UNIX s] and waypoints of a goal of an earlier planner process. If that was killed
+                    before it wrote the goal, the goal is recorded now.
         """
         before = None if accepted is None else (plain(accepted[0]), *accepted[1:])
         self._enter(Entry(number, before, (time.time(), status, code, plain(message), switches)), 0.0)
@@ -101,16 +101,16 @@ class Ledger:
                 self._set_due(self._write_every)
 
     def known(self) -> tuple[int, ...]:
-        """Returns the switches of each actuator so far."""
+        """Returns the number of switches of each actuator so far."""
         return self._counts
 
     def faults(self) -> tuple[Fault, ...]:
-        """Returns what is wrong with the file; the arm moves all the same."""
+        """Returns the faults of the file; they do not stop the arm."""
         told = (("ledger-unwritten", self.fault), ("ledger-damaged", self.damage))
         return tuple(Fault(code, "ledger", message) for code, message in told if message is not None)
 
     def close(self, timeout: float = 5.0) -> None:
-        """Writes what is left, and lets another process have the ledger."""
+        """Writes the rest, and frees the ledger for other processes."""
         with self._news:
             self._closing = True
             self._news.notify()
@@ -123,12 +123,12 @@ class Ledger:
             self._set_due(within)
 
     def _set_due(self, within: float) -> None:
-        """Has the thread write within so many seconds, or as soon as it may."""
+        """Makes the thread write within a time [s], or as soon as WRITE_EVERY allows."""
         self._due = min(self._due, time.monotonic() + within)
         self._news.notify()
 
     def _run(self) -> None:
-        earliest, closing = 0.0, False  # the first transaction opens the file, and finds whether it is damaged
+        earliest, closing = 0.0, False  # the first transaction opens the file, and detects damage
         while not closing:
             with self._news:
                 while not self._closing and (wait := max(self._due, earliest) - time.monotonic()) > 0:
@@ -146,8 +146,8 @@ class Ledger:
         self._file.close()
 
     def _write(self, goals: Sequence[Entry], counts: Sequence[int]) -> bool:
-        """Writes what was collected; returns whether that is done."""
-        for _ in range(2):  # the second time to a new file
+        """Writes the collected data; returns whether that succeeded."""
+        for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
                 self._file.write(goals, counts)
                 self.fault = None
@@ -156,19 +156,19 @@ class Ledger:
                 self._file.close()
                 if damaged(error) and (aside := self._file.set_aside()) is not None:
                     self.damage = (
-                        f"ledger {self.path} was damaged ({error}): it is {aside} now, and a new one was begun"
+                        f"ledger {self.path} was damaged ({error}): it was renamed to {aside}, and a new one was begun"
                     )
                     log.error("%s", self.damage)
                     continue
                 if self.fault is None:
-                    log.error("ledger %s cannot be written, counting goes on in memory: %s", self.path, error)
+                    log.error("ledger %s cannot be written, counting continues in memory: %s", self.path, error)
                 self.fault = f"ledger {self.path} cannot be written: {error}"
                 break
         return False
 
 
 def plain(text: str) -> str:
-    """Returns a text that SQLite can store: half surrogate pairs are written out."""
+    """Returns a text that SQLite can store: lone surrogates become escapes."""
     return text.encode(errors="backslashreplace").decode()
 
 
@@ -177,13 +177,13 @@ class LedgerInUse(Exception):
 
 
 class LedgerLock:
-    """A file lock on "<ledger>.lock", which the kernel frees when the process ends.
+    """A file lock on "<ledger>.lock"; the kernel releases it when the process ends.
 
-    The ledger itself cannot carry the lock: closing a second file descriptor of it would drop SQLite's own locks.
-    If the folder cannot be written, there is no lock: the ledger then says that it cannot be written.
+    The ledger itself cannot carry the lock: closing another file descriptor of it would drop SQLite's own locks.
+    Without write access to the folder there is no lock, and the ledger reports that it cannot be written.
 
     Raises:
-        LedgerInUse: another process has it.
+        LedgerInUse: another process has the lock.
     """
 
     def __init__(self, ledger: Path) -> None:
@@ -208,7 +208,7 @@ class LedgerLock:
         self._file = file
 
     def close(self) -> None:
-        """Frees the lock."""
+        """Releases the lock."""
         if self._file is not None:
             os.close(self._file)
             self._file = None

@@ -1,4 +1,4 @@
-"""The ledger's SQLite file: schema, transactions, damage, and reading it from other programs."""
+"""The ledger's SQLite file: schema, transactions, damage, and functions to read it."""
 
 import logging
 import os
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 log = logging.getLogger(__name__)
 
-KEPT = 100_000  # goals
+MOST_GOALS = 100_000  # rows of the table goals
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS switches (actuator TEXT PRIMARY KEY, count INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS goals (
@@ -39,7 +39,7 @@ class Entry(NamedTuple):
     Attributes:
         number: of its program.
         accepted: id, UNIX seconds, waypoints.
-        ended: UNIX seconds, status, code, message, switches; with `accepted`: of a goal that may not be entered yet.
+        ended: UNIX seconds, status, code, message, switches. With `accepted` too, the goal may not be in the file yet.
     """
 
     number: int
@@ -48,7 +48,7 @@ class Entry(NamedTuple):
 
 
 class LedgerFile:
-    """One open connection, opened by the first transaction. All methods belong to one thread.
+    """One connection, opened by the first transaction. Belongs to one thread.
 
     Args:
         path: of the file.
@@ -59,13 +59,13 @@ class LedgerFile:
         self._path, self._actuators = path, actuators
         self._connection: sqlite3.Connection | None = None
         self._inode = 0
-        self._written: dict[str, int] = {}  # counts that this connection has written
+        self._written: dict[str, int] = {}  # counts written by this connection
 
     def write(self, goals: Sequence[Entry], counts: Sequence[int]) -> None:
         """Writes entries and absolute counts in one transaction.
 
         Raises:
-            Exception: of SQLite or of the file system; nothing was written.
+            Exception: from SQLite or the file system; nothing was written.
         """
         connection = self._opened()
         new = [
@@ -85,7 +85,7 @@ class LedgerFile:
                         goal, accepted, _ = entry.accepted
                         row = (*entry.accepted, entry.number, *entry.ended)
                         connection.execute(ADOPTED, (*row, entry.number, goal, accepted))
-            connection.execute(FORGOTTEN, (KEPT,))
+            connection.execute(FORGOTTEN, (MOST_GOALS,))
             connection.executemany(COUNTED, new)
         self._written |= dict(new)
 
@@ -99,7 +99,7 @@ class LedgerFile:
             self._connection = None
 
     def set_aside(self) -> str | None:
-        """Moves a damaged file aside; returns its new name, None if that fails."""
+        """Renames a damaged file; returns its new name, or None if that fails."""
         aside = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
         try:
             for suffix in ("", "-wal", "-shm"):
@@ -118,7 +118,7 @@ class LedgerFile:
         try:
             connection.executescript(f"PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; {SCHEMA}")
             columns = [row[1] for row in connection.execute("PRAGMA table_info(goals)")]
-            if "program" not in columns:  # a ledger of an earlier version
+            if "program" not in columns:  # the file is of an earlier version
                 connection.execute("ALTER TABLE goals ADD COLUMN program INTEGER")
             connection.execute(UNFINISHED)
             (sound,) = connection.execute("PRAGMA quick_check(1)").fetchone()
@@ -131,7 +131,7 @@ class LedgerFile:
         return connection
 
     def _replaced(self) -> bool:
-        """Returns whether the file was moved or deleted by somebody else."""
+        """Returns whether another process moved or deleted the file."""
         try:
             return os.stat(self._path).st_ino != self._inode
         except OSError:
@@ -149,7 +149,7 @@ def damaged(error: Exception) -> bool:
 
 
 def default_path(arm: str) -> Path:
-    """Returns where the planner keeps an arm's ledger: systemd's StateDirectory, else the user's state folder."""
+    """Returns the path of an arm's ledger: in systemd's StateDirectory, otherwise in the user's state folder."""
     if "STATE_DIRECTORY" in os.environ:
         return Path(os.environ["STATE_DIRECTORY"]) / f"{arm}.sqlite"
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
@@ -157,7 +157,7 @@ def default_path(arm: str) -> Path:
 
 
 def counted(path: Path) -> dict[str, int]:
-    """Returns the switches of each actuator so far; none if the ledger is missing or cannot be read."""
+    """Returns the number of switches of each actuator so far; empty if the ledger is missing or cannot be read."""
     if not path.exists():  # the first start
         return {}
     try:
@@ -168,10 +168,10 @@ def counted(path: Path) -> dict[str, int]:
 
 
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """Returns the switches of each actuator and the latest thousand goals, newest first.
+    """Returns the number of switches of each actuator, and the latest thousand goals, newest first.
 
     Raises:
-        sqlite3.Error: the file is missing or no ledger.
+        sqlite3.Error: the file is missing, or is no ledger.
     """
     connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     try:

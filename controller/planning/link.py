@@ -1,4 +1,4 @@
-"""The planner's end of the executor's socket: connects, says that it is alive, sends, and hands on what it hears."""
+"""The planner's side of the executor's socket: connects, sends messages and keep-alives, dispatches what arrives."""
 
 import contextlib
 import logging
@@ -34,40 +34,40 @@ RETRY = 0.5  # [s] between two attempts to connect
 
 
 class Listener(Protocol):
-    """Who is told what the link hears; called from the link's thread, must not wait."""
+    """Receives the link's messages, in the link's thread; must not wait."""
 
     def welcomed(self, welcome: Welcome) -> None:
-        """The executor takes this planner."""
+        """The executor accepts this planner."""
 
     def heard(self, message: Up) -> None:
-        """A message came."""
+        """A message arrived."""
 
     def lost(self, reason: str) -> None:
         """The connection ended; called once for each `welcomed`."""
 
 
 class ExecutorLink:
-    """The connection to one executor. All methods may be called from any thread.
+    """The connection to one executor. For any thread.
 
     Attributes:
         snapshot: the latest; None while not connected.
         diagnostics: the latest; None while not connected.
         welcome: of this connection; None while not connected.
-        problem: why there is no connection, in words; None while there is one.
+        problem: why there is no connection; None while there is one.
         patience: as given [s].
 
     Args:
-        path: of the socket, or a function that returns it anew for each attempt.
+        path: of the socket, or a function that returns it for each attempt.
         arm: name of the arm.
         digest: SHA-256 of the arm's file, in hexadecimal.
-        patience: time for the executor to answer, and its longest silence, until the connection counts as lost [s].
+        patience: longest time for an answer, and longest silence, before the connection counts as lost [s].
     """
 
     def __init__(self, path: Path | Callable[[], Path], arm: str, digest: str, patience: float = 2.0) -> None:
         self._path = path if callable(path) else lambda: path
         self._arm, self._digest = arm, digest
         self.patience = patience
-        self._most_silent = round(patience / ALIVE_EVERY)  # turns of the thread that says alive
+        self._most_silent = round(patience / ALIVE_EVERY)  # iterations of the thread that sends Alive
         self.snapshot: Snapshot | None = None
         self.diagnostics: Diagnostics | None = None
         self.welcome: Welcome | None = None
@@ -80,16 +80,16 @@ class ExecutorLink:
 
     @property
     def connected(self) -> bool:
-        """Whether the executor takes messages."""
+        """Whether the executor accepts messages."""
         return self.welcome is not None
 
     @property
     def waiting(self) -> int:
-        """How many requests wait for the executor's answer."""
+        """Number of requests that wait for the executor's answer."""
         return len(self._answers)
 
     def start(self, listener: Listener) -> None:
-        """Starts the threads that connect and listen, and that say that the planner is alive."""
+        """Starts the threads that connect and listen, and that send keep-alives."""
         self._listener = listener
         self._threads = (
             threading.Thread(target=self._run, name="executor-link", daemon=True),
@@ -105,7 +105,7 @@ class ExecutorLink:
         for thread in self._threads:
             thread.join(timeout)
 
-    # --- down
+    # --- to the executor
 
     def send(self, message: Down) -> None:
         """Sends a message at once.
@@ -119,14 +119,14 @@ class ExecutorLink:
         connection.send(encode(message))
 
     def ask(self, make: Callable[[int], Down], on_answer: OnAnswer) -> None:
-        """Sends a request; `on_answer` gets the executor's answer once, None if the connection ends before.
+        """Sends a request; `on_answer` gets the executor's answer once, or None if the connection ends before.
 
         Args:
-            make: returns the message of a request number.
+            make: returns the message, given the request's number.
             on_answer: called from another thread; must not wait.
 
         Raises:
-            NotConnected: as of `send`; then `on_answer` is not called.
+            NotConnected: as `send`; `on_answer` is not called then.
         """
         number = self._answers.expect(on_answer)
         try:
@@ -136,19 +136,19 @@ class ExecutorLink:
                 raise
 
     def _stay_alive(self) -> None:
-        """Says that the planner is alive, and drops a connection on which the executor is silent.
+        """Sends keep-alives, and drops the connection if the executor is silent.
 
-        Silence is counted in turns of this thread, so that a stop of the whole process is not the executor's silence.
+        Silence is counted in iterations of this thread, so that a stop of the whole process does not count as silence.
         """
         while not self._closing.wait(ALIVE_EVERY):
             with contextlib.suppress(NotConnected):
                 self.send(Alive())
             self._silent += 1
             if self.connected and (self._silent > self._most_silent or self._answers.overdue()):
-                log.warning("the executor is silent: connecting anew")
+                log.warning("the executor is silent: reconnecting")
                 self._drop()
 
-    # --- up
+    # --- from the executor
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -161,7 +161,7 @@ class ExecutorLink:
             self._closing.wait(RETRY)
 
     def _serve(self) -> str:
-        """Connects and hands on what is heard until the connection ends; returns why it ended."""
+        """Connects and dispatches messages until the connection ends; returns why it ended."""
         try:
             connection = Connection(self._path())
         except (NotConnected, OSError) as error:
@@ -182,7 +182,7 @@ class ExecutorLink:
         return reason
 
     def _listen(self, connection: Connection) -> str:
-        """Hands on what is heard; returns why the connection ended.
+        """Dispatches messages; returns why the connection ended.
 
         Raises:
             NotConnected: the connection is broken.
@@ -192,33 +192,33 @@ class ExecutorLink:
             try:
                 message = decode_up(data)
             except Malformed as error:
-                return f"the executor speaks another language: {error}"
+                return f"a message of the executor cannot be decoded, perhaps of another version: {error}"
             match message:
                 case Goodbye():
-                    return f"the executor does not serve this planner: {message.reason}"
+                    return f"the executor refused this planner: {message.reason}"
                 case Welcome():
-                    if (wrong := self._wrong(message)) is not None:
-                        return wrong
+                    if (mismatch := self._mismatch(message)) is not None:
+                        return mismatch
                     self.welcome, self.problem = message, None
-                    self._tell(self._listener.welcomed, message)
+                    self._notify(self._listener.welcomed, message)
                 case Answer() if self.connected:
                     self._answers.answer(message)
                 case _ if self.connected:
-                    self._keep(message)
-                    self._tell(self._listener.heard, message)
+                    self._store(message)
+                    self._notify(self._listener.heard, message)
                 case _:
                     pass
         return "the executor closed the connection"
 
-    def _wrong(self, welcome: Welcome) -> str | None:
-        """Returns why this planner must not drive an executor; None if it may."""
+    def _mismatch(self, welcome: Welcome) -> str | None:
+        """Returns why this planner must not use the executor; None if it may."""
         if welcome.arm != self._arm:
             return f"the executor drives the arm {welcome.arm!r}, not {self._arm!r}"
         if welcome.digest != self._digest:
             return "the executor was started with another version of the arm's file: restart it"
         return None
 
-    def _keep(self, message: Up) -> None:
+    def _store(self, message: Up) -> None:
         match message:
             case Snapshot():
                 self.snapshot = message
@@ -231,11 +231,11 @@ class ExecutorLink:
         was, self.problem = self.connected, reason
         self.welcome = self.snapshot = self.diagnostics = None
         if was:
-            self._tell(self._listener.lost, reason)
-        self._answers.lose()
+            self._notify(self._listener.lost, reason)
+        self._answers.fail_all()
 
-    def _tell(self, to: Callable[[T], None], what: T) -> None:
-        """Tells the listener; a defect there must not end the connection."""
+    def _notify(self, to: Callable[[T], None], what: T) -> None:
+        """Calls the listener; its exceptions are logged, so that they do not end the connection."""
         try:
             to(what)
         except Exception:

@@ -1,4 +1,4 @@
-"""Locked actuators: which actuators cannot move, in which state, and whether the planner's tables know it yet."""
+"""Locked actuators: which actuators cannot move, in which state, and whether the planner's tables are up to date."""
 
 import logging
 import threading
@@ -17,19 +17,19 @@ log = logging.getLogger(__name__)
 
 
 class LockedActuators:
-    """The locked actuators of one arm, as the executor tells them, and the tables that go with them. For any thread.
+    """The locked actuators of one arm, as the executor reports them, and the tables for them. For any thread.
 
     An end-stop reading overrides a declared state.
 
     Attributes:
-        states: the state in which each actuator is locked, 0 or 1; -1 if it is free; shape (A,).
+        states: locked state of each actuator, 0 or 1; -1 if it is free; shape (A,).
         problem: why the tables could not be rebuilt; None if they could.
 
     Args:
         manipulator: the arm.
-        declared: the states in which actuators are locked by the arm's file, shape (A,).
+        declared: locked states from the arm's file, shape (A,).
         rebuild: rebuilds the planner's tables for locked states (A,). Takes seconds; runs in a worker thread.
-        changed: called when the tables are ready, or cannot be built.
+        on_change: called when the tables are ready, or could not be built.
     """
 
     def __init__(
@@ -37,21 +37,21 @@ class LockedActuators:
         manipulator: Manipulator,
         declared: LockedStates,
         rebuild: Callable[[LockedStates], None],
-        changed: Callable[[], None],
+        on_change: Callable[[], None],
     ) -> None:
-        self._manipulator, self._rebuild, self._changed = manipulator, rebuild, changed
+        self._manipulator, self._rebuild, self._on_change = manipulator, rebuild, on_change
         self.states = declared.copy()
         self.problem: str | None = None
         self._built = declared.copy()
         self._lock, self._working = threading.Lock(), False
 
     @property
-    def behind(self) -> bool:
-        """Whether the tables are not those of the locked actuators, or are being rebuilt."""
+    def rebuilding(self) -> bool:
+        """Whether the tables are not up to date, or are being rebuilt."""
         return self._working or self.states.tobytes() != self._built.tobytes()
 
     def update(self, state: ArmState) -> None:
-        """Takes the locked actuators of a snapshot; called in the link's thread, in the order of the snapshots."""
+        """Takes the locked actuators of a snapshot; called in the link's thread, in order."""
         if not state.known or state.snapshot.moving:
             return
         with self._lock:
@@ -59,28 +59,28 @@ class LockedActuators:
             if not np.array_equal(states, self.states):
                 self.states, self.problem = states, None
                 log.warning("%s", self.sentence())
-        self._go_on()
+        self._rebuild_if_needed()
 
     def retry(self) -> None:
-        """Tries once more to rebuild tables that could not be rebuilt."""
+        """Starts another attempt to rebuild the tables."""
         self.problem = None
-        self._go_on()
+        self._rebuild_if_needed()
 
-    def refusal(self, wish: DegradeMessage, measured: Measured, sensed: NDArray[np.bool_]) -> str | None:
+    def refusal(self, request: DegradeMessage, measured: Measured, sensed: NDArray[np.bool_]) -> str | None:
         """Returns why a request is refused, or None.
 
         Args:
-            wish: the request.
+            request: the request.
             measured: actuator states, -1 unknown, shape (A,).
             sensed: which actuators have an end-stop, shape (A,).
         """
         labels = self._manipulator.actuators
-        if wish.actuator not in labels:
-            return f"actuator: {wish.actuator[:40]!r} is none of this arm's, which are {labels[0]} to {labels[-1]}"
-        k = labels.index(wish.actuator)
-        if wish.state is not None and sensed[k] and measured[k] not in (-1, wish.state):
-            return f"state: the end-stop of {wish.actuator} reads {STATES[measured[k]]}"
-        states = changed(self._manipulator, self.states, wish)
+        if request.actuator not in labels:
+            return f"actuator: {request.actuator[:40]!r} is none of this arm's, which are {labels[0]} to {labels[-1]}"
+        k = labels.index(request.actuator)
+        if request.state is not None and sensed[k] and measured[k] not in (-1, request.state):
+            return f"state: the end-stop of {request.actuator} reads {STATES[measured[k]]}"
+        states = with_request(self._manipulator, self.states, request)
         try:
             lock_actuators(self._manipulator, states)
             if (measured >= 0).all():
@@ -90,49 +90,49 @@ class LockedActuators:
         return None
 
     def faults(self) -> Iterator[Fault]:
-        """Yields what `state` tells: each locked actuator, and tables that could not be rebuilt."""
+        """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
         labels = self._manipulator.actuators
         for k in np.flatnonzero(self.states >= 0):
-            held = STATES[self.states[k]]
-            yield Fault("degraded", labels[k], f"actuator {labels[k]} is held {held}: plans leave it so")
+            state = STATES[self.states[k]]
+            yield Fault("degraded", labels[k], f"actuator {labels[k]} is locked {state}: plans do not switch it")
         if self.problem is not None:
             yield Fault("internal-error", "daemon", self.problem)
 
     def sentence(self, states: LockedStates | None = None) -> str:
-        """Returns the locked actuators in words, as "held: 5.left (contracted)", or that there are none."""
+        """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
         shown, labels = self.states if states is None else states, self._manipulator.actuators
-        held = [f"{labels[k]} ({STATES[shown[k]]})" for k in np.flatnonzero(shown >= 0)]
-        return f"held: {', '.join(held)}" if held else "no actuator held"
+        names = [f"{labels[k]} ({STATES[shown[k]]})" for k in np.flatnonzero(shown >= 0)]
+        return f"locked: {', '.join(names)}" if names else "no actuator is locked"
 
-    def _go_on(self) -> None:
+    def _rebuild_if_needed(self) -> None:
         """Starts a rebuild if one is needed and none runs."""
         with self._lock:
             if self._working or self.problem is not None or np.array_equal(self.states, self._built):
                 return
             self._working = True
             states = self.states.copy()
-        threading.Thread(target=self._work, args=(states,), name="rebuild", daemon=True).start()
+        threading.Thread(target=self._run_rebuild, args=(states,), name="rebuild", daemon=True).start()
 
-    def _work(self, states: LockedStates) -> None:
+    def _run_rebuild(self, states: LockedStates) -> None:
         problem = None
         try:
             if not np.array_equal(states, self._built):
                 self._rebuild(states)
         except Exception as error:
-            log.exception("planning cannot go by what is held")
-            problem = f"planning cannot go by what is held: {error!r}"
+            log.exception("the tables for the locked actuators cannot be rebuilt")
+            problem = f"the tables for the locked actuators cannot be rebuilt: {error!r}; reset to try again"
         with self._lock:
             self._working = False
             if problem is None:
                 self._built = states
             elif np.array_equal(states, self.states):
                 self.problem = problem
-        self._changed()
-        self._go_on()
+        self._on_change()
+        self._rebuild_if_needed()
 
 
-def changed(manipulator: Manipulator, states: LockedStates, wish: DegradeMessage) -> LockedStates:
-    """Returns locked states (A,) as a request changes them."""
+def with_request(manipulator: Manipulator, states: LockedStates, request: DegradeMessage) -> LockedStates:
+    """Returns locked states (A,) after a request."""
     result = states.copy()
-    result[manipulator.actuators.index(wish.actuator)] = -1 if wish.state is None else wish.state
+    result[manipulator.actuators.index(request.actuator)] = -1 if request.state is None else request.state
     return result

@@ -1,4 +1,4 @@
-"""Payloads of answers: a request was carried out, or why it was refused."""
+"""Payloads that answer requests: done, or refused and why."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,5 +18,5 @@ def done(message: str) -> Payload:
 
 
 def refused(code: int, message: str, goal: str | None = None) -> Payload:
-    """Returns the answer to a request that was refused; `goal` is its id, where it is known."""
+    """Returns the answer to a request that was refused; `goal` is its id, if it is known."""
     return {"accepted": False, "id": goal, "code": code, "message": message}

@@ -1,4 +1,4 @@
-"""The arm as the planner knows it now: the latest snapshot, and the mode that `state` shows."""
+"""The present state of the arm: the latest snapshot, and the mode that `state` shows."""
 
 import threading
 import time
@@ -19,12 +19,12 @@ NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 
 
 class Locks(Protocol):
-    """What the mode depends on besides the executor: see LockedActuators."""
+    """What the mode depends on besides the executor; see LockedActuators."""
 
     problem: str | None
 
     @property
-    def behind(self) -> bool:
+    def rebuilding(self) -> bool:
         """Whether the planner's tables are being rebuilt."""
 
     def sentence(self) -> str:
@@ -32,10 +32,10 @@ class Locks(Protocol):
 
 
 class ArmMonitor:
-    """Keeps the latest snapshot. `take` and `lost` are the link's thread's; all else is for any thread.
+    """Stores the latest snapshot. `take` and `lost` are for the link's thread; all else is for any thread.
 
     Attributes:
-        state: the arm at the latest snapshot; None while there is none.
+        state: the arm at the latest snapshot; None if there is none.
         rest: when each actuator switched last.
 
     Args:
@@ -62,14 +62,14 @@ class ArmMonitor:
         self._locks: Locks | None = None
         self._sentence, self._shown_for = "", ""
 
-    def go_by(self, locks: Locks) -> None:
-        """Takes the locked actuators into account from now on."""
+    def set_locks(self, locks: Locks) -> None:
+        """Sets the locked actuators on which the mode depends."""
         self._locks = locks
 
-    # --- the link's thread
+    # --- called by the link's thread
 
     def take(self, snapshot: Snapshot) -> ArmState:
-        """Takes a snapshot."""
+        """Stores a snapshot, and returns it as ArmState."""
         state = ArmState(self.manipulator, snapshot)
         self.rest.note(self.state, state)
         with self._newer:
@@ -79,26 +79,26 @@ class ArmMonitor:
         return state
 
     def lost(self) -> None:
-        """Notes that the executor is gone."""
+        """Notes that the executor is lost."""
         with self._newer:
             self.state, self._sentence = None, ""
             self._newer.notify_all()
 
     def ended(self, sentence: str) -> None:
-        """Takes a sentence on the end of a program, which the mode shows until something else happens."""
+        """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason."""
         with self._newer:
             self._sentence, self._shown_for = sentence, ""
 
-    # --- any thread
+    # --- for any thread
 
     @property
     def measured(self) -> Measured:
-        """Measured states, -1 where they are not known, shape (A,)."""
+        """Measured states, shape (A,); -1 where they are not known."""
         state = self.state
         return np.full(len(self.manipulator.actuators), -1, np.int8) if state is None else state.measured
 
     def mode(self) -> tuple[Mode, str]:
-        """Returns the mode, and a sentence on it."""
+        """Returns the mode, and its reason as a sentence."""
         state, locks = self.state, self._locks
         if state is None:
             problem = self._link.problem or "waiting for the executor's first snapshot"
@@ -107,8 +107,8 @@ class ArmMonitor:
         if locks is not None and mode == "ready":
             if locks.problem is not None:
                 return "fault", locks.problem
-            if locks.behind:
-                return "starting", f"planning is made ready to go on, {locks.sentence()}"
+            if locks.rebuilding:
+                return "starting", f"the planner's tables are being rebuilt; {locks.sentence()}"
         if mode == "ready" and self._sentence:
             return mode, self._sentence
         return mode, reason
@@ -117,10 +117,10 @@ class ArmMonitor:
         """Returns the latest state.
 
         Args:
-            run: whether the arm is to move.
+            run: whether the arm will move.
 
         Raises:
-            Refusal: there is none, or the mode does not allow to move.
+            Refusal: there is no snapshot, or the mode does not allow motion.
         """
         state, (mode, reason) = self.state, self.mode()
         if state is None or (run and mode not in ("ready", "executing")):
@@ -131,7 +131,7 @@ class ArmMonitor:
         """Returns the configuration to plan from (B,), of the arm reduced by its locked actuators.
 
         Raises:
-            Refusal: the arm is in none, or not known, or other actuators are locked than the reduced arm has.
+            Refusal: the arm is in no known configuration, or the locked actuators have changed.
         """
         if (unknown := state.unknown_state) is not None:
             raise Refusal(INVALID_GOAL, f"unknown state: {unknown}; switch single actuators with `jog`")
@@ -141,17 +141,19 @@ class ArmMonitor:
             raise Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}")
         try:
             return transferred(configuration, self.manipulator, reduced)
-        except ValueError:  # other actuators are locked now, and the tables do not know it yet
+        except ValueError:  # the locked actuators have changed, and the tables are not rebuilt yet
             mode, reason = self.mode()
-            raise Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}; which actuators are held changes now") from None
+            raise Refusal(
+                INVALID_GOAL, f"the arm is {mode}: {reason}; the locked actuators are changing, send it again"
+            ) from None
 
     def wait_newer(self, state: ArmState) -> None:
-        """Waits until there is a newer snapshot, for a while at most."""
+        """Waits for a newer snapshot, at most NEWER_WITHIN."""
         with self._newer:
             self._newer.wait_for(lambda: self.state is not state, NEWER_WITHIN)
 
     def _note_reason(self, snapshot: Snapshot) -> None:
-        """Forgets the sentence on the end of a program when something else has happened since."""
+        """Drops the sentence on the end of a program if mode or reason have changed since."""
         if snapshot.mode == "ready":
             self._shown_for = self._shown_for or snapshot.reason
         if self._shown_for and (snapshot.mode != "ready" or snapshot.reason != self._shown_for):

@@ -1,4 +1,4 @@
-"""Answers to `plan` queries, in a thread of their own with a solver of their own: never in the way of goals."""
+"""Answers `plan` queries in a thread with a solver of its own, so that goals never wait for them."""
 
 import time
 import uuid
@@ -20,12 +20,12 @@ from controller.planning.messages import CLOSING, Payload, Reply, done
 from controller.planning.request_queue import RequestQueue
 
 MOST_WAITING = 4
-DEADLINE = 10.0  # [s] for one query, its wait excluded
+DEADLINE = 10.0  # [s] for one query, without its time in the queue
 
 
 @dataclass(frozen=True, eq=False)
 class PlanQuery:
-    """A goal that is only asked about; `received` in UNIX seconds."""
+    """A goal to plan but not to run; `received` is the time of arrival [UNIX s]."""
 
     reply: Reply
     message: GoalMessage
@@ -34,14 +34,14 @@ class PlanQuery:
 
 
 class PlanQueries:
-    """Answers every query once.
+    """Answers each query once.
 
     Attributes:
-        requests: that wait.
+        requests: the waiting queries.
 
     Args:
-        planning: makes the plans; used by nobody else.
-        busy: whether a goal waits to be planned: then a query is answered with what there is.
+        planning: makes the plans; not shared.
+        busy: returns whether a goal waits to be planned; the search over the whole trajectory then ends early.
     """
 
     def __init__(self, planning: GoalPlanning, busy: Callable[[], bool]) -> None:
@@ -49,14 +49,14 @@ class PlanQueries:
         self.requests = RequestQueue("plan queries", MOST_WAITING, self._serve)
 
     def submit(self, payload: bytes, reply: Reply) -> None:
-        """Takes a query, or refuses it at once; never waits."""
+        """Queues a query, or refuses it at once. Never waits."""
         self.requests.submit(lambda: self._query(payload, reply), reply)
 
     def _query(self, payload: bytes, reply: Reply) -> PlanQuery:
-        """Returns a query.
+        """Decodes a query.
 
         Raises:
-            Refusal: it is malformed, or far out of reach.
+            Refusal: the query is malformed, or far out of reach.
         """
         message = self._planning.read(payload)
         return PlanQuery(reply, message, time.time(), message.id or uuid.uuid4().hex[:12])
@@ -87,7 +87,7 @@ def described(whole: Manipulator, reduced: Manipulator, previous: Configuration,
 
     Args:
         whole: the arm.
-        reduced: the arm without the states that locked actuators rule out; configurations of the plan are its own.
+        reduced: the arm reduced by locked actuators; the plan's configurations are of this arm.
         previous: configuration before, shape (B,).
         plan: to describe.
     """

@@ -1,4 +1,4 @@
-"""Goals and jogs: has the executor run them in order of arrival, and improves the plans of goals."""
+"""Runs goals and jogs in order of arrival, and improves the plans of running goals."""
 
 import logging
 import time
@@ -24,18 +24,18 @@ from controller.planning.sending import ProgramSender
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 16
-REPLANS = 3  # of a goal whose first stages touch something from where the arm has moved on to
+REPLANS = 3  # most plans of a goal whose first stages collide because the arm has moved meanwhile
 
 
 @dataclass(frozen=True, eq=False)
 class GoalRequest:
-    """A goal to plan and run, or the states that actuators are to be switched to.
+    """A goal to plan and run, or new states of single actuators.
 
     Attributes:
         ticket: its place among all requests.
         reply: takes the answer.
         wanted: goal or states.
-        received: when it came [UNIX s].
+        received: time of arrival [UNIX s].
         goal: id; None for states.
     """
 
@@ -47,16 +47,16 @@ class GoalRequest:
 
 
 class Planner:
-    """Answers every request once: refuses it, or has the executor take it.
+    """Answers each request once: refuses it, or sends it to the executor.
 
     Attributes:
-        requests: that wait.
+        requests: the waiting requests.
 
     Args:
-        planning: makes the plans; used by nobody else.
+        planning: makes the plans; not shared.
         monitor: of the arm.
-        admission: knows which requests are barred.
-        goals: that run.
+        admission: decides which requests are barred.
+        goals: the running goals.
         sender: of programs.
         jogging: makes programs of single actuators.
     """
@@ -74,18 +74,18 @@ class Planner:
         self._goals, self._sender, self._jogging = goals, sender, jogging
         self._arm, self._pace = planning.arm, planning.pace
         self._programs = GoalPrograms(planning, monitor, goals)
-        self._expected: tuple[object, bytes] | None = None  # solver and configuration that the search is prepared for
+        self._expected: tuple[object, bytes] | None = None  # for which the search is prepared
         self.requests = RequestQueue("goals", MOST_WAITING, self._serve, self._expect)
 
     def submit(self, payload: bytes, reply: Reply, jog: bool = False) -> None:
-        """Takes a request, or refuses it at once; never waits."""
+        """Queues a request, or refuses it at once. Never waits."""
         self.requests.submit(lambda: self._request(payload, reply, jog), reply)
 
     def _request(self, payload: bytes, reply: Reply, jog: bool) -> GoalRequest:
-        """Returns a request.
+        """Decodes a request.
 
         Raises:
-            Refusal: it is malformed, or far out of reach.
+            Refusal: the request is malformed, or far out of reach.
         """
         wanted = self._jogging.decode(payload) if jog else self._planning.read(payload)
         goal = (wanted.id or uuid.uuid4().hex[:12]) if isinstance(wanted, GoalMessage) else None
@@ -94,7 +94,7 @@ class Planner:
     # --- the thread
 
     def _expect(self) -> None:
-        """Prepares the search, step by step so that no request waits for it."""
+        """Prepares the next search while no request waits; stops as soon as one does."""
         state, (solver, _) = self._monitor.state, self._planning.now()
         if state is None or self._arm.settings.method != "minimum-switch":
             return
@@ -113,7 +113,7 @@ class Planner:
         """Checks that a request is still wanted.
 
         Raises:
-            Refusal: it is not.
+            Refusal: the daemon shuts down, or the request is barred.
         """
         if self.requests.closing:
             raise Refusal(codes.INVALID_GOAL, CLOSING)
@@ -129,10 +129,10 @@ class Planner:
             self._sender.send(request.ticket, self._jogging.maker(request.wanted, self._accepting(request)))
 
     def _run(self, request: GoalRequest, message: GoalMessage, goal: str) -> None:
-        """Plans a goal, has the executor run it, and improves its plan.
+        """Plans a goal, sends it to the executor, and improves its plan.
 
         Raises:
-            Refusal: it is not run.
+            Refusal: the goal is not run.
         """
         trajectory = self._planning.trajectory(message, request.received)
         for last in (*[False] * (REPLANS - 1), True):
@@ -143,12 +143,14 @@ class Planner:
                 break
             except CollisionError as error:
                 if last:
-                    raise Refusal(codes.INVALID_GOAL, f"on the way from where the arm is, {error}") from None
+                    raise Refusal(
+                        codes.INVALID_GOAL, f"the motion from the arm's present state would collide: {error}"
+                    ) from None
         if self._arm.settings.method == "minimum-switch":
             self._improve(request, run, found)
 
     def _accepting(self, request: GoalRequest) -> Reply:
-        """Returns what answers a request that the executor has taken; it is called in the link's thread."""
+        """Returns a function that answers an accepted request; the link's thread calls it."""
 
         def reply(payload: Payload) -> None:
             self._admission.end_streams(request.ticket)
@@ -156,14 +158,14 @@ class Planner:
 
         return reply
 
-    # --- while it runs
+    # --- while the goal runs
 
     def _improve(self, request: GoalRequest, run: RunningGoal, found: Planned) -> None:
-        """Improves the plan of a running goal until that is done, the goal has ended, or a request waits."""
+        """Improves the plan of a running goal until it is complete, the goal ends, or a request waits."""
         plan = run.plan
         if plan is None:
             return
-        before, told = found.solver.manipulator.actuator_states(found.previous), plan
+        before, sent = found.solver.manipulator.actuator_states(found.previous), plan
         start = run.begin + run.delay
         try:
             for better in Improvement(found.solver, plan, self._pace, start).plans():
@@ -171,10 +173,10 @@ class Planner:
                 if self.requests.waiting() or not self._goals.runs(run) or current is not found.keep_out:
                     return
                 self._proceed(request)
-                if better is not told and current.touched(before, stages_of(better)) is None:
+                if better is not sent and current.first_collision(before, stages_of(better)) is None:
                     self._goals.improve(run, better)
-                    told = better
-        except Refusal:  # canceled or stopped: the goal has had its answer
+                    sent = better
+        except Refusal:  # canceled or stopped: the goal has been answered already
             return
         except Exception:
             log.exception("look-ahead failed, the goal goes on as first planned")

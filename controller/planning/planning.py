@@ -1,4 +1,4 @@
-"""The planner's room put together, as the gateway sees it."""
+"""The planner, assembled from its parts, as the gateway uses it."""
 
 import logging
 from collections.abc import Callable, Collection, Sequence
@@ -14,11 +14,11 @@ from controller.motion import degrade, obstacles
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
 from controller.motion.pacing import pace_of
 from controller.planning.admission import Admission, Receive
-from controller.planning.clearance_worker import ClearanceWorker, RestCheck
+from controller.planning.clearance_worker import ClearanceWorker, RemainingCheck
 from controller.planning.description import density, description, drawing, file
 from controller.planning.executor_listener import ExecutorListener
 from controller.planning.follower import Follower
-from controller.planning.goal_check import Verdict
+from controller.planning.goal_check import Outcome
 from controller.planning.goal_planning import GoalPlanning
 from controller.planning.goals import RunningGoals
 from controller.planning.jogging import Jogging
@@ -41,11 +41,11 @@ from controller.workspace.mapping import map_densities
 
 log = logging.getLogger(__name__)
 
-LAST_RESULTS_WITHIN = 1.0  # [s] at the end, for the executor to end the running goal
+LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
 
 class Ledger(GoalLedger, Protocol):
-    """Where goals, results and switches are entered; must not wait."""
+    """Records goals, results and switches; must not wait."""
 
     fault: str | None
 
@@ -53,16 +53,16 @@ class Ledger(GoalLedger, Protocol):
         """Takes the executor's counts, one for each actuator."""
 
     def known(self) -> Sequence[int]:
-        """Returns the switches of each actuator so far."""
+        """Returns the number of switches of each actuator so far."""
 
 
 class Planning:
-    """The planner's room as the gateway sees it. Methods may be called from any thread and never wait, but for `close`.
+    """The planner as the gateway uses it. For any thread; all methods but `close` and `end_goals` return at once.
 
     Args:
         arm: with wiring.
         densities: of the arm reduced by the actuators that its file declares stuck.
-        link: to the executor; started and closed with this.
+        link: to the executor; started and closed with this object.
         ledger: of goals and switches.
         publish: sends a payload on "feedback", "result", or "inherited" (`Results`); must not wait.
         on_change: called when `state` has changed, and 20 times a second; must not wait.
@@ -85,7 +85,7 @@ class Planning:
         ]
         self._monitor = ArmMonitor(manipulator, link, arm.travel_time, pace_of(arm.settings))
         self._locked = LockedActuators(manipulator, arm.locked, self._rebuild, on_change)
-        self._monitor.go_by(self._locked)
+        self._monitor.set_locks(self._locked)
         self._tip_bias = TipBiasWorker(self._monitor, arm.settings.tracker) if arm.settings.tracker else None
         self._goals = RunningGoals(
             manipulator, link, ledger, publish, lambda: self._monitor.measured, self._monitor.ended
@@ -109,8 +109,8 @@ class Planning:
         self._listener = ExecutorListener(
             link, self._monitor, self._admission, self._goals, self._locked, self._clearance, numbers, ledger, on_change
         )
-        self._rest = RestCheck(manipulator, self._monitor, self._goals, self._keep_out, self._clearance)
-        told, tracker = (self._tip_bias.told, self._tracker) if self._tip_bias else (dict, dict)
+        self._remaining_check = RemainingCheck(manipulator, self._monitor, self._goals, self._keep_out, self._clearance)
+        told, tracker = (self._tip_bias.state_fields, self._tracker) if self._tip_bias else (dict, dict)
         self._status = StatusReport(self._monitor, link, self._goals, self._locked, self._keep_out, told)
         self._diagnostics = DiagnosticsReport(
             link, lambda: self._listener.counted, self._queues, self._follower.status, lambda: ledger.fault, tracker
@@ -120,7 +120,7 @@ class Planning:
         self._on_change = on_change
 
     def start(self) -> None:
-        """Starts all threads, the link to the executor at last."""
+        """Starts all threads; the link to the executor is last."""
         for part in (self._clearance, self._planner.requests, self._queries.requests, self._follower):
             part.start()
         if self._tip_bias is not None:
@@ -132,7 +132,7 @@ class Planning:
         for part in (self._follower, self._planner.requests, self._queries.requests):
             part.close()
         if (running := self._goals.current) is not None:
-            self._goals.end(running, Verdict("aborted", PATH_TOLERANCE_VIOLATED, CLOSING, ""))
+            self._goals.end(running, Outcome("aborted", PATH_TOLERANCE_VIOLATED, CLOSING, ""))
             self._goals.wait_ended(LAST_RESULTS_WITHIN)
 
     def close(self) -> None:
@@ -150,7 +150,7 @@ class Planning:
         self._planner.submit(payload, reply)
 
     def plan(self, payload: bytes, reply: Reply) -> None:
-        """Answers what a goal would do."""
+        """Answers with the plan of a goal, without running it."""
         self._queries.submit(payload, reply)
 
     def jog(self, payload: bytes, reply: Reply) -> None:
@@ -158,7 +158,7 @@ class Planning:
         self._planner.submit(payload, reply, jog=True)
 
     def cancel(self, reply: Reply) -> None:
-        """Has the arm hold now."""
+        """Ends the running goal or stream; the arm holds."""
         self._requests.cancel(reply)
 
     def stop(self, reply: Reply) -> None:
@@ -177,7 +177,7 @@ class Planning:
             reply(refused(refusal.code, str(refusal)))
 
     def obstacles(self, payload: bytes, reply: Reply) -> None:
-        """Keeps clear of other obstacles from now on; nothing moves by that."""
+        """Replaces the obstacles that were sent before; nothing moves."""
         try:
             sent = obstacles.decode(payload, self._arm.manipulator.dimension)
         except Refusal as refusal:
@@ -185,17 +185,17 @@ class Planning:
             return
         if self._keep_out.change(sent):
             self._sent = msgspec.json.decode(payload)["regions"]
-            self._rest.check()
+            self._remaining_check.check()
             self._on_change()
         state = self._monitor.state
         reply(done(self._keep_out.current.sentence(None if state is None else state.measured)))
 
     def setpoints(self, receive: Receive) -> None:
-        """Takes set-points from a mailbox; `receive` returns the latest, None if there is none, and never waits."""
+        """Sets the mailbox of set-points: `receive` returns the latest, or None, and never waits."""
         self._admission.read_setpoints(receive)
 
     def measured_tips(self, receive: Receive) -> None:
-        """Takes measured tips from a mailbox, see `setpoints`."""
+        """Sets the mailbox of measured tips; see `setpoints`."""
         if self._tip_bias is not None:
             self._tip_bias.read(receive)
 
@@ -210,11 +210,10 @@ class Planning:
         return self._diagnostics.diagnostics()
 
     def description(self, wanted: Collection[str] = ()) -> Payload:
-        """Returns the payload of `arm`; `limits` are sentences on what its boards cannot do.
+        """Returns the payload of `arm`; `limits` are sentences on limits of its boards.
 
         Args:
-            wanted: what it is to have besides: "drawing", "file", "density", and "running", the waypoints of the goal
-                that runs.
+            wanted: parts to include: "drawing", "file", "density", and "running", the waypoints of the running goal.
         """
         state = self._monitor.state
         faults = () if state is None else state.snapshot.faults
@@ -229,7 +228,7 @@ class Planning:
         return {**self._description, "limits": limits, "sent_obstacles": self._sent, **besides}
 
     def _running(self) -> Payload | None:
-        """Returns id and waypoints of the goal that runs; None if there is none."""
+        """Returns id and waypoints of the running goal; None if there is none."""
         goal = self._goals.current
         return None if goal is None else {"goal": goal.report.id, "waypoints": goal.report.waypoints}
 
@@ -246,9 +245,9 @@ class Planning:
 
     # --- changes
 
-    def _tables(self, held: LockedStates, densities: Densities | None = None) -> list[Solver]:
-        """Returns the solvers for goals, plan queries and set-points of the arm reduced by locked states (A,)."""
-        reduced = lock_actuators(self._arm.manipulator, held)
+    def _tables(self, locked: LockedStates, densities: Densities | None = None) -> list[Solver]:
+        """Returns the solvers for goals, plan queries and set-points, for the arm reduced by locked states (A,)."""
+        reduced = lock_actuators(self._arm.manipulator, locked)
         if densities is None:
             densities = map_densities(reduced, self._arm.pixel, self._arm.level_pixels)
         else:
@@ -257,7 +256,7 @@ class Planning:
         for_goals.prepare()
         return [for_goals, for_goals.another(), for_goals.another()]
 
-    def _rebuild(self, held: LockedStates) -> None:
-        """Has all searches go by other locked states (A,)."""
-        for part, solver in zip(self._solvers, self._tables(held), strict=True):
+    def _rebuild(self, locked: LockedStates) -> None:
+        """Rebuilds all solvers for locked states (A,)."""
+        for part, solver in zip(self._solvers, self._tables(locked), strict=True):
             part.use(solver)

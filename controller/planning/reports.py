@@ -1,4 +1,4 @@
-"""What is told of one program: feedback at its marks, and its one result."""
+"""The reports on one program: feedback at its marks, and its one result."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -12,7 +12,7 @@ from controller.motion.jog import STATES
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import Measured, States
 from controller.planning.context import GoalContext, encode_context
-from controller.planning.goal_check import UNKNOWN, Verdict, at_the_end, on_the_way, target_of, whereabouts
+from controller.planning.goal_check import UNKNOWN, Outcome, check_last_waypoint, check_path, measured_pose, target_of
 from controller.planning.messages import Payload
 from controller.program import Ended, Travel
 
@@ -24,13 +24,13 @@ STATUS_CODES = {
 
 
 class Report(Protocol):
-    """What is told of one program."""
+    """The reports on one program."""
 
     id: str
 
     @property
     def context(self) -> bytes:
-        """Comes back with the result."""
+        """The context that comes back with the result."""
 
     @property
     def waypoint(self) -> int | None:
@@ -38,34 +38,34 @@ class Report(Protocol):
 
     @property
     def target(self) -> Payload | None:
-        """Position and orientation that the arm moves to or is at, as the goal asks for them; None without such."""
+        """Position and orientation that the goal gives for the arm's present point; None for a jog."""
 
     @property
     def waypoints(self) -> Sequence[Payload]:
-        """All waypoints: time, position and orientation, as the goal asks for them."""
+        """All waypoints: time, position and orientation as the goal gives them."""
 
     def begun(self, point: int) -> None:
         """Notes that the stages to a point have begun."""
 
     def settled(
         self, point: int, measured: Measured, switches: int, stages: int, deviation: float | None
-    ) -> tuple[Payload | None, Verdict | None]:
-        """Returns the feedback of a settled point, if any is told, and a verdict if that ends the goal."""
+    ) -> tuple[Payload | None, Outcome | None]:
+        """Returns the feedback of a settled point, if there is any, and an outcome if the goal ends there."""
 
-    def judged(self, measured: Measured) -> Verdict:
-        """Returns the verdict on a program whose last mark has settled."""
+    def final_outcome(self, measured: Measured) -> Outcome:
+        """Returns the outcome of a program whose last mark has settled."""
 
     def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
-        """Returns where the arm is measured, and what else the result tells; `travels` are measured ways."""
+        """Returns the measured pose and other fields of the result; `travels` are measured travels."""
 
 
 class GoalReport:
-    """What is told of a goal.
+    """The reports on a goal.
 
     Args:
         manipulator: the whole arm.
         goal: its id.
-        trajectory: what it asks for.
+        trajectory: of the goal.
     """
 
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
@@ -77,7 +77,7 @@ class GoalReport:
 
     @property
     def context(self) -> bytes:
-        """Comes back with the result."""
+        """The context that comes back with the result."""
         last = len(self._trajectory.times) - 1
         target = target_of(self._manipulator, self._trajectory, last)
         return encode_context(self.id, len(self._trajectory.waypoints), last, target, self._trajectory.bias)
@@ -90,12 +90,12 @@ class GoalReport:
 
     @property
     def target(self) -> Payload:
-        """Position and orientation of the point that the arm moves to or is at; the first point before."""
+        """Position and orientation of the present point; of the first point before that has begun."""
         return self._asked(max(self._point, 0))
 
     @property
     def waypoints(self) -> Sequence[Payload]:
-        """All waypoints: time, position and orientation; of a tip that is corrected, as it was asked for."""
+        """All waypoints: time, position and orientation as the goal gave them, not corrected by the tip bias."""
         return [{"t": self._trajectory.times[k], **self._asked(k)} for k in self._trajectory.waypoints.tolist()]
 
     def _asked(self, point: int) -> Payload:
@@ -118,14 +118,14 @@ class GoalReport:
 
     def settled(
         self, point: int, measured: Measured, switches: int, stages: int, deviation: float | None
-    ) -> tuple[Payload | None, Verdict | None]:
-        """Returns the feedback of a settled point, if it is a waypoint, and a verdict if that ends the goal."""
+    ) -> tuple[Payload | None, Outcome | None]:
+        """Returns the feedback if the settled point is a waypoint, and an outcome if the tip has left its path."""
         self.begun(point)
         self._stages += stages
         self._deviation_known = self._deviation_known and deviation is not None
         self._deviation = max(self._deviation, deviation or 0.0)
         target = target_of(self._manipulator, self._trajectory, point)
-        where = whereabouts(self._manipulator, measured, target)
+        where = measured_pose(self._manipulator, measured, target)
         told: Payload | None = None
         if not self._trajectory.between(point):
             told = {
@@ -140,17 +140,17 @@ class GoalReport:
             }
             self._stages, self._deviation, self._deviation_known = 0, 0.0, True
         last = point == len(self._trajectory.times) - 1
-        return told, None if last else on_the_way(self.id, self._trajectory, point, where)
+        return told, None if last else check_path(self.id, self._trajectory, point, where)
 
-    def judged(self, measured: Measured) -> Verdict:
-        """Returns the verdict on a program whose last mark has settled."""
+    def final_outcome(self, measured: Measured) -> Outcome:
+        """Returns the outcome of a program whose last mark has settled."""
         target = target_of(self._manipulator, self._trajectory, len(self._trajectory.times) - 1)
-        return at_the_end(self.id, target, whereabouts(self._manipulator, measured, target))
+        return check_last_waypoint(self.id, target, measured_pose(self._manipulator, measured, target))
 
     def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
-        """Returns where the arm is measured, the errors from the point it moved to last, and the bias."""
+        """Returns the measured pose, the errors from the present point, and the bias."""
         target = target_of(self._manipulator, self._trajectory, max(self._point, 0))
-        return {**whereabouts(self._manipulator, measured, target), **self._bias}
+        return {**measured_pose(self._manipulator, measured, target), **self._bias}
 
     @property
     def _bias(self) -> Payload:
@@ -158,13 +158,13 @@ class GoalReport:
 
 
 class JogReport:
-    """What is told of single actuators that were switched.
+    """The reports on a jog.
 
     Args:
         manipulator: the whole arm.
-        name: the id of the result.
+        name: id of the result.
         target: actuator states, shape (A,).
-        chosen: which actuators the request names, shape (k,).
+        chosen: the actuators that the request names, shape (k,).
     """
 
     def __init__(self, manipulator: Manipulator, name: str, target: States, chosen: list[int]) -> None:
@@ -174,55 +174,55 @@ class JogReport:
 
     @property
     def context(self) -> bytes:
-        """Comes back with the result."""
+        """The context that comes back with the result."""
         return encode_context(self.id, 1, 0, None, None)
 
     def begun(self, point: int) -> None:
-        """Notes nothing."""
+        """Does nothing."""
 
     def settled(
         self, point: int, measured: Measured, switches: int, stages: int, deviation: float | None
-    ) -> tuple[Payload | None, Verdict | None]:
+    ) -> tuple[Payload | None, Outcome | None]:
         """Returns no feedback."""
         return None, None
 
-    def judged(self, measured: Measured) -> Verdict:
-        """Returns whether the actuators are where they were sent."""
+    def final_outcome(self, measured: Measured) -> Outcome:
+        """Returns whether the actuators are measured in their new states, as an outcome."""
         labels, apart = self._manipulator.actuators, measured[self._chosen] != self._target[self._chosen]
         if not apart.any():
-            return Verdict("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
+            return Outcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
         names = ", ".join(labels[k] for k in np.array(self._chosen)[apart])
         message = f"not measured where they were sent: {names}"
-        return Verdict("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
+        return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
 
     def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
-        """Returns where the arm is measured, and the travel times of the actuators with an end-stop there."""
+        """Returns the measured pose, and the travel times of the actuators with an end-stop."""
         labels = self._manipulator.actuators
         told = [{"actuator": labels[t.actuator], "state": STATES[t.state], "seconds": t.seconds} for t in travels]
-        return {**whereabouts(self._manipulator, measured, None), "travels": told}
+        return {**measured_pose(self._manipulator, measured, None), "travels": told}
 
 
-def result(goal: str, verdict: Verdict, switches: int, where: Payload) -> Payload:
+def result(goal: str, outcome: Outcome, switches: int, where: Payload) -> Payload:
     """Returns the payload of a result."""
-    told = {"id": goal, "status": verdict.status, "code": verdict.code, "message": verdict.message}
+    told = {"id": goal, "status": outcome.status, "code": outcome.code, "message": outcome.message}
     return {**told, "switches": switches, **where}
 
 
-def verdict_of(ended: Ended) -> Verdict:
-    """Returns the verdict on a program that ended before it was done."""
-    return Verdict(ended.status, STATUS_CODES[ended.status], ended.message, "")
+def outcome_of(ended: Ended) -> Outcome:
+    """Returns the outcome of a program that ended before it was done."""
+    return Outcome(ended.status, STATUS_CODES[ended.status], ended.message, "")
 
 
 def foreign_result(manipulator: Manipulator, ended: Ended, measured: Measured, context: GoalContext) -> Payload:
-    """Returns the result of a program that another run of the planner sent."""
+    """Returns the result of a program that an earlier planner process sent."""
     target = context.target
     reached = context.last_mark == ended.mark
-    where = whereabouts(manipulator, measured, target if reached else None)
+    where = measured_pose(manipulator, measured, target if reached else None)
     if ended.status != "done":
-        verdict = verdict_of(ended)
+        outcome = outcome_of(ended)
     elif target is None:
-        verdict = Verdict("succeeded", codes.SUCCESSFUL, "switched", "")
+        outcome = Outcome("succeeded", codes.SUCCESSFUL, "switched", "")
     else:
-        verdict = at_the_end(context.id, target, whereabouts(manipulator, measured, target))
+        outcome = check_last_waypoint(context.id, target, measured_pose(manipulator, measured, target))
     bias = {} if context.bias is None else {"bias": context.bias}
-    return result(context.id, verdict, ended.switches, {**(where or UNKNOWN), **bias})
+    return result(context.id, outcome, ended.switches, {**(where or UNKNOWN), **bias})

@@ -1,4 +1,4 @@
-"""Requests that one thread serves in order of arrival; each is answered once."""
+"""A queue of requests that one thread serves in order of arrival; each is answered once."""
 
 import logging
 import queue
@@ -12,12 +12,12 @@ from controller.planning.messages import CLOSING, Reply, refused
 
 log = logging.getLogger(__name__)
 
-IDLE = 0.02  # [s] without a request, after which the thread has time for other work
-MOST_LINES = 5  # of refusals in the log in one second
+IDLE = 0.02  # [s] without a request before the thread calls `idle`
+MOST_LINES = 5  # refusals logged in one second
 
 
 class Request(Protocol):
-    """A request."""
+    """A request with its answer."""
 
     @property
     def reply(self) -> Reply:
@@ -32,16 +32,16 @@ R = TypeVar("R", bound=Request)
 
 
 class RequestQueue(Generic[R]):
-    """Requests, and the thread that serves them. All methods but `close` may be called from any thread and never wait.
+    """Requests, and the thread that serves them. For any thread; all methods but `close` return at once.
 
     Attributes:
         closing: whether all requests are refused from now on.
 
     Args:
-        what: is requested, e.g. "goals".
+        what: what is requested, e.g. "goals".
         most: requests that may wait.
-        serve: serves a request; raises Refusal if it is refused.
-        idle: called again and again while no request waits.
+        serve: serves a request; raises Refusal to refuse it.
+        idle: called repeatedly while no request waits.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class RequestQueue(Generic[R]):
     ) -> None:
         self.closing = False
         self._what, self._most, self._serve, self._idle = what, most, serve, idle
-        self._queue: queue.SimpleQueue[R | None] = queue.SimpleQueue()  # which hands over sooner than Queue
+        self._queue: queue.SimpleQueue[R | None] = queue.SimpleQueue()  # faster than queue.Queue
         self._refusals = LimitedLog(log)
         self._thread = threading.Thread(target=self._run, name=what, daemon=True)
 
@@ -58,17 +58,17 @@ class RequestQueue(Generic[R]):
         self._thread.start()
 
     def close(self, timeout: float = 2.0) -> None:
-        """Refuses what waits, and ends the thread; what is being served should look at `closing`."""
+        """Refuses the waiting requests and ends the thread; `serve` must check `closing` itself."""
         self.closing = True
         self._queue.put(None)
         self._thread.join(timeout)
 
     def waiting(self) -> int:
-        """Returns how many requests wait."""
+        """Returns the number of waiting requests."""
         return self._queue.qsize()
 
     def submit(self, make: Callable[[], R], reply: Reply) -> None:
-        """Takes a request, or refuses it at once when it is malformed or too many wait.
+        """Queues a request, or refuses it at once if it is malformed or too many wait.
 
         Args:
             make: returns the request; raises Refusal if it is malformed.
@@ -100,7 +100,7 @@ class RequestQueue(Generic[R]):
                 request.reply(refused(INVALID_GOAL, words, request.goal))
 
     def _next(self) -> R | None:
-        """Waits for the next request; None at the end."""
+        """Waits for the next request; returns None at the end."""
         while True:
             try:
                 return self._queue.get(timeout=IDLE if self._idle else None)
@@ -110,7 +110,7 @@ class RequestQueue(Generic[R]):
 
 
 class LimitedLog:
-    """Logs at most MOST_LINES in a second; the first line after that says how many were left out. For any thread.
+    """Logs at most MOST_LINES a second; the first line after that says how many were omitted. For any thread.
 
     Args:
         log: to write to.

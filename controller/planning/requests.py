@@ -1,4 +1,4 @@
-"""Requests that go straight to the executor: cancel, stop, reset, and locking an actuator. None waits for anything."""
+"""Requests that go straight to the executor: cancel, stop, reset, and locks. None of them waits."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ from controller.planning.admission import Admission
 from controller.planning.connection import NotConnected
 from controller.planning.goals import RunningGoals
 from controller.planning.link import ExecutorLink
-from controller.planning.locked import LockedActuators, changed
+from controller.planning.locked import LockedActuators, with_request
 from controller.planning.messages import Payload, Reply, done, refused
 from controller.planning.monitor import ArmMonitor
 from controller.program import Answer, Cancel, Down, Halt, Lock, Reset
@@ -17,14 +17,14 @@ CANCELED = "canceled; the arm holds"
 
 
 class Requests:
-    """Sends requests to the executor, and answers them with its answer. For any thread.
+    """Sends requests to the executor, and replies with its answers. For any thread.
 
     Args:
         link: to the executor.
         monitor: of the arm.
-        admission: bars what came before a cancel, stop or reset.
-        goals: that run.
-        locked: actuators.
+        admission: bars the requests before a cancel, stop or reset.
+        goals: the running goals.
+        locked: locked actuators.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Requests:
         self._goals, self._locked = goals, locked
 
     def cancel(self, reply: Reply) -> None:
-        """Has the arm hold now, and bars all that came before."""
+        """Makes the arm hold now, and bars all earlier requests."""
         self._bar(lambda request: Cancel(request, None, CANCELED), reply)
 
     def stop(self, reply: Reply) -> None:
@@ -47,30 +47,30 @@ class Requests:
         self._bar(Halt, reply)
 
     def reset(self, reply: Reply) -> None:
-        """Leaves a fault or a stop; tables that could not be rebuilt are tried once more."""
+        """Leaves a fault or a stop; starts another attempt to rebuild tables that could not be rebuilt."""
         if self._locked.problem is not None:
             self._locked.retry()
         if self._monitor.mode()[0] in ("fault", "stopped"):
             self._bar(Reset, reply)
-        else:  # nothing to reset: what came before may go on
+        else:  # nothing to reset: earlier requests may continue
             self._ask(Reset, reply)
 
-    def lock(self, wish: DegradeMessage, reply: Reply) -> None:
-        """Locks an actuator in a state, or unlocks it; the executor refuses that while the arm moves."""
+    def lock(self, request: DegradeMessage, reply: Reply) -> None:
+        """Locks an actuator in a state, or unlocks it; the executor refuses this while the arm moves."""
         state = self._monitor.state
         if state is None:
             mode, reason = self._monitor.mode()
             reply(refused(INVALID_GOAL, f"the arm is {mode}: {reason}"))
             return
-        refusal = self._locked.refusal(wish, state.measured, state.sensed)
+        refusal = self._locked.refusal(request, state.measured, state.sensed)
         if refusal is not None:
             reply(refused(INVALID_GOAL, refusal))
             return
-        sentence = self._locked.sentence(changed(self._monitor.manipulator, self._locked.states, wish))
+        sentence = self._locked.sentence(with_request(self._monitor.manipulator, self._locked.states, request))
         waits = state.snapshot.mode in ("fault", "stopped")
         words = f"{sentence}{', from the reset on' if waits else ''}"
-        actuator = self._monitor.manipulator.actuators.index(wish.actuator)
-        to = -1 if wish.state is None else wish.state
+        actuator = self._monitor.manipulator.actuators.index(request.actuator)
+        to = -1 if request.state is None else request.state
 
         def told(answer: Payload) -> None:
             reply({**answer, "message": words} if answer["accepted"] else answer)
@@ -79,7 +79,7 @@ class Requests:
         self._ask_for_epoch(lambda request: Lock(request, actuator, to), told)
 
     def _bar(self, make: Callable[[int], Down], reply: Reply) -> None:
-        """Bars all that came before, and sends a request that ends the executor's epoch."""
+        """Bars all earlier requests, and sends a request that begins a new epoch."""
         self._admission.bar()
         self._ask_for_epoch(make, reply)
 
@@ -88,11 +88,16 @@ class Requests:
             self._admission.unsent()
 
     def _ask(self, make: Callable[[int], Down], reply: Reply, heard: Callable[[], None] = lambda: None) -> bool:
-        """Sends a request and replies with its answer; returns whether it could be sent."""
+        """Sends a request and replies with the answer; returns whether the request was sent."""
 
         def on_answer(answer: Answer | None) -> None:
             if answer is None:
-                reply(refused(INVALID_GOAL, f"the executor was lost before it answered: {self._link.problem}"))
+                reply(
+                    refused(
+                        INVALID_GOAL,
+                        f"the connection to the executor was lost before it answered: {self._link.problem}",
+                    )
+                )
                 return
             heard()
             reply(done(answer.message) if answer.accepted else refused(INVALID_GOAL, answer.message))

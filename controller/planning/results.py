@@ -1,4 +1,4 @@
-"""Results on their way out: each program is told exactly one."""
+"""Publishes results, exactly one for each program."""
 
 import logging
 from collections import deque
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from controller.manipulator.manipulator import Manipulator
 from controller.planning.arm_state import Measured
 from controller.planning.context import decode_context
-from controller.planning.goal_check import Verdict
+from controller.planning.goal_check import Outcome
 from controller.planning.messages import Payload
 from controller.planning.reports import foreign_result, result
 from controller.planning.running_goal import GoalLedger, RunningGoal
@@ -15,55 +15,59 @@ from controller.program import Ended, Travel
 
 log = logging.getLogger(__name__)
 
-REMEMBERED = 1_000  # programs, of which the executor may send the result again
+REMEMBERED = 1_000  # programs whose results the executor may send again
 
 Publish = Callable[[str, Payload], None]
 
 
 class Results:
-    """Publishes results, and enters them in the ledger. One thread's at a time.
+    """Publishes results, and records them in the ledger. Not thread-safe.
 
     Args:
         manipulator: the whole arm.
         ledger: of goals.
-        publish: sends a payload on "result", or "inherited" for the result of another run's goal; must not wait.
-        ended: told the sentence on the end of each program.
+        publish: sends a payload on "result", or "inherited" for a goal of an earlier planner process; must not wait.
+        ended: takes the sentence on the end of each program.
     """
 
     def __init__(
         self, manipulator: Manipulator, ledger: GoalLedger, publish: Publish, ended: Callable[[str], None]
     ) -> None:
         self._manipulator, self._ledger, self._publish, self._ended = manipulator, ledger, publish, ended
-        self._told: deque[int] = deque(maxlen=REMEMBERED)
+        self._published: deque[int] = deque(maxlen=REMEMBERED)
 
     def waive(self, program: int) -> None:
-        """Has no result published of a program that was given up."""
-        self._told.append(program)
+        """Suppresses the result of an abandoned program."""
+        self._published.append(program)
 
-    def tell(
+    def publish(
         self,
         goal: RunningGoal,
-        verdict: Verdict,
+        outcome: Outcome,
         switches: int,
         measured: Measured,
         travels: Sequence[Travel] = (),
     ) -> None:
-        """Publishes the result of a program; `travels` are measured ways of actuators."""
+        """Publishes the result of a program; `travels` are measured travels of actuators."""
         number = goal.program.program
-        self._told.append(number)
-        told = result(goal.report.id, verdict, switches, goal.report.where(measured, travels))
+        self._published.append(number)
+        told = result(goal.report.id, outcome, switches, goal.report.where(measured, travels))
         self._publish("result", told if goal.plan is None else {**told, **goal.plan.proof()})
-        self._ledger.ended(number, verdict.status, verdict.code, verdict.message, switches)
-        self._ended(verdict.sentence)
+        self._ledger.ended(number, outcome.status, outcome.code, outcome.message, switches)
+        self._ended(outcome.sentence)
 
-    def foreign(self, message: Ended, measured: Measured) -> None:
-        """Publishes the result of a program that another run of the planner sent, unless it was told before."""
-        if message.program in self._told:
+    def publish_inherited(self, message: Ended, measured: Measured) -> None:
+        """Publishes the result of a program that an earlier planner process sent, unless it was published before."""
+        if message.program in self._published:
             return
-        self._told.append(message.program)
+        self._published.append(message.program)
         context = decode_context(message.context)
         if context is None:
-            log.warning("the result of program %d is not for this planner: %s", message.program, message.message)
+            log.warning(
+                "the result of program %d has no context that this planner can decode: %s",
+                message.program,
+                message.message,
+            )
             return
         payload = foreign_result(self._manipulator, message, measured, context)
         self._publish("inherited", payload)

@@ -1,4 +1,4 @@
-"""Programs on their way to the executor: sent from the latest outputs, and again if the arm has moved on meanwhile."""
+"""Sends programs to the executor: from the latest outputs, and again if the arm has moved meanwhile."""
 
 import threading
 from collections.abc import Callable
@@ -12,11 +12,11 @@ from controller.planning.messages import BARRED
 from controller.planning.monitor import ArmMonitor
 from controller.planning.running_goal import RunningGoal
 
-MOST_SENT = 10  # times that a program is sent while the arm moves on
+MOST_SENT = 10  # most attempts to send a program while the arm moves
 
 
 class ProgramNumbers:
-    """Numbers programs and streams of set-points, each greater than all before. For any thread."""
+    """Numbers programs and streams of set-points in ascending order. For any thread."""
 
     def __init__(self) -> None:
         self._lock, self._last = threading.Lock(), 0
@@ -28,20 +28,20 @@ class ProgramNumbers:
             return self._last
 
     def at_least(self, number: int) -> None:
-        """Counts on from the executor's greatest number."""
+        """Continues after the executor's greatest number."""
         with self._lock:
             self._last = max(self._last, number)
 
 
 class ProgramSender:
-    """Has the executor take programs. For any thread.
+    """Sends programs and waits for their acceptance. For any thread.
 
     Args:
         monitor: of the arm.
-        admission: knows which requests are barred.
-        goals: that run.
+        admission: decides which requests are barred.
+        goals: the running goals.
         numbers: of programs.
-        patience: time for the executor to answer, which it does within milliseconds [s].
+        patience: longest time for an answer [s]; the executor answers within milliseconds.
     """
 
     def __init__(
@@ -56,35 +56,35 @@ class ProgramSender:
         self._patience = patience
 
     def send(self, ticket: Ticket, make: Callable[[ArmState, int, int], RunningGoal]) -> RunningGoal:
-        """Returns a program that the executor has taken.
+        """Returns a program that the executor has accepted.
 
         Args:
             ticket: of the request.
-            make: makes the program from the arm's state, with a number and an epoch; called again if the arm has moved.
+            make: makes the program from the arm's state, a number and an epoch; called again if the arm has moved.
 
         Raises:
-            Refusal: the executor does not take it, or `make` refuses.
+            Refusal: the executor does not accept it, or `make` refuses.
         """
         for _ in range(MOST_SENT):
             epoch = self._admission.epoch(ticket, self._patience)
             state = self._monitor.require()
             if epoch is None:
-                raise Refusal(INVALID_GOAL, "the executor does not answer a request that came before; try again")
+                raise Refusal(INVALID_GOAL, "the executor has not answered an earlier request; send it again")
             goal = make(state, self._numbers.next(), epoch)
             try:
                 self._goals.offer(goal)
             except NotConnected as error:
-                raise Refusal(INVALID_GOAL, f"the executor does not take it: {error}") from None
+                raise Refusal(INVALID_GOAL, f"the executor cannot take it: {error}") from None
             if self._taken(goal):
                 return goal
             self._monitor.wait_newer(state)
-        raise Refusal(INVALID_GOAL, "the arm moved on each time that the goal was to begin; send it again")
+        raise Refusal(INVALID_GOAL, "the arm moved each time before the goal could begin; send it again")
 
     def _taken(self, goal: RunningGoal) -> bool:
-        """Waits for the executor's answer; returns whether a program runs, or is to be made anew.
+        """Waits for the executor's answer; returns False if the program must be made again.
 
         Raises:
-            Refusal: it does not run.
+            Refusal: the program does not run.
         """
         if not goal.answered.wait(self._patience) and not self._goals.withdraw(goal):
             raise Refusal(INVALID_GOAL, f"the executor did not answer within {self._patience:g} s")
@@ -92,7 +92,9 @@ class ProgramSender:
             return True
         declined = goal.declined
         if declined is None:
-            raise Refusal(INVALID_GOAL, "the executor was lost before it took the goal; the arm holds")
+            raise Refusal(
+                INVALID_GOAL, "the connection to the executor was lost before it accepted the goal; the arm holds"
+            )
         if declined.cause == "moved":
             return False
         raise Refusal(INVALID_GOAL, BARRED if declined.cause == "epoch" else declined.reason)

@@ -1,4 +1,4 @@
-"""The configuration for a set-point, and the stages to it. One thread's."""
+"""Searches the configuration for a set-point, and the stages to it. Belongs to one thread."""
 
 import time
 from typing import NamedTuple
@@ -17,22 +17,22 @@ from controller.search.solution import Solution
 from controller.search.solver import Solver
 
 SEARCH_TIME = 0.01  # [s] for one search; it is never worse than IPOP
-FAR = 10.0  # tolerances; among 2000 positions that the arm reaches, IPOP misses none by more than 2
-ASIDE, OTHERS = 0.05, 16  # [s] for other configurations where the way to the cheapest is barred, and how many
+FAR = 10.0  # tolerances; IPOP missed none of 2000 reachable positions by more than 2
+ALTERNATIVE_TIME, ALTERNATIVES = 0.05, 16  # time [s] and number of other configurations if the cheapest is blocked
 
 Vector = NDArray[np.float64]
 
 
 class Query(NamedTuple):
-    """What is searched.
+    """One search.
 
     Attributes:
         solver: of the arm reduced by locked actuators.
-        keep_out: the obstacles that it keeps clear of.
-        commanded: actuator states that stages begin from, shape (A,).
+        keep_out: the obstacles that the solver avoids.
+        commanded: actuator states from which stages begin, shape (A,).
         start: configuration to plan from, of the solver's arm, shape (B,).
         goal: position of the computed tip, shape (dimension,).
-        tolerance: greatest distance from it.
+        tolerance: greatest distance from the goal.
     """
 
     solver: Solver
@@ -44,7 +44,7 @@ class Query(NamedTuple):
 
 
 class SetpointSearch:
-    """Searches within the time between two set-points.
+    """Searches that fit between two set-points.
 
     Args:
         arm: the whole arm.
@@ -55,7 +55,7 @@ class SetpointSearch:
         self._arm, self._pace = arm, pace
 
     def find(self, query: Query) -> Solution:
-        """Returns what the arm's method finds, or IPOP where that misses by far: a longer search would, too."""
+        """Searches by the arm's method. Returns IPOP's result if that misses by far: longer searches would miss, too."""
         method, (solver, _, _, start, goal, tolerance) = self._arm.settings.method, query
         if method == "minimum-switch":
             first = solver.solve(goal, start, tolerance, "ipop-fewest-switches", patience=SEARCH_TIME)
@@ -64,26 +64,26 @@ class SetpointSearch:
         return solver.solve(goal, start, tolerance, method, SEARCH_TIME, patience=SEARCH_TIME)
 
     def stages(self, query: Query, end: Configuration) -> States:
-        """Returns the stages (k, A) to a configuration, or to another within the tolerance if its way is barred.
+        """Returns the stages (k, A) to a configuration, or to another one within tolerance if the first is blocked.
 
         Raises:
-            Blocked: no way was found on which nothing is touched.
+            Blocked: no collision-free stages were found.
         """
         solver, keep_out, commanded, start, goal, tolerance = query
         reduced = solver.manipulator
         if keep_out.free:
             most = self._pace.inrush or len(commanded)
             return restage(self._arm.manipulator, commanded, reduced.actuator_states(end)[None], most)
-        until, barred = time.perf_counter() + ASIDE, None
-        for configuration in (end, *solver.candidates(goal, start, tolerance, OTHERS)[0]):
+        until, obstruction = time.perf_counter() + ALTERNATIVE_TIME, None
+        for configuration in (end, *solver.candidates(goal, start, tolerance, ALTERNATIVES)[0]):
             try:
                 sweep = sweep_for(solver)
                 stages = self._pace.staged(reduced, start, configuration, None, False, sweep, patience=0.0).stages
-                if (touched := keep_out.touched(commanded, stages)) is None:
+                if (collision := keep_out.first_collision(commanded, stages)) is None:
                     return stages
-                barred = barred or Blocked(touched)
+                obstruction = obstruction or Blocked(collision)
             except Blocked as blocked:
-                barred = barred or blocked
+                obstruction = obstruction or blocked
             if time.perf_counter() > until:
                 break
-        raise barred or Blocked("no way was found")
+        raise obstruction or Blocked("no collision-free transition was found")

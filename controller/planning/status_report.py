@@ -1,4 +1,4 @@
-"""What the planner tells while it runs: the payloads of `state` and `diagnostics`."""
+"""The payloads of `state` and `diagnostics`."""
 
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -27,10 +27,10 @@ class StatusReport:
     Args:
         monitor: of the arm.
         link: to the executor.
-        goals: that run.
-        locked: actuators.
+        goals: the running goals.
+        locked: locked actuators.
         keep_out: the obstacles.
-        bias: returns what `state` tells of the tip's bias; nothing without a tracker.
+        bias: returns the fields on the tip bias; empty without a tracker.
         wall: UNIX time [s].
     """
 
@@ -46,20 +46,21 @@ class StatusReport:
     ) -> None:
         self._monitor, self._link, self._goals, self._locked = monitor, link, goals, locked
         self._keep_out, self._bias, self._wall = keep_out, bias, wall
-        self._where: tuple[tuple[int, bytes, bytes], str | None] | None = None  # the last answer, and its question
+        # The last check: what it depends on, and its result.
+        self._collision_seen: tuple[tuple[int, bytes, bytes], str | None] | None = None
 
     def state(self) -> Payload:
-        """Returns the payload of `state`; the tip is that of the measured actuator states."""
+        """Returns the payload of `state`; its tip is computed from the measured actuator states."""
         manipulator, state = self._monitor.manipulator, self._monitor.state
         (mode, reason), measured, goal = self._monitor.mode(), self._monitor.measured, self._goals.current
         tip = measured_tip(manipulator, measured)
         age = 0.0 if state is None else max(self._monitor.clock() - state.snapshot.at, 0.0)
-        held = self._locked.states
+        locked = self._locked.states
         return {
             "stamp": self._wall() - age,
             "mode": mode,
             "reason": reason,
-            "configuration": None if tip is None else written(manipulator, measured),
+            "configuration": None if tip is None else configuration_text(manipulator, measured),
             "commanded": None if state is None or not state.known else state.states.tolist(),
             "measured": [None if s < 0 else s for s in measured.tolist()],
             "tip": None if tip is None else pose(manipulator, tip),
@@ -72,7 +73,7 @@ class StatusReport:
             ],
             "degraded": [
                 {"actuator": label, "state": at}
-                for label, at in zip(manipulator.actuators, held.tolist(), strict=True)
+                for label, at in zip(manipulator.actuators, locked.tolist(), strict=True)
                 if at >= 0
             ],
             **self._bias(),
@@ -88,19 +89,21 @@ class StatusReport:
         yield from (fault for fault in state.snapshot.faults if fault.code != "degraded")
         yield from self._locked.faults()
         if (unknown := state.unknown_state) is not None:
-            words = f"{unknown}: goals are refused; switch single actuators with `jog` until the arm is in one"
+            words = (
+                f"{unknown}: goals are refused; switch single actuators with `jog` until the arm is in a configuration"
+            )
             yield Fault(UNKNOWN_STATE, "arm", words)
-        if (words_where := self._touched(state)) is not None:
-            words = f"{words_where}: the arm holds, and goals are refused until that is changed"
+        if (collision := self._collision(state)) is not None:
+            words = f"{collision}: the arm holds; goals are refused until the arm or the obstacle is moved"
             yield Fault(IN_OBSTACLE, "arm", words)
 
-    def _touched(self, state: ArmState) -> str | None:
-        """Returns what the arm touches where it stands; reckoned anew only if that may have changed."""
+    def _collision(self, state: ArmState) -> str | None:
+        """Returns the arm's present collision; computed again only if it may have changed."""
         current = self._keep_out.current
         question = current.generation, state.snapshot.measured, state.snapshot.known
-        if self._where is None or self._where[0] != question:
-            self._where = question, current.where(state.measured)
-        return self._where[1]
+        if self._collision_seen is None or self._collision_seen[0] != question:
+            self._collision_seen = question, current.collision_at(state.measured)
+        return self._collision_seen[1]
 
 
 class DiagnosticsReport:
@@ -108,11 +111,11 @@ class DiagnosticsReport:
 
     Args:
         link: to the executor.
-        counted: returns the switches before this planner; None before it knows an executor.
-        queues: returns how many requests wait in each queue.
-        setpoint: returns how the stream of set-points fares.
+        counted: returns the switches before this planner process; None before the first connection.
+        queues: returns the number of waiting requests in each queue.
+        setpoint: returns the state of the stream of set-points.
         ledger: returns why the ledger cannot be written; None if it can.
-        tracker: returns what is told of the tip's bias; nothing without a tracker.
+        tracker: returns the fields on the tip bias; empty without a tracker.
         clock: monotonic time [s].
         wall: UNIX time [s].
     """
@@ -133,7 +136,7 @@ class DiagnosticsReport:
         self._tracker, self._clock, self._wall = tracker, clock, wall
 
     def diagnostics(self) -> Payload:
-        """Returns the payload of `diagnostics`; what the executor has not told is empty."""
+        """Returns the payload of `diagnostics`; fields that need the executor are empty without it."""
         told, counted = self._link.diagnostics, self._counted()
         age = 0.0 if told is None else max(self._clock() - told.at, 0.0)
         switches = 0 if told is None or counted is None else max(sum(told.counts) - counted, 0)
@@ -155,13 +158,13 @@ class DiagnosticsReport:
         }
 
 
-def written(manipulator: Manipulator, measured: np.ndarray[Any, np.dtype[np.int8]]) -> str:
+def configuration_text(manipulator: Manipulator, measured: np.ndarray[Any, np.dtype[np.int8]]) -> str:
     """Returns the configuration of actuator states (A,) as text."""
     return format_configuration(manipulator, manipulator.configuration(measured))
 
 
 def distinct(faults: Iterable[Fault]) -> Iterable[Fault]:
-    """Yields faults, the first of each code and source only."""
+    """Yields the first fault of each code and source."""
     seen = set[tuple[str, str]]()
     for fault in faults:
         if (key := (fault.code, fault.source)) not in seen:

@@ -1,7 +1,7 @@
-"""Measured tips, and the bias of the tip that goals are corrected by. Nothing moves because of one.
+"""Estimates the tip bias from measured tips. A measured tip moves nothing.
 
-A measured tip counts if the arm was at rest, in a known configuration, since before it was measured. Only the latest
-waits to be read: of more than fifty a second not all are read.
+A measured tip counts if the arm was at rest in a known configuration since before the measurement. Only the latest one
+waits to be read; above fifty a second, some are skipped.
 """
 
 import logging
@@ -22,11 +22,11 @@ from controller.settings import TrackerSettings
 log = logging.getLogger(__name__)
 
 POLL = 0.02  # [s]
-VALIDITY, SLACK = 1.0, 0.02  # [s] that a sample may be old, and that a tracker's clock may run ahead
+VALIDITY, SLACK = 1.0, 0.02  # greatest age of a sample [s], and greatest lead of a tracker's clock [s]
 
 
 class TipBiasWorker:
-    """Takes measured tips in a thread of its own; `bias`, `told` and `status` are for any thread.
+    """Takes measured tips in a thread of its own; `bias`, `state_fields` and `status` are for any thread.
 
     Args:
         monitor: of the arm.
@@ -35,7 +35,7 @@ class TipBiasWorker:
     """
 
     def __init__(self, monitor: ArmMonitor, settings: TrackerSettings, wall: Callable[[], float] = time.time) -> None:
-        """Builds the filter, which takes most of a second."""
+        """Builds the filter, which takes almost a second."""
         drift = settings.drift or DRIFT * settings.noise
         self._manipulator, self._monitor, self._wall = monitor.manipulator, monitor, wall
         tracker = Tracker(settings.noise, settings.clamp, drift, settings.hold)
@@ -47,7 +47,7 @@ class TipBiasWorker:
         self._thread = threading.Thread(target=self._run, name="tip-bias", daemon=True)
 
     def read(self, receive: Receive) -> None:
-        """Takes measured tips from a mailbox: `receive` returns the latest, None if there is none, and never waits."""
+        """Sets the mailbox of measured tips: `receive` returns the latest, or None, and never waits."""
         self._receive = receive
 
     def start(self) -> None:
@@ -68,7 +68,7 @@ class TipBiasWorker:
                 log.exception("a measured tip was not taken")
 
     def take(self, payload: bytes) -> None:
-        """Takes a measured tip that has arrived; one that is refused is only counted."""
+        """Takes a measured tip that has arrived; a refused one is only counted."""
         with self._lock:
             self._received += 1
             try:
@@ -78,10 +78,10 @@ class TipBiasWorker:
                 self._last_refusal = str(refusal)
 
     def _measure(self, payload: bytes) -> bool:
-        """Gives a measured tip to the filter, and returns whether it fits.
+        """Passes a measured tip to the filter; returns False if it is an outlier.
 
         Raises:
-            Refusal: it is malformed, late, early, of a moving arm, or far from any tip that would be corrected.
+            Refusal: the sample is malformed, late, early, of a moving arm, or too far from the computed tip.
         """
         position, stamp = decode(payload, self._manipulator.dimension)
         state, (mode, _) = self._monitor.state, self._monitor.mode()
@@ -94,23 +94,23 @@ class TipBiasWorker:
         measured_at = self._monitor.clock() - max(age, 0.0)
         configuration = None if state is None else state.configuration
         if state is None or configuration is None or mode not in ("ready", "executing"):
-            raise Refusal(INVALID_GOAL, f"the arm is {mode}, its configuration not known for sure")
+            raise Refusal(INVALID_GOAL, f"the arm is {mode}, or its configuration is not known")
         if state.snapshot.moving or measured_at < state.snapshot.free_at:
             raise Refusal(INVALID_GOAL, "stamp: the arm was moving, or not yet settled")
         computed = self._manipulator.tip(configuration)[: len(position), 3]
         return self._filter.measure(position - computed, measured_at)
 
     def bias(self) -> NDArray[np.float64]:
-        """Returns what goals are corrected by, shape (dimension,)."""
+        """Returns the bias that corrects goals, shape (dimension,)."""
         with self._lock:
             return self._filter.at(self._monitor.clock())
 
-    def told(self) -> Payload:
-        """Returns what `state` tells."""
+    def state_fields(self) -> Payload:
+        """Returns the fields for `state`."""
         return {"bias": self.bias()}
 
     def status(self) -> Payload:
-        """Returns how the estimate fares."""
+        """Returns the fields for `diagnostics`."""
         with self._lock:
             estimate, deviation = self._filter.estimate or (None, None)
             return {

@@ -14,7 +14,7 @@ from rich.table import Table
 from controller.config import load
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
-from controller.motion.plan import plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import Trajectory, along
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities

@@ -24,7 +24,7 @@ from controller.manipulator.frames import spatial
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.codes import Refusal
 from controller.motion.pacing import Pace
-from controller.motion.plan import plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.search.method import Method

@@ -43,7 +43,7 @@ def setpoint() -> float:
     def step(k: int) -> None:
         now = 1_800_000_000.0 + 0.005 * k
         tracker.measure((1.0, 2.0, 3.0), now, now)
-        tracker.wants(now, DELAY, (0, 0, 0), 0.01)
+        tracker.next_target(now, DELAY, (0, 0, 0), 0.01)
 
     return least(step)
 

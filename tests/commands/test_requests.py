@@ -42,26 +42,26 @@ def test_degrade_holds_actuators_and_uses_them_again(hyperbit, endpoint):
     words = ("degrade", "planar16", "--connect", endpoint)
     assert hyperbit(*words, "5.left=contracted", "7.right=contracted") == (
         0,
-        "held: 5.left (contracted)\nheld: 5.left (contracted), 7.right (contracted)\n",
+        "locked: 5.left (contracted)\nlocked: 5.left (contracted), 7.right (contracted)\n",
         "",
     )
     code, out, err = hyperbit(*words, "5.left=free", "7.right=free", "--json")
     assert (code, err) == (0, "")
     assert [json.loads(line)["message"] for line in out.splitlines()] == [
-        "held: 7.right (contracted)",
-        "no actuator held",
+        "locked: 7.right (contracted)",
+        "no actuator is locked",
     ]
 
 
 def test_a_refused_change_ends_with_1_and_those_before_it_stand(hyperbit, endpoint):
     words = ("degrade", "planar16", "--connect", endpoint)
     code, out, err = hyperbit(*words, "5.left=contracted", "5.middle=contracted", "7.right=contracted")
-    assert (code, out) == (1, "held: 5.left (contracted)\n")
+    assert (code, out) == (1, "locked: 5.left (contracted)\n")
     assert err == "refused (code -1): actuator: '5.middle' is none of this arm's, which are 1.left to 16.right\n"
     code, out, err = hyperbit(*words, "7.right=extended", "--json")
     assert (code, json.loads(out)["accepted"]) == (1, False)
     assert err == "refused (code -1): state: the end-stop of 7.right reads contracted\n"
-    assert hyperbit(*words, "5.left=free")[1] == "no actuator held\n"
+    assert hyperbit(*words, "5.left=free")[1] == "no actuator is locked\n"
 
 
 @pytest.mark.parametrize("change", ["5.left", "5.left=", "5.left=1", "5.left=up", "5.left contracted", "5.\udcff=free"])
@@ -81,11 +81,11 @@ def test_obstacles_are_kept_out_of_until_there_are_none(hyperbit, endpoint, tmp_
     words = ("obstacles", "planar16", "--connect", endpoint)
     goal = {"waypoints": [{"position": [0.55, 2.9]}]}
     with connected("planar16", endpoint, None) as client:
-        assert hyperbit(*words, str(file)) == (0, "keeping out of 1 region, 1 of them sent\n", "")
+        assert hyperbit(*words, str(file)) == (0, "1 obstacle, 1 of them sent\n", "")
         demo.wait_until_ready(client)
         assert "(0.55, 2.9) is out of reach" in client.request("plan", goal, timeout=60)["message"]
         code, out, _ = hyperbit(*words, "--none", "--json")
-        assert (code, json.loads(out)["message"]) == (0, "keeping out of 0 regions, 0 of them sent")
+        assert (code, json.loads(out)["message"]) == (0, "0 obstacles, 0 of them sent")
         assert client.request("plan", goal, timeout=60)["accepted"]
 
 

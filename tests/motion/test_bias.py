@@ -1,4 +1,4 @@
-"""The tip's bias: found under noise, kept within its clamp, and undisturbed by outliers."""
+"""The tip bias: estimated under noise, clamped, robust to outliers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def fed(bias: TipBias, true: np.ndarray, rng: np.random.Generator, count: int, start: float = 0.0) -> int:
-    """Gives noisy samples of a bias, 20 a second; returns how many fitted."""
+    """Gives noisy samples of a bias, 20 a second; returns how many were accepted."""
     noise = rng.normal(size=(count, len(true))) * TRACKER.noise
     return sum(bias.measure(true + off, start + 0.05 * k) for k, off in enumerate(noise))
 
@@ -46,7 +46,7 @@ def test_outliers_change_nothing(seed):
     rng, bias = np.random.default_rng(seed), TipBias(2, TRACKER)
     fed(bias, np.array([0.003, 0.0]), rng, 100)
     before, dropped = bias.at(5.0), bias.outliers
-    for k in range(AGREEING * 3):  # each elsewhere
+    for k in range(AGREEING * 3):  # each at another place
         angle = 2.4 * k
         assert not bias.measure(0.01 * np.array([np.cos(angle), np.sin(angle)]), 5.1 + 0.05 * k)
     assert_array_equal(bias.at(9.0), before)
@@ -79,7 +79,7 @@ def test_it_holds_for_so_long_and_is_then_none():
     fed(bias, np.array([0.003, 0.0]), np.random.default_rng(4), 50)
     assert bias.at(2.45 + 60.0)[0] > 0.0029
     assert_array_equal(bias.at(2.46 + 60.0), [0, 0])
-    assert bias.measure(np.array([-0.003, 0.0]), 100.0)  # what was before does not count
+    assert bias.measure(np.array([-0.003, 0.0]), 100.0)  # earlier samples do not count
     assert bias.at(100.0)[0] < -0.0029
 
 

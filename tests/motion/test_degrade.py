@@ -1,4 +1,4 @@
-"""Requests to hold an actuator, as they come from the network."""
+"""Requests to lock an actuator: decoding."""
 
 import json
 

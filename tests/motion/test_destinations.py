@@ -1,4 +1,4 @@
-"""Waypoints that are configurations: decoded, planned without a search, kept by looking ahead."""
+"""Waypoints that are configurations: decoded, planned without a search, unchanged by look-ahead."""
 
 import json
 from typing import Any
@@ -14,7 +14,7 @@ from controller.motion.codes import Refusal
 from controller.motion.goal import parse, schedule
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
-from controller.motion.plan import plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import Trajectory
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities

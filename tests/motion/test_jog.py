@@ -1,4 +1,4 @@
-"""Requests to switch single actuators, as they come from the network."""
+"""Requests to switch single actuators: decoding."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Whole trajectories: the optimum against brute force on small arms, and bounds that hold."""
+"""Whole trajectories: the optimum compared with brute force on small arms, and valid bounds."""
 
 from itertools import pairwise
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.frames import angle_between
-from controller.motion.label_setting import LabelSetting, least_rest
+from controller.motion.label_setting import LabelSetting, least_remaining_cost
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver
@@ -40,12 +40,12 @@ def brute_force(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear
 
 
 def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> None:
-    """Checks that the search proves the optimum, and bounds that it passes on its way."""
+    """Checks that the search proves the optimum, and that its earlier bounds are valid."""
     least = brute_force(solver, trajectory, start, clear)
     search = LabelSetting(solver, trajectory, start)
     assert search.best.bound <= least + 1e-9
     found = search.run(LONG)
-    assert search.settled
+    assert search.optimal
     assert found.cost == pytest.approx(least, rel=1e-9)
     assert found.bound == pytest.approx(least, rel=1e-9)
     assert found.configurations is not None
@@ -117,7 +117,7 @@ def brute_force_pair(solver, trajectory, start, every, clear) -> float:
 def test_what_the_rest_costs_at_least_never_rises(seed):
     rng = np.random.default_rng(seed)
     trajectory = through(np.arange(9.0), rng.normal(size=(9, 2)) * 0.01, 0.005)
-    rest = least_rest(trajectory, 2.0)
+    rest = least_remaining_cost(trajectory, 2.0)
     assert rest[-1] == 0
     assert (np.diff(rest) <= 0).all()
     apart = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)

@@ -1,4 +1,4 @@
-"""Looking ahead: fewer switches over a whole trajectory, every waypoint still met."""
+"""Look-ahead: fewer switches over a whole trajectory, with every waypoint reached."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_what_is_decided_stays_decided(solver):
     seen: list[list[bytes]] = []
 
     def decide(ahead, k):
-        ahead.decide(max(k - 3, 0))  # as when the arm is on its heels
+        ahead.decide(max(k - 3, 0))  # as if the arm follows closely
         seen.append([c.tobytes() for c in ahead.decided()])
 
     chosen = [c.tobytes() for c in followed(solver, start, goals[1:], decide)]
@@ -106,7 +106,7 @@ def test_weights_decide_what_is_cheap(arm, densities, monkeypatch):
 
 
 def test_orientations_are_kept_along_the_way(solver):
-    """Of every third waypoint, with a configuration held as long as it serves."""
+    """At every third waypoint; the configuration stays as long as it serves."""
     m, rng = solver.manipulator, np.random.default_rng(3)
     path = [rng.integers(0, 8, 16)]
     for _ in range(11):

@@ -1,4 +1,4 @@
-"""Regions to keep out of, as they come from the network."""
+"""Obstacles from the network: decoding."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""How many stages a transition takes, in the time there is."""
+"""The number of stages of a transition in the available time."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.pacing import MOST_STAGES, Infeasible, Pace
-from controller.motion.plan import plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import through
 from controller.motion.transition import build_transition
 from tests.arms import paper_arm

@@ -1,4 +1,4 @@
-"""Ways between actuator states with a bound on how many switch at once."""
+"""Stages from other actuator states than planned, within the inrush bound."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Setpoints from the network: what is taken, and the code and the sentence of every refusal."""
+"""Set-points from the network: which are accepted, and code and message of each refusal."""
 
 import json
 import re

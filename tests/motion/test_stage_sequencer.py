@@ -1,4 +1,4 @@
-"""Transitions that keep clear: every stage does, whatever its actuators do, and none is made where none need be."""
+"""Transitions among obstacles: each stage is clear in any order of its actuators, with no needless stages."""
 
 import re
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from controller.motion import stage_sequencer
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.pacing import Blocked, Pace, Staged
-from controller.motion.plan import plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import box, sphere, together
@@ -39,7 +39,7 @@ ELBOWS = [hinge(0.0, np.pi / 2, 1.0), hinge(0.0, -np.pi / 2, 1.0)]
 
 @pytest.fixture(autouse=True, scope="module")
 def patient() -> Iterator[None]:
-    """Whatever else the machine does, all that may be tried is."""
+    """A detour is searched to the end, also on a busy machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage_sequencer, "DETOUR_TIME", 60.0)
         yield
@@ -98,7 +98,7 @@ def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_aroun
 
 
 def test_a_roundabout_way_is_taken_where_no_order_serves_and_actuators_need_no_rest():
-    chain = [hinge(0.0, 2.4, 1.0), hinge(0.0, 2.4, 1.0)]  # the second folds back while the first swings past the post
+    chain = [hinge(0.0, 2.4, 1.0), hinge(0.0, 2.4, 1.0)]  # the second folds back while the first passes the post
     manipulator = arm(chain)
     post = Sweep(Clearance(manipulator, sphere("disc 'post'", (0.29, 1.675), 0.1)))
     before, after = np.array([0, 0]), np.array([1, 0])
@@ -106,7 +106,7 @@ def test_a_roundabout_way_is_taken_where_no_order_serves_and_actuators_need_no_r
         Pace(LEAD, rest=0.1).staged(manipulator, before, after, sweep=post)
     staged = Pace(LEAD).staged(manipulator, before, after, sweep=post)
     assert staged.stages.tolist() == [[0, 1], [1, 1], [1, 0]]
-    with pytest.raises(Blocked, match="3 stages keep clear of all, there is time for 2"):
+    with pytest.raises(Blocked, match="a collision-free transition takes 3 stages, there is time for 2"):
         Pace(LEAD).staged(manipulator, before, after, 2 * LEAD, sweep=post)
 
 
@@ -119,7 +119,7 @@ def test_what_need_not_wait_does_not():
     assert Pace(LEAD).staged(manipulator, before, after, sweep=far).stages.tolist() == free.stages.tolist()
     staged = Pace(LEAD).staged(manipulator, before, after, sweep=near)
     assert staged.stages.tolist() == [[0, 1], [1, 1]]  # the elbow first
-    with pytest.raises(Blocked, match=r"2 stages keep clear of all, there is time for 1: module 2 is in box"):
+    with pytest.raises(Blocked, match=r"takes 2 stages, there is time for 1: module 2 is in box"):
         Pace(LEAD).staged(manipulator, before, after, LEAD, sweep=near)
     assert Pace(LEAD).staged(manipulator, before, after, 2 * LEAD, sweep=near).deviation == staged.deviation
 
@@ -130,7 +130,7 @@ def test_no_way_and_a_start_that_touches_are_named():
     with pytest.raises(Blocked, match=r"module 2 is in box '(shelf|table)'"):
         Pace(LEAD).staged(manipulator, [0, 0], [1, 1], sweep=Sweep(Clearance(manipulator, walls)))
     stands = Sweep(Clearance(manipulator, sphere("disc 'post'", (1.5, 0.0), 0.1)))
-    with pytest.raises(Blocked, match="touches something where it stands: module 2 is in disc 'post'"):
+    with pytest.raises(Blocked, match="collides where it stands: module 2 is in disc 'post'"):
         Pace(LEAD).staged(manipulator, np.array([0, 0]), np.array([1, 1]), sweep=stands)
 
 
@@ -167,7 +167,10 @@ def test_plans_take_the_next_configuration_where_there_is_no_way_to_the_cheapest
         assert room(CHAIN, np.eye(4), disc, strokes(rng, start, staged), POINTS, False)[0] >= 0
     assert aside >= 1
     assert len(refused) < 10
-    assert all(re.match(r"waypoints\[0\]\.position: no way to it .* module \d is in disc", each) for each in refused)
+    assert all(
+        re.match(r"waypoints\[0\]\.position: no collision-free transition .* module \d is in disc", each)
+        for each in refused
+    )
 
 
 def test_a_plan_from_where_the_arm_touches_is_refused(solver):
@@ -185,6 +188,6 @@ def test_no_way_is_refused_naming_waypoint_module_and_region():
     with pytest.raises(Refusal) as caught:
         plan(solver, through(np.zeros(1), goal[None], 0.01), np.array([0, 0]), "minimum-switch")
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
-    form = r"waypoints\[0\]\.position: no way to it without touching anything: module 2 is in box '(shelf|table)'"
+    form = r"waypoints\[0\]\.position: no collision-free transition to it was found: module 2 is in box '(shelf|table)'"
     assert re.fullmatch(form, str(caught.value))
     assert [list(c) for c in product(range(2), repeat=2) if not solver.clearance.blocked([c])[0]] == [[0, 0], [1, 1]]

@@ -1,4 +1,4 @@
-"""Stages of a transition: the bounds they keep, and that no other stages keep the tip nearer to the line."""
+"""Stages of a transition: they obey the bounds, and no other stages deviate less."""
 
 from collections.abc import Iterator
 from itertools import combinations, pairwise
@@ -18,7 +18,7 @@ Plan = tuple[tuple[int, ...], ...]
 
 
 def strays(manipulator: Manipulator, start: np.ndarray, end: np.ndarray, switched: tuple[int, ...]) -> float:
-    """Distance of the tip from the line when these have switched, NaN where modules have no such state."""
+    """Distance of the tip from the line after these have switched; NaN where modules have no such state."""
     states = manipulator.actuator_states(start)
     states[list(switched)] ^= 1
     try:
@@ -35,7 +35,7 @@ def subsets(stage: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
 
 
 def between(manipulator: Manipulator, start: np.ndarray, end: np.ndarray, plan: Plan) -> np.ndarray:
-    """The tip's distance from the line in every state the plan may pass through."""
+    """Distances of the tip from the line in every state that the stages may pass."""
     earlier: tuple[int, ...] = ()
     result = []
     for stage in plan:
@@ -45,7 +45,7 @@ def between(manipulator: Manipulator, start: np.ndarray, end: np.ndarray, plan: 
 
 
 def partitions(items: tuple[int, ...], most: int) -> Iterator[Plan]:
-    """Every ordered partition into stages of at most `most`."""
+    """All ordered partitions into stages of at most `most`."""
     if not items:
         yield ()
     for size in range(1, min(most, len(items)) + 1):
@@ -60,7 +60,7 @@ def differing(manipulator: Manipulator, start: np.ndarray, end: np.ndarray) -> t
 
 
 def flipped(manipulator: Manipulator, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A configuration of the truss arm and one of n switches from it."""
+    """A configuration of the truss arm, and one that is n switches away."""
     start = rng.integers(0, manipulator.states)
     states = manipulator.actuator_states(start)
     states[rng.choice(len(states), n, replace=False)] ^= 1
@@ -70,7 +70,7 @@ def flipped(manipulator: Manipulator, n: int, rng: np.random.Generator) -> tuple
 def check(
     manipulator: Manipulator, start: np.ndarray, end: np.ndarray, found: Stages, most: int, limit: int | None
 ) -> None:
-    """Checks the bounds, that all switch once, and the deviation."""
+    """Checks the bounds, that each actuator switches once, and the deviation."""
     assert sorted(sum(found.actuators, ())) == list(differing(manipulator, start, end))
     assert all(1 <= len(stage) <= most for stage in found.actuators)
     assert all(list(stage) == sorted(stage) for stage in found.actuators)

@@ -1,4 +1,4 @@
-"""Tracking of a moving goal: what the filter gains, what it drops, when it holds, and what the arm makes of it."""
+"""Tracking of a moving goal: accuracy of the filter, dropped outliers, end of the stream, switches of the arm."""
 
 import math
 import subprocess
@@ -23,7 +23,7 @@ TIMEOUT = Tracking().timeout
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """Setpoints (n, 2) of a goal on a circle, their stamps and arrivals (n,), and which are outliers."""
+    """Set-points (n, 2) of a goal on a circle, their stamps and arrivals (n,), and which are outliers."""
 
     positions: np.ndarray
     stamps: np.ndarray
@@ -38,7 +38,7 @@ def circle(times: Any) -> np.ndarray:
 
 
 def stream(rate: float, share: float = 0.01, seconds: float = 20.0) -> Stream:
-    """Irregular setpoints with 2 mm of jitter, some 1 ms under way, and a share of outliers of 0.5 m."""
+    """Irregular set-points with 2 mm of jitter, delays of some 1 ms, and a share of outliers of 0.5 m."""
     rng = np.random.default_rng(0)
     n = int(rate * seconds)
     stamps = NOW + np.cumsum(rng.uniform(0.3, 1.7, n)) / rate
@@ -54,7 +54,7 @@ def rms(errors: np.ndarray) -> float:
 
 
 def still(tracker: GoalTracker, at: float, count: int = 20, position: Any = (0.5, 2.9)) -> float:
-    """Streams one position at 100 Hz, and returns the last arrival."""
+    """Streams one position at 100 Hz; returns the last arrival."""
     for k in range(count):
         assert tracker.measure(position, at + 0.01 * k, at + 0.01 * k)
     return at + 0.01 * (count - 1)
@@ -99,7 +99,7 @@ def test_lead_brings_the_prediction_nearer_than_the_raw_stream(rate, stamped):
     true = circle(s.arrivals + DELAY)
     inliers = rms((s.positions - true)[~s.outliers])
     assert rms(led - true) < 0.5 * inliers < 0.25 * rms(s.positions - true)
-    assert rms(level - true) > 0.9 * inliers  # filtering alone gains next to nothing
+    assert rms(level - true) > 0.9 * inliers  # filtering alone improves little
     assert s.outliers.sum() <= tracker.outliers <= s.outliers.sum() + 0.01 * len(s.stamps)
     assert tracker.jumps == 0
 
@@ -199,9 +199,9 @@ def test_a_quiet_stream_holds_and_a_new_one_starts_anew():
     tracker = GoalTracker(2)
     assert tracker.predict(NOW) is None
     now = still(tracker, NOW)
-    assert tracker.wants(now + TIMEOUT - 1e-3, DELAY, (0, 0), 0.01) is not None
+    assert tracker.next_target(now + TIMEOUT - 1e-3, DELAY, (0, 0), 0.01) is not None
     assert tracker.predict(now + TIMEOUT + 1e-3) is None
-    assert tracker.wants(now + TIMEOUT + 1e-3, DELAY, (0, 0), 0.01) is None
+    assert tracker.next_target(now + TIMEOUT + 1e-3, DELAY, (0, 0), 0.01) is None
     assert tracker.measure((1.0, 2.0), None, now + 1)
     assert tracker.predict(now + 1).position.tolist() == [1, 2]
     tracker.forget()
@@ -262,8 +262,8 @@ def test_jitter_within_the_tolerance_wants_nothing():
     for k in range(2000):
         now = NOW + 0.005 * k
         tracker.measure(rng.normal((0.5, 2.9), 0.002), None, now)
-        assert k < 20 or tracker.wants(now, DELAY, (0.504, 2.9), 0.01) is None
-    assert tracker.wants(now, DELAY, (0.52, 2.9), 0.01) == pytest.approx((0.5, 2.9), abs=0.005)
+        assert k < 20 or tracker.next_target(now, DELAY, (0.504, 2.9), 0.01) is None
+    assert tracker.next_target(now, DELAY, (0.52, 2.9), 0.01) == pytest.approx((0.5, 2.9), abs=0.005)
 
 
 def test_what_is_wanted_is_half_the_tolerance_ahead_of_the_goal():
@@ -272,8 +272,8 @@ def test_what_is_wanted_is_half_the_tolerance_ahead_of_the_goal():
         now = NOW + 0.01 * k
         tracker.measure((0.001 * k, 0), None, now)
     goal = tracker.predict(now, DELAY).position
-    assert tracker.wants(now, DELAY, goal - (0.009, 0), 0.01) is None
-    assert tracker.wants(now, DELAY, goal - (0.011, 0), 0.01) == pytest.approx(np.add(goal, (0.005, 0)), abs=1e-4)
+    assert tracker.next_target(now, DELAY, goal - (0.009, 0), 0.01) is None
+    assert tracker.next_target(now, DELAY, goal - (0.011, 0), 0.01) == pytest.approx(np.add(goal, (0.005, 0)), abs=1e-4)
 
 
 coordinates = st.floats(-1e6, 1e6) | st.floats(-1, 1)
@@ -294,7 +294,7 @@ def test_finite_setpoints_never_give_nan(dimension, data):
             assert str(error).startswith("stamp: ")  # noqa: PT017
         prediction = tracker.predict(now, DELAY)
         assert prediction is None or all(np.isfinite(part).all() for part in prediction)
-        wanted = tracker.wants(now, DELAY, np.zeros(dimension), 0.01)
+        wanted = tracker.next_target(now, DELAY, np.zeros(dimension), 0.01)
         assert wanted is None or np.isfinite(wanted).all()
 
 
@@ -304,7 +304,7 @@ def test_importing_it_does_not_import_filterpy():
 
 
 def follow(solver: Solver, s: Stream, tracker: GoalTracker | None, within: float) -> tuple[int, float]:
-    """Switches of an arm that follows the tracker's word, or without one the raw stream, and RMS error of its tip."""
+    """Switches of an arm that follows the tracker, or without one the raw stream, and RMS error of its tip."""
     tolerance, manipulator = 0.01, solver.manipulator
     configuration = solver.solve(circle(NOW)[0], np.zeros(16, dtype=np.int64), tolerance).configuration
     reached = coming = manipulator.tip(configuration)[:2, 3]
@@ -315,7 +315,7 @@ def follow(solver: Solver, s: Stream, tracker: GoalTracker | None, within: float
         errors.append(reached - circle(now)[0])
         if tracker is not None:
             tracker.measure(position, stamp, now)
-            goal = tracker.wants(now, DELAY, coming, tolerance)
+            goal = tracker.next_target(now, DELAY, coming, tolerance)
         else:
             goal = None if np.linalg.norm(position - coming) <= tolerance else position
         if goal is None or now < due:

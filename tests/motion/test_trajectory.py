@@ -1,4 +1,4 @@
-"""Points along lines: whatever configuration serves at a point stays within the path tolerance until the next."""
+"""Points along lines: a configuration that serves at a point stays within the path tolerance until the next point."""
 
 import re
 from itertools import pairwise
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import MOST_STAGES, Pace
-from controller.motion.plan import plan
+from controller.motion.point_by_point import plan
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
 
 PACE = Pace(0.06)
@@ -20,12 +20,12 @@ WAYPOINTS = np.array([(0.2, 2.9), (0.5, 2.7), (0.3, 2.6)])
 
 
 def wanted(times: np.ndarray, positions: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """Where the moving point is at moments (k,), shape (k, dimension)."""
+    """The target at times (k,), shape (k, dimension)."""
     return np.column_stack([np.interp(moments, times, column) for column in positions.T])
 
 
 def farthest(times: np.ndarray, positions: np.ndarray, trajectory: Trajectory, tips: np.ndarray) -> float:
-    """The greatest distance of the moving point from tips (n, dimension), each held from its point to the next."""
+    """The greatest distance of the target from tips (n, dimension); each tip stays from its point to the next."""
     worst = 0.0
     for k, tip in enumerate(tips[:-1]):
         moments = np.linspace(trajectory.times[k], trajectory.times[k + 1], 40)
@@ -147,7 +147,7 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
 
 
 def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver, monkeypatch):
-    monkeypatch.setattr("controller.motion.plan.PLANNING_TIME", 0.0)  # the first answers switch many
+    monkeypatch.setattr("controller.motion.point_by_point.PLANNING_TIME", 0.0)  # the first answers have many switches
     home, times = np.zeros(16, dtype=np.int64), np.array([0.0, 15.0])
     line = np.array([(-0.2, 2.5), (0.2, 2.25)])
     staged = Pace(0.06, inrush=2)

@@ -1,4 +1,4 @@
-"""A small arm, and the planner's room on an executor that the test plays."""
+"""A small arm, and a planner connected to an executor that the test plays."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -33,11 +33,11 @@ def small(read: Callable[[Any], Arm]) -> Arm:
 
 @pytest.fixture(scope="session")
 def small_densities(small: Arm) -> Densities:
-    return map_densities(small.left, small.pixel, small.level_pixels)
+    return map_densities(small.reduced, small.pixel, small.level_pixels)
 
 
 class Desk:
-    """The planner's room, what it tells, and its executor."""
+    """The planner, its published payloads, and its executor."""
 
     def __init__(self, arm: Arm, densities: Densities, folder: Path) -> None:
         self.arm, self.inbox = arm, Inbox()
@@ -54,7 +54,7 @@ class Desk:
         self.settle()
 
     def settle(self) -> None:
-        """Waits until the planner has the executor's latest snapshot."""
+        """Waits until the planner has received the executor's latest snapshot."""
         eventually(lambda: self.link.snapshot == self.executor.state and self.planning._monitor.state is not None)
 
     def show(self, **changes: Any) -> None:
@@ -75,7 +75,7 @@ class Desk:
         return sum(int(s) << k for k, s in enumerate(states))
 
     def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:
-        """Sends a goal through the tips of configurations."""
+        """Sends a goal whose waypoints are the tips of configurations."""
         waypoints = [{"t": step * k, "position": self.tip(*c)} for k, c in enumerate(configurations)]
         self.raw({"id": name, "waypoints": waypoints, **fields})
 

@@ -20,8 +20,8 @@ class CoreExecutor:
     """Serves one planner at a time until it is closed.
 
     Attributes:
-        core: touched by its own thread only, but for reading.
-        frozen: while it is set, nothing is done, as of a process that is stopped.
+        core: used by its own thread only; other threads may read.
+        frozen: while set, the executor does nothing, like a stopped process.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""An executor that a test plays by hand, on a real socket; and what else the planner's room needs."""
+"""An executor that the test plays, on a real socket, and the other parts that a planner needs."""
 
 import contextlib
 import queue
@@ -40,11 +40,11 @@ DIGEST = "d" * 64
 
 
 class ScriptedExecutor:
-    """Listens on a socket. The test takes each message with `expect`, and answers it.
+    """Listens on a socket. The test receives each message with `expect`, and answers it.
 
     Attributes:
-        state: the snapshot to come; `show` changes and sends it.
-        greets: whether a planner that says hello is welcomed.
+        state: the latest snapshot; `show` changes and sends it.
+        greets: whether a planner's Hello is answered by Welcome.
     """
 
     def __init__(self, path: Path, actuators: int, name: str = "small") -> None:
@@ -66,10 +66,10 @@ class ScriptedExecutor:
         for work in (self._serve, self._stay_alive):
             threading.Thread(target=work, daemon=True).start()
 
-    # --- what the planner sends
+    # --- messages of the planner
 
     def expect(self, kind: type[T], *passing: type[Any]) -> T:
-        """Returns the next message, which is of a kind; others than `passing` before it are wrong."""
+        """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
         while True:
             message = self._messages.get(timeout=PATIENCE)
             if isinstance(message, kind):
@@ -80,14 +80,14 @@ class ScriptedExecutor:
         """Whether no message of a kind has come."""
         return not any(isinstance(message, kind) for message in list(self._messages.queue))
 
-    # --- what it sends
+    # --- messages of the executor
 
     def send(self, message: Up) -> None:
         assert self._client is not None
         self._client.send(encode(message))
 
     def show(self, **changes: Any) -> None:
-        """Sends a snapshot; `outputs` may be an integer, and is then measured, too."""
+        """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""
         if isinstance(bits := changes.get("outputs"), int):
             changes["outputs"] = pack(bits, self.actuators)
         if "outputs" in changes and "measured" not in changes:
@@ -97,7 +97,7 @@ class ScriptedExecutor:
             self.send(self.state)
 
     def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
-        """Answers a request as the executor does: a new epoch for what ends one, and a snapshot."""
+        """Answers a request as the executor does: it begins a new epoch if needed, and sends a snapshot."""
         ends = not isinstance(message, Cancel) or message.program is None
         self.send(Answer(message.request, accepted, text))
         self.show(epoch=self.state.epoch + ends, **changes)
@@ -111,7 +111,7 @@ class ScriptedExecutor:
         self.send(Declined(program.program, cause, reason))
 
     def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
-        """Takes a stage of a program, and settles its mark if it has one."""
+        """Carries out a stage of a program, and settles its mark if it has one."""
         states = program.stages[stage]
         self.send(Begun(program.program, stage, switches))
         self.show(outputs=states.states, measured=measured or states.states)
@@ -136,7 +136,7 @@ class ScriptedExecutor:
     # --- the connection
 
     def drop(self) -> None:
-        """Closes the connection, as an executor that dies."""
+        """Closes the connection, like an executor that dies."""
         assert self._client is not None
         self._client.shutdown(socket.SHUT_RDWR)
 
@@ -147,7 +147,7 @@ class ScriptedExecutor:
             self._client.close()
 
     def _stay_alive(self) -> None:
-        """Says the same again, so that the executor does not count as silent."""
+        """Repeats the snapshot, so that the executor does not count as silent."""
         while not self._closing.wait(0.2):
             with self._lock, contextlib.suppress(OSError):
                 if self._greeted and self._client is not None:
@@ -179,7 +179,7 @@ class ScriptedExecutor:
 
 
 class FakeLedger:
-    """Keeps what is entered."""
+    """Remembers what is recorded."""
 
     fault: str | None = None
 
@@ -203,7 +203,7 @@ class FakeLedger:
 
 
 class Inbox:
-    """Payloads that are told to the outside, in order; each is waited for."""
+    """Published payloads, in order; reading waits for the next."""
 
     def __init__(self) -> None:
         self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
@@ -215,7 +215,7 @@ class Inbox:
         return lambda payload: self.put(name, payload)
 
     def next(self, key: str) -> dict[str, Any]:
-        """Returns the next payload, which is of a key."""
+        """Returns the next payload, and checks its key."""
         came, payload = self._queue.get(timeout=PATIENCE)
         assert came == key, f"{came} {payload} came where {key} was expected"
         return payload

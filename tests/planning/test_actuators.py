@@ -1,4 +1,4 @@
-"""Locked actuators, single actuators, and states that are no configuration, on a played executor."""
+"""Locked actuators, single actuators, and states that are no configuration."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,7 @@ def test_a_locked_actuator_is_planned_around(desk: Desk) -> None:
     lock = desk.executor.expect(Lock)
     assert (lock.actuator, lock.state) == (0, 0)
     desk.executor.answer(lock, "locked", locked=b"\x01\x00", locks=1)
-    assert desk.inbox.next("degrade") == {"accepted": True, "code": 0, "message": "held: 1.left (contracted)"}
+    assert desk.inbox.next("degrade") == {"accepted": True, "code": 0, "message": "locked: 1.left (contracted)"}
     eventually(lambda: desk.planning.state()["degraded"])
     assert desk.planning.state()["degraded"] == [{"actuator": "1.left", "state": 0}]
     assert [fault["code"] for fault in desk.planning.state()["faults"]] == ["degraded"]
@@ -47,12 +47,12 @@ def test_while_the_tables_are_rebuilt_goals_are_refused(desk: Desk, monkeypatch:
 
     door = threading.Event()
     rebuild = desk.planning._locked._rebuild
-    monkeypatch.setattr(desk.planning._locked, "_rebuild", lambda held: (door.wait(30), rebuild(held)))
+    monkeypatch.setattr(desk.planning._locked, "_rebuild", lambda locked: (door.wait(30), rebuild(locked)))
     desk.show(locked=b"\x01\x00", locks=1)
     eventually(lambda: desk.planning.state()["mode"] == "starting")
-    assert desk.planning.state()["reason"] == "planning is made ready to go on, held: 1.left (contracted)"
+    assert desk.planning.state()["reason"] == "the planner's tables are being rebuilt; locked: 1.left (contracted)"
     desk.goal(A)
-    assert desk.inbox.next("reply")["message"].startswith("the arm is starting: planning is made ready to go on")
+    assert desk.inbox.next("reply")["message"].startswith("the arm is starting: the planner's tables are being rebuilt")
     door.set()
     eventually(lambda: desk.planning.state()["mode"] == "ready")
 
@@ -60,7 +60,7 @@ def test_while_the_tables_are_rebuilt_goals_are_refused(desk: Desk, monkeypatch:
 def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     rebuild = desk.planning._locked._rebuild
 
-    def broken(held: Any) -> None:
+    def broken(locked: Any) -> None:
         raise MemoryError("no memory")
 
     monkeypatch.setattr(desk.planning._locked, "_rebuild", broken)
@@ -125,11 +125,11 @@ def test_locked_actuators_and_those_that_would_touch_are_not_switched(desk: Desk
     desk.show(locked=b"\x01\x00", locks=1)
     jog(desk, m1_left="extended")
     message = desk.inbox.next("reply")["message"]
-    assert "1.left is held" in message or message.startswith("the arm is starting")
+    assert "1.left is locked" in message or message.startswith("the arm is starting")
     eventually(lambda: desk.planning.state()["mode"] == "ready")
     obstacles(desk, (desk.tip(0, 0, 0, 1), 0.02))
     jog(desk, m4_left="extended")
-    assert "on the way from where the arm is" in desk.inbox.next("reply")["message"]
+    assert "would collide" in desk.inbox.next("reply")["message"]
     jog(desk, m4_middle="extended")
     assert "'4.middle' is none of this arm's" in desk.inbox.next("reply")["message"]
 

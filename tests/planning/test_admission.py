@@ -1,4 +1,4 @@
-"""Which requests may still begin, by arrival and by epoch."""
+"""Admission: which requests may begin, by arrival and by epoch."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""The payload of `arm`, and what it has on demand."""
+"""The payload of `arm`, and its optional parts."""
 
 import base64
 import hashlib
@@ -64,7 +64,7 @@ def test_the_file_is_told_with_its_tables(tmp_path: Path) -> None:
 
 
 def load_again(text: str, path: Path) -> Arm:
-    """The arm of a file that is gone since."""
+    """An arm whose file was deleted."""
     path.write_text(text)
     arm = load(path)
     path.unlink()

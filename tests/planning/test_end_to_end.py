@@ -1,4 +1,4 @@
-"""Goals through the planner's room and the executor's core, on boards in memory and the system's clock."""
+"""Goals through the planner and the executor's core, on boards in memory, in real time."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ from tests.waiting import PATIENCE, eventually
 
 
 class Chain:
-    """A planner's room on an executor."""
+    """A planner on an executor."""
 
     def __init__(self, arm: Arm, folder: Path) -> None:
         self.arm, self.path, self.inbox = arm, folder / "small.sock", Inbox()
@@ -47,7 +47,7 @@ class Chain:
         self.planning.goal(json.dumps(payload).encode(), self.inbox.replying())
 
     def error(self, configuration: tuple[int, int]) -> float:
-        """How far the measured tip is from that of a configuration."""
+        """Distance of the measured tip from that of a configuration."""
         tip = self.planning.state()["tip"]
         wanted = self.arm.manipulator.tip(np.array(configuration))[:2, 3]
         return float("inf") if tip is None else float(np.linalg.norm(wanted - tip["position"]))
@@ -135,7 +135,7 @@ def test_the_result_of_a_planner_that_was_killed_is_told_by_the_next(chain: Chai
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
     old = chain.planning
-    old._goals._results.tell = lambda *_: None  # type: ignore[method-assign]  # it is dead and says nothing
+    old._goals._results.publish = lambda *_: None  # type: ignore[method-assign]  # it is dead and says nothing
     old._goals.heard = lambda message: None  # type: ignore[method-assign]
     old._link._drop()
     old._link.close()
@@ -199,7 +199,7 @@ def test_a_jog_and_a_lock(chain: Chain) -> None:
     eventually(lambda: not chain.executor.core.motion.moving)
     wish = {"actuator": "1.left", "state": 1}
     chain.planning.degrade(json.dumps(wish).encode(), chain.inbox.replying("degrade"))
-    assert chain.inbox.next("degrade")["message"] == "held: 1.left (extended)"
+    assert chain.inbox.next("degrade")["message"] == "locked: 1.left (extended)"
     eventually(lambda: chain.planning.state()["degraded"])
     eventually(lambda: chain.planning.state()["mode"] == "ready")
     chain.goal(A, name="after")

@@ -1,4 +1,4 @@
-"""Goals on an executor that the test plays: what is sent, answered, fed back, and told as the one result."""
+"""Goals on a played executor: programs, answers, feedback, and exactly one result."""
 
 import json
 import threading
@@ -19,7 +19,7 @@ A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 
 
 def taken(desk: Desk, *configurations: tuple[int, ...], **fields: object) -> Program:
-    """Has a goal taken; returns its program."""
+    """Sends a goal and accepts it; returns its program."""
     desk.goal(*configurations, **fields)  # type: ignore[arg-type]
     program = desk.executor.expect(Program)
     desk.executor.accept(program)
@@ -54,7 +54,7 @@ def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> Non
     assert (result["id"], result["status"], result["code"], result["switches"]) == ("a", "succeeded", 0, 5)
     assert result["message"] == "reached"
     assert desk.executor.expect(Acknowledge, Replacement).result == ended.result
-    desk.executor.send(ended)  # once more, as to a planner that connects anew
+    desk.executor.send(ended)  # once more, as to a planner that has reconnected
     assert desk.executor.expect(Acknowledge).result == ended.result
     desk.settle()
     assert desk.inbox.empty
@@ -91,7 +91,7 @@ def test_a_goal_that_never_catches_up_is_refused(desk: Desk) -> None:
     for k in range(10):
         desk.executor.decline(desk.executor.expect(Program), "moved")
         desk.executor.show(outputs=desk.bits(k % 8, 0, 0, 0))
-    assert "moved on each time" in desk.inbox.next("reply")["message"]
+    assert "moved each time" in desk.inbox.next("reply")["message"]
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_an_executor_that_dies_aborts_the_goal_once_and_its_late_result_is_ackno
 
 def test_the_result_of_another_run_of_the_planner_is_published(desk: Desk) -> None:
     program = taken(desk, A)
-    desk.planning._goals._goals.clear()  # as if it had been sent by a planner that is gone
+    desk.planning._goals._goals.clear()  # as if an earlier planner process had sent it
     desk.executor.show(outputs=program.stages[-1].states)
     ended = desk.executor.end(program)
     result = desk.inbox.next("inherited")
@@ -259,7 +259,7 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
     desk.planning.goal(b'{"waypoints": []}', desk.inbox.replying("flood"))
     assert desk.inbox.next("flood")["message"] == "busy: 16 goals are waiting already"
     far = b'{"id": "far", "waypoints": [{"configuration": "0"}, {"position": [90, 0]}]}'
-    for ask in (desk.planning.goal, desk.planning.plan):  # one that is longer than the arm takes no place
+    for ask in (desk.planning.goal, desk.planning.plan):  # a goal beyond the arm's length takes no place in the queue
         ask(far, desk.inbox.replying("flood"))
         answer = desk.inbox.next("flood")
         assert (answer["id"], answer["code"]) == ("far", codes.GOAL_TOLERANCE_VIOLATED)
@@ -274,7 +274,7 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
 
 
 def test_closing_ends_the_running_goal_with_a_result(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning, "LAST_RESULTS_WITHIN", 60.0)  # a machine that stands still answers later
+    monkeypatch.setattr(planning, "LAST_RESULTS_WITHIN", 60.0)  # long enough for a machine that stands still
     program = taken(desk, A, B, step=10)
     closing = threading.Thread(target=desk.planning.close)
     closing.start()

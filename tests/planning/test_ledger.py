@@ -1,4 +1,4 @@
-"""The ledger: counts and results survive whatever happens to the file and to the process."""
+"""The ledger: counts and results survive damage of the file and the death of the process."""
 
 import signal
 import sqlite3
@@ -32,7 +32,7 @@ def ledger(path: Path) -> Iterator[Ledger]:
     ledger.close()
 
 
-def written(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
+def configuration_text(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     """Returns the content of the file, which may not exist yet."""
     try:
         return read(path)
@@ -148,12 +148,12 @@ def test_a_file_that_is_no_ledger_is_moved_aside_and_the_counts_come_from_the_ex
 def test_bytes_damaged_while_it_is_open_lose_no_count(path: Path) -> None:
     ledger = Ledger(path, NAMES, SOON)
     ledger.counts([3, 0, 3])
-    eventually(lambda: written(path)[0] == {"1.left": 3, "1.right": 3})
+    eventually(lambda: configuration_text(path)[0] == {"1.left": 3, "1.right": 3})
     for part in path.parent.glob(f"{path.name}*"):
         if part.suffix != ".lock":
             part.write_bytes(b"\x5a" * part.stat().st_size)
     ledger.counts([4, 0, 3])
-    eventually(lambda: written(path)[0] == {"1.left": 4, "1.right": 3})
+    eventually(lambda: configuration_text(path)[0] == {"1.left": 4, "1.right": 3})
     ledger.close()
     assert ledger.damage
     assert list(path.parent.glob("*.damaged-*"))
@@ -161,12 +161,12 @@ def test_bytes_damaged_while_it_is_open_lose_no_count(path: Path) -> None:
 
 def test_a_file_that_was_deleted_is_made_again_with_all_counts(ledger: Ledger, path: Path) -> None:
     ledger.counts([3, 0, 3])
-    eventually(lambda: written(path)[0])
+    eventually(lambda: configuration_text(path)[0])
     for part in path.parent.glob(f"{path.name}*"):
         if part.suffix != ".lock":
             part.unlink()
     ledger.counts([4, 0, 3])
-    eventually(lambda: written(path)[0] == {"1.left": 4, "1.right": 3})
+    eventually(lambda: configuration_text(path)[0] == {"1.left": 4, "1.right": 3})
     assert ledger.faults() == ()
 
 
@@ -193,7 +193,7 @@ def test_text_that_has_no_utf8_is_written_out(ledger: Ledger, path: Path) -> Non
 
 
 def test_only_the_latest_goals_are_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger_file, "KEPT", 10)
+    monkeypatch.setattr(ledger_file, "MOST_GOALS", 10)
     for _ in range(2):
         ledger = Ledger(path, NAMES, SOON)
         for k in range(8):
@@ -278,7 +278,7 @@ def test_the_goal_of_a_planner_that_was_killed_before_it_wrote_comes_with_its_re
     again.accepted(6, "known", 1)
     again.ended(6, "succeeded", 0, "reached", 1, ("known", begun, 1))
     again.ended(7, "aborted", -4, "the planner is gone", 3, killed)
-    again.ended(7, "aborted", -4, "the planner is gone", 3, killed)  # the executor sends it until it is acknowledged
+    again.ended(7, "aborted", -4, "the planner is gone", 3, killed)  # sent again until it is acknowledged
     again.close()
     lost, known = read(path)[1]
     assert (lost["id"], lost["accepted"], lost["waypoints"]) == killed

@@ -1,4 +1,4 @@
-"""A log that is limited to a few lines a second."""
+"""A log with a limit of a few lines a second."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""The connection to the executor: made, refused, lost, and made again."""
+"""The connection to the executor: established, refused, lost, and established again."""
 
 import os
 import socket
@@ -16,7 +16,7 @@ from tests.waiting import PATIENCE, eventually
 
 
 class Heard:
-    """Keeps what the link tells."""
+    """Remembers the link's messages."""
 
     def __init__(self) -> None:
         self.told: list[Any] = []
@@ -108,7 +108,7 @@ def test_a_packet_that_is_no_message_ends_the_connection(line: Line) -> None:
     eventually(lambda: line.link.snapshot)
     assert executor._client is not None
     executor._client.send(b"\xff\xff")
-    eventually(lambda: any("speaks another language" in str(told) for told in line.heard.told))
+    eventually(lambda: any("cannot be decoded" in str(told) for told in line.heard.told))
     eventually(lambda: line.link.connected)
     executor.close()
 

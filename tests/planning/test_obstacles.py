@@ -1,4 +1,4 @@
-"""Obstacles that are sent, on a played executor."""
+"""Sent obstacles, on a played executor."""
 
 import json
 from typing import Any
@@ -26,20 +26,20 @@ def obstacles(desk: Desk, *discs: tuple[list[float], float]) -> dict[str, Any]:
 
 
 def test_obstacles_are_counted_and_the_same_again_changes_nothing(desk: Desk) -> None:
-    assert obstacles(desk, ([5, 5], 0.1))["message"] == "keeping out of 1 region, 1 of them sent"
+    assert obstacles(desk, ([5, 5], 0.1))["message"] == "1 obstacle, 1 of them sent"
     generation = desk.planning._keep_out.current.generation
     assert obstacles(desk, ([5, 5], 0.1))["accepted"]
     assert desk.planning._keep_out.current.generation == generation
     sent = [{"disc": {"centre": [5, 5], "radius": 0.1}, "name": "d0"}]
     assert (desk.planning.state()["obstacles"], desk.planning.description()["sent_obstacles"]) == (generation, sent)
-    assert obstacles(desk)["message"] == "keeping out of 0 regions, 0 of them sent"
+    assert obstacles(desk)["message"] == "0 obstacles, 0 of them sent"
     assert desk.planning._keep_out.current.generation == desk.planning.state()["obstacles"] == generation + 1
     assert desk.planning.description()["sent_obstacles"] == []
 
 
 def test_as_many_obstacles_fit_as_may_be_sent(desk: Desk) -> None:
     reply = obstacles(desk, *[([5.123456789 + k, 5.987654321], 0.123456789) for k in range(256)])
-    assert reply["message"] == "keeping out of 256 regions, 256 of them sent"
+    assert reply["message"] == "256 obstacles, 256 of them sent"
     desk.planning.obstacles(b" " * 1_000_000, desk.inbox.replying("obstacles"))
     assert "1000000 bytes" in desk.inbox.next("obstacles")["message"]
 
@@ -86,4 +86,4 @@ def test_the_executors_questions_are_answered(desk: Desk) -> None:
     desk.executor.send(Question(2, home, b))
     answer = desk.executor.expect(Clearance)
     assert answer.question == 2
-    assert "is in disc 'd0'" in (answer.touched or "")
+    assert "is in disc 'd0'" in (answer.collision or "")

@@ -1,4 +1,4 @@
-"""Programs in parts, and improved on their way."""
+"""Programs that are sent in parts, and improved meanwhile."""
 
 from itertools import pairwise
 
@@ -38,7 +38,7 @@ def planned(*configurations: tuple[int, int], step: float = 1.0) -> Plan:
 
 
 def better(plan: Plan, first: int, *configurations: tuple[int, int]) -> Plan:
-    """The plan with other configurations from a point on; what is before stays the same object."""
+    """The plan with other configurations from a point on; earlier transitions stay the same objects."""
     other = planned(*[(0, 0)] * first, *configurations)
     transitions = (*plan.transitions[:first], *other.transitions[first:], *plan.transitions[len(other.transitions) :])
     return Plan(plan.trajectory, plan.solutions, transitions)
@@ -79,7 +79,7 @@ def test_a_long_program_goes_in_parts_ahead_of_what_begins(monkeypatch: pytest.M
     assert ends(last) == packed(A)
     assert last is not None
     assert (last.first, last.final) == (4, True)
-    assert [stage.states for stage in feed.rest()] == packed(D, A)
+    assert [stage.states for stage in feed.remaining()] == packed(D, A)
 
 
 def test_a_better_plan_replaces_what_differs_and_has_not_begun() -> None:
@@ -137,7 +137,7 @@ def test_a_refused_replacement_is_tried_again_after_the_next_stage() -> None:
 
 def test_a_running_program_becomes_strict() -> None:
     feed = feed_of(planned(A, B))
-    feed.tighten()
+    feed.make_strict()
     message = feed.message()
     assert message is not None
     assert (message.strict, message.stages, message.first, message.final) == (True, (), 2, True)

@@ -31,7 +31,7 @@ class Stream:
 
 
 def moving(desk: Desk) -> Setpoint:
-    """Returns the next command of a stream that switches something."""
+    """Returns the next command of a stream that has stages."""
     while not (command := desk.executor.expect(Setpoint)).stages:
         pass
     return command

@@ -1,4 +1,4 @@
-"""What `state` and `diagnostics` tell, on a played executor."""
+"""The payloads of `state` and `diagnostics`, on a played executor."""
 
 import pytest
 
