@@ -1,4 +1,4 @@
-"""The arm that a YAML file describes, and every fault in it by the path of the field."""
+"""Builds the arm from its YAML file, and reports each fault with the path of its field."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -29,8 +29,8 @@ class Arm:
         settings: the file's fields.
         manipulator: the chain.
         wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
-        obstacles: that no module may touch.
-        path: of the file; None if the arm was not read from one.
+        obstacles: the file's obstacles, which no module may touch.
+        path: path of the file; None if the arm was not read from a file.
     """
 
     settings: ArmSettings
@@ -54,7 +54,7 @@ class Arm:
         return lock_actuators(self.manipulator, self.locked)
 
     def clearance(self, manipulator: Manipulator | None = None, others: Obstacles = NONE) -> Clearance:
-        """Returns what the chain, or what is left of it, must keep clear of: the file's obstacles and others."""
+        """Returns the collision checks of the chain, or of a reduced one, against the file's obstacles and others."""
         return Clearance(
             manipulator or self.manipulator,
             together([self.obstacles, others]),
@@ -64,20 +64,20 @@ class Arm:
 
     @property
     def pixel(self) -> float:
-        """Finest side of a pixel of the densities."""
+        """Side of the finest pixel of the densities."""
         return self.settings.workspace.pixel or self.manipulator.length / 400
 
     @property
     def level_pixels(self) -> int:
-        """Most pixels of one intermediate workspace, four bytes each: no level needs more than MOST_PIXELS."""
+        """Greatest number of pixels of one intermediate workspace, of four bytes each; at most MOST_PIXELS."""
         share = self.settings.workspace.memory * 2**20 / 4 / (len(self.manipulator.modules) + 1)
         return max(1, min(MOST_PIXELS, int(share)))
 
     def weights(self, switches: Mapping[str, int] | None = None) -> NDArray[np.float64]:
-        """Returns what a switch of each actuator costs, shape (A,).
+        """Returns the cost of a switch of each actuator, shape (A,).
 
         Args:
-            switches: how often each has switched so far, by label; none if absent.
+            switches: number of switches of each actuator so far, by label; 0 if absent.
         """
         modules, settings = len(self.manipulator.modules), self.settings.weights
         place = np.array([int(label.split(".")[0]) - 1 for label in self.manipulator.actuators])
@@ -92,12 +92,12 @@ class Arm:
 
     @property
     def tolerance(self) -> float:
-        """Position tolerance of goals that bring none."""
+        """Position tolerance of goals without one of their own."""
         return self.settings.tolerance.position
 
     @property
     def angle_tolerance(self) -> float:
-        """Tolerance of the orientation of goals that bring none [rad]."""
+        """Orientation tolerance of goals without one of their own [rad]."""
         return self.settings.tolerance.orientation
 
 
@@ -116,8 +116,8 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
 
     Args:
         settings: the fields.
-        path: of the file, for messages; tables are looked for beside it.
-        faults: found so far.
+        path: path of the file, for messages; tables are read from its folder.
+        faults: faults found so far.
 
     Raises:
         InputFaults: the fields are wrong; one line per fault, each with the path of its field.
@@ -133,7 +133,7 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
     obstacles = parse_obstacles(settings.obstacles, manipulator.dimension, "obstacles", faults)
     arm = Arm(settings, manipulator, wiring, obstacles)
     if not faults and (walled := walled_in(arm)) is not None:
-        faults.append(f"obstacles: {walled}, whatever its state; the arm could not move")
+        faults.append(f"obstacles: {walled} in every state; the arm could not move")
     try:
         lock_actuators(manipulator, arm.locked)
     except ValueError as error:
@@ -144,7 +144,7 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
 
 
 def walled_in(arm: Arm) -> str | None:
-    """Returns what the first module touches in every state; None if it does not."""
+    """Returns what the first module touches, if it collides in every state; else None."""
     clearance = arm.clearance(Manipulator(arm.manipulator.modules[:1], arm.manipulator.base))
     states = np.arange(len(arm.manipulator.modules[0].frames))[:, None]
     return clearance.where(states[0]) if clearance.blocked(states).all() else None

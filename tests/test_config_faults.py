@@ -108,7 +108,7 @@ FAULTS = [
     (
         "obstacles.0.disc",
         {"centre": [0.5, 0.35], "radius": 0.1},
-        "obstacles: module 1 is in disc 'pillar', whatever its state; the arm could not move",
+        "obstacles: module 1 is in disc 'pillar' in every state; the arm could not move",
     ),
 ]
 
