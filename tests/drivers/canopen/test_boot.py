@@ -1,4 +1,4 @@
-"""Boot of boards: who comes up, who does not and why, and that nothing switches."""
+"""The boot of boards: success, refusals with their reasons, and no switch of an output."""
 
 from __future__ import annotations
 
@@ -276,7 +276,7 @@ def test_sixteen_boards_are_ready_within_a_second():
 
 
 def test_a_boot_after_an_interrupted_one_switches_nothing():
-    """The board is pre-operational by an order, not because it lost its master: its outputs are on."""
+    """The board is pre-operational by an NMT command, not by the loss of its master: its outputs are on."""
     world = World(on_loss="contract").up()
     world.commit(1, 1)
     world.run(0.1)
@@ -294,7 +294,7 @@ def test_a_boot_after_an_interrupted_one_switches_nothing():
 
 
 def test_a_start_energises_nothing_that_the_error_state_has_switched_off():
-    """Some boards keep in 6200h what was commanded."""
+    """Some boards keep the last command in 6200h."""
     world = World(on_loss="contract", variants={"can0/5": VARIANTS["hidden-error-state"]}).up()
     world.commit(1, 1)
     world.run(0.1)

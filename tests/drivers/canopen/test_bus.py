@@ -1,4 +1,4 @@
-"""CanBus over interfaces that work and fail as SocketCAN's do."""
+"""CanBus over interfaces that work and fail like those of SocketCAN."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commits: what is sent, when, and what becomes of it."""
+"""Commits: their frames, the times of these, and the results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What boards lack by their EDS: the simulated board's, with changes."""
+"""Unmet needs of boards according to their EDS: that of the simulated board, with changes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BUS = BusSettings("can0", "none", "can0")
 
 
 def found(tmp_path: Path, *changes: tuple[str, str], **options: object) -> list[str]:
-    """Returns the lacks of board 5 after changes of the EDS: section and field, or a section that is taken out."""
+    """Returns the unmet needs of board 5 after changes of the EDS: section and field, or a removed section."""
     text = EDS.read_text()
     for section, change in changes:
         start = text.index(f"[{section}]")

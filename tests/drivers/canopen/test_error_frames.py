@@ -1,4 +1,4 @@
-"""Error frames, as linux/can/error.h has them."""
+"""Error frames according to linux/can/error.h."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boards and buses that fail, and what the master reports of them."""
+"""Faults of boards and buses, and the reports of the master."""
 
 from __future__ import annotations
 

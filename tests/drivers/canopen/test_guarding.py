@@ -1,4 +1,4 @@
-"""Node guarding: polls, the bit that alternates, time-outs on both sides."""
+"""Node guarding: polls, the toggle bit, and timeouts on both sides."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def full(shared: bool) -> Wiring:
 
 @pytest.mark.parametrize(("size", "bits"), [(0, 55), (1, 65), (2, 75), (6, 115), (8, 135)])
 def test_bits_on_the_wire(size, bits):
-    """The most that Davis, Burns, Bril and Lukkien give for a frame of 8 bytes is 135."""
+    """The upper bound of Davis, Burns, Bril and Lukkien for a frame of 8 bytes is 135."""
     assert cia301.wire_bits(size) == bits == 8 * size + 44 + (34 + 8 * size - 1) // 4 + 3
 
 

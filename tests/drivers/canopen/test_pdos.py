@@ -1,4 +1,4 @@
-"""PDOs of boards that differ: found, changed in order, used as they are, or refused in words; and quirks as data."""
+"""PDOs of different boards: found, changed in order, used unchanged, or refused with a sentence; and quirks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDE = [Channel("5.left", "can0", 5, 0, 0), Channel("5.right", "can0", 5, 100, 7
 
 
 def writes(world: World) -> list[str]:
-    """What the master wrote to board 5: index, sub-index and data."""
+    """Returns the SDO writes to board 5: index, sub-index and data."""
     requests = [data.split() for cob_id, data in world.frames(sdo=True) if cob_id == 0x605]
     return [
         f"{d[2]}{d[1]}:{int(d[3], 16)}={''.join(reversed(d[4:8]))}"
@@ -92,7 +92,7 @@ def test_a_few_outputs_of_many_bytes_are_mapped_to_one_rpdo():
 @pytest.mark.parametrize("read_only", [(), (0x1600, 0x1604, 0x1A00, 0x1A04)])
 @pytest.mark.parametrize("count", [2, 10])
 def test_outputs_beyond_the_first_64_switch_with_the_same_sync(count, read_only):
-    """With fixed mappings both RPDO1 and RPDO5 are needed as they are."""
+    """With fixed mappings both RPDO1 and RPDO5 are needed unchanged."""
     channels = many(10) if count == 10 else [many(10)[k] for k in (0, 9)]
     variant = dataclasses.replace(VARIANTS["many-outputs"], read_only=frozenset(read_only))
     world = World(channels, variants={"can0/5": variant}).up()

@@ -13,7 +13,7 @@ from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
 class Asking:
-    """Stands in for the master in a world."""
+    """Takes the place of the master in a world."""
 
     def __init__(self, world: World) -> None:
         self.outbox: list[tuple[str, Frame]] = world._outbox

@@ -1,4 +1,4 @@
-"""Release: outputs that only go off do so also while boards are not heard, and switch nothing else."""
+"""Release: outputs go off also while boards are silent, and nothing else switches."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def pairs() -> list[Channel]:
 
 
 def lost(*nodes: int) -> World:
-    """A world in which both actuators have an output on, and boards are no longer heard."""
+    """A world in which both actuators have an output on, and the boards are silent."""
     world = World(pairs()).up()
     world.master.commit(0b1001, world.now)  # the first extends, the second contracts
     world.flush()

@@ -1,4 +1,4 @@
-"""No frame and no event, whatever it is, raises or moves an actuator."""
+"""No frame and no event raises an exception or moves an actuator."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ RIGHT = {0x1000: 0x00030191, 0x6200: 8, 0x6000: 8, 0x1005: 0x80}
     many=st.booleans(),
 )
 def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared, beats, many):
-    """None stands for an answer that lets the boot go on. The boot ends, in order or with a fault for the board."""
+    """None is a correct answer, after which the boot continues. The boot ends with success or a fault."""
     channels = [Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 130 if many else 1, 1)]
     wiring = Wiring((BusSettings("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
     sent: list[Frame] = []

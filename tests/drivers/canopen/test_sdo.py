@@ -1,4 +1,4 @@
-"""The SDO client against answers that a test makes up."""
+"""The SDO client with scripted answers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ABORT_OF_OTHER = b"\x80\x29\x10\x01\x00\x00\x02\x06"
 
 
 class Line:
-    """A bus whose answers to each request are given beforehand; None: it takes no frame."""
+    """A bus with scripted answers to each request; None: it accepts no frame."""
 
     def __init__(self, *answers: list[bytes] | None) -> None:
         self.sent: list[Frame] = []

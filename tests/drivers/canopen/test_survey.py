@@ -15,7 +15,7 @@ from tests.drivers.canopen.world import World, two_boards
 
 
 class Asking:
-    """Stands in for the master in a world."""
+    """Takes the place of the master in a world."""
 
     def __init__(self, world: World, **options: bool) -> None:
         outbox = world._outbox

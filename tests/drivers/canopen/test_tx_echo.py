@@ -1,4 +1,4 @@
-"""Frames that were handed out are known again when they come back."""
+"""The transmit echo: handed out frames are recognized when they are echoed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_bus_is_stuck_after_its_own_time():
 
 
 def test_transfers_wait_until_the_heartbeat_has_left():
-    """On a slow bus they would keep it away: its identifier is the highest of all."""
+    """On a slow bus SDO frames would delay the heartbeat, whose identifier is the highest of all."""
     sent: list[Frame] = []
     link = Link(BusSettings("can0", "virtual", "can0"), lambda _, frame: sent.append(frame), stuck_after=0.2)
     link.changed("active", "", None, 0.0)

@@ -1,4 +1,4 @@
-"""Verification: what does not switch, and what another program changes, is noticed within two seconds."""
+"""Verification: missed switches and foreign changes are found within two seconds."""
 
 from __future__ import annotations
 

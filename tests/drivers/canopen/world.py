@@ -139,7 +139,7 @@ class World:
         self.now = end
 
     def until(self, condition: Callable[[], object], patience: float = 20.0) -> float:
-        """Goes on until the condition holds; returns how long it took [s]."""
+        """Runs until the condition holds; returns the time taken [s]."""
         begun = self.now
         while not condition():
             assert self.now - begun < patience, "waited in vain"
@@ -148,7 +148,7 @@ class World:
         return self.now - begun
 
     def stall(self, seconds: float) -> None:
-        """The loop of the master stands still; what comes meanwhile it takes afterwards, in order."""
+        """Stalls the master's loop; it takes the frames of this time afterwards, in order."""
         waiting: list[tuple[str, str, Frame]] = []
         master = self.master
         real = master.receive, master.echoed
@@ -186,7 +186,7 @@ class World:
         self.switched += self.master.take_switched()
 
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
-        """Another node sends a frame."""
+        """Sends a frame of another node."""
         self.buses[bus].put("another node", Frame(cob_id, data))
 
     def boot(self) -> World:
@@ -204,7 +204,7 @@ class World:
         return self
 
     def commit(self, *states: int) -> None:
-        """Commits, and goes on until the commit has ended."""
+        """Commits, and runs until the commit has ended."""
         self.master.commit(bits(*states), self.now)
         self.flush()
         self.until(lambda: not self.master.committing)
@@ -221,7 +221,7 @@ class World:
             self.run(TICK)
 
     def frames(self, bus: str = "can0", sdo: bool = False) -> list[tuple[int, str]]:
-        """COB-ID and data of the frames since the last call, without heartbeats, and without SDO unless asked."""
+        """Returns COB-ID and data of the frames since the last call, without heartbeats, and without SDO by default."""
         log, self.buses[bus].log = self.buses[bus].log, []
         left_out = (cia301.HEARTBEAT,) if sdo else (cia301.HEARTBEAT, cia301.SDO_REQUEST, cia301.SDO_ANSWER)
         return [(frame.id, frame.data.hex(" ")) for frame in log if frame.id & 0x780 not in left_out]

@@ -1,4 +1,4 @@
-"""One simulated board by itself, with time as the test has it."""
+"""One simulated board, on a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Bench:
         return sent
 
     def say(self, cob_id: int, data: bytes | str = b"") -> Sent:
-        """Another node sends a frame, with data as bytes or in hexadecimal."""
+        """Sends a frame of another node, with data as bytes or in hexadecimal."""
         self.board.receive(cob_id, bytes.fromhex(data) if isinstance(data, str) else data, self.now)
         return self.answers()
 

@@ -13,7 +13,7 @@ def actuator() -> Actuator:
 
 
 def ends(actuator: Actuator) -> tuple[int, int]:
-    """What the switches at the contracted and at the extended end read."""
+    """Returns the readings of the switches at the contracted and at the extended end."""
     return actuator.reads(CONTRACTED), actuator.reads(EXTENDED)
 
 

@@ -1,4 +1,4 @@
-"""The boards' side of a bus whose interface goes and comes back."""
+"""The boards' connection to a bus whose interface is lost and comes back."""
 
 import tempfile
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What is special of each variant of the simulated boards, by the frames on the wire."""
+"""The peculiarity of each variant of the simulated boards, by the frames on the wire."""
 
 from __future__ import annotations
 

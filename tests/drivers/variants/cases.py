@@ -1,4 +1,4 @@
-"""What the driver makes of each variant of the simulated boards: it boots and switches, or is refused in words."""
+"""The expected result of each variant of the simulated boards: it boots and switches, or is refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Case(NamedTuple):
-    """A board of one variant, and what the arm's file says of it.
+    """A board of one variant, and its settings in the arm's file.
 
     Attributes:
         variant: its name.
@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For files and messages."""
+        """Name for files and messages."""
         return f"{self.variant}-{self.label}" if self.label else self.variant
 
     def world(self) -> World:

@@ -14,7 +14,7 @@ SLOW = ("slow-answers", "late-boot")
 
 
 def hundred(*left_out: str) -> World:
-    """Fifty boards on each of two buses, of all variants that boot but those left out; the arm's file helps some."""
+    """Fifty boards on each of two buses, of all variants that boot, without the excluded ones."""
     names = [name for name in BOOTING if name not in left_out]
     named = [*names, "no-error-mode", "canopennode", "maker-object"]
     random = Random(1)
@@ -35,7 +35,7 @@ def hundred(*left_out: str) -> World:
 
 
 def boot_time(world: World) -> float:
-    """Simulated seconds until all boards are up [s]."""
+    """Returns the simulated time until all boards are ready [s]."""
     world.run(0.05)
     world.master.boot(world.now)
     world.flush()

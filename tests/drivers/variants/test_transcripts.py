@@ -22,7 +22,7 @@ STANDARD = FOLDER / "standard.txt"
 
 
 def transcript(case: Case) -> str:
-    """The frames of a boot, and of a commit if it succeeds, without heartbeats and guarding."""
+    """Returns the frames of a boot, and of a commit if it succeeds, without heartbeats and guarding."""
     world = booted(case)
     if world.master.ready:
         world.commit(1, 1)
