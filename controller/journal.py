@@ -50,8 +50,8 @@ def fields_of_mode(mode: str) -> dict[str, str]:
 
 def fields_of_result(payload: Mapping[str, object]) -> dict[str, str]:
     """Returns the fields of a goal's result, from its payload."""
-    told = {f"HYPERBIT_{name}": str(payload.get(name.lower())) for name in ("STATUS", "CODE")}
-    return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **told}
+    shown = {f"HYPERBIT_{name}": str(payload.get(name.lower())) for name in ("STATUS", "CODE")}
+    return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **shown}
 
 
 class JournalHandler(logging.Handler):

@@ -77,8 +77,8 @@ def running(
                 goals.ended(payload.get("id"))
             outbox.publish(key, payload)
             if key != "feedback":  # after the publication, because writing the log may block
-                told, words = fields_of_result(payload), payload.get("message")
-                log.info("goal %s %s: %s", payload.get("id"), payload.get("status"), words, extra={"journal": told})
+                fields, message = fields_of_result(payload), payload.get("message")
+                log.info("goal %s %s: %s", payload.get("id"), payload.get("status"), message, extra={"journal": fields})
 
         link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)
         planning = Planning(arm, densities, link, book, publish, changed.set)

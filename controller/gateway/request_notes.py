@@ -39,10 +39,10 @@ class RequestNotes:
             return reply
         stamp = self._wall()
 
-        def answer(told: Payload) -> None:
-            reply(told)
-            if told.get("accepted") is True or self._few(int(stamp)):
-                self._publish("@request", {"stamp": stamp, "key": key, **content_of(payload), "answer": told})
+        def answer(given: Payload) -> None:
+            reply(given)
+            if given.get("accepted") is True or self._few(int(stamp)):
+                self._publish("@request", {"stamp": stamp, "key": key, **content_of(payload), "answer": given})
 
         return answer
 

@@ -50,7 +50,7 @@ class Warnings:
     def _clock_set(self, now: float) -> tuple[Fault, ...]:
         offset = self._wall() - now
         if abs(by := offset - self._offset) > STEP:
-            self._set = f"the system's clock was set by {by:+.1f} s: stamps go with it, motions do not"
+            self._set = f"the system's clock was set by {by:+.1f} s: stamps follow it, motions do not"
             self._set_until = now + REMEMBERED
             self._logged.discard(("clock-set", "system"))  # each setting is logged
         self._offset = offset
@@ -61,5 +61,7 @@ class Warnings:
             if now >= self._lost_until:
                 self._lost_at = now
             self._lost_until = now + REMEMBERED
-            self._lost = f"nobody was connected over Zenoh for {now - self._lost_at:.1f} s: the arm went on by itself"
+            self._lost = (
+                f"no peer was connected over Zenoh for {now - self._lost_at:.1f} s: the arm continued by itself"
+            )
         return (Fault("network-lost", "zenoh", self._lost),) if now < self._lost_until else ()

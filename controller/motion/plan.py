@@ -130,8 +130,8 @@ def transition_to(
     if k > 0:
         available: float | None = float(trajectory.times[k] - trajectory.times[k - 1])
     elif trajectory.stamp is not None:
-        left = trajectory.stamp + float(trajectory.times[0]) - time.time()
-        available = max(left, pace.needed(solution.switches))
+        remaining = trajectory.stamp + float(trajectory.times[0]) - time.time()
+        available = max(remaining, pace.needed(solution.switches))
     else:
         available = None
     try:

@@ -64,8 +64,8 @@ def plan(
             transitions.append(replace(transitions[-1], stages=transitions[-1].stages[-1:], deviation_source=0.0))
             solutions.append(same)
             continue
-        left = max(until - time.perf_counter(), 0.0)
-        with_deviation = left > 0 or method != "minimum-switch"
+        remaining = max(until - time.perf_counter(), 0.0)
+        with_deviation = remaining > 0 or method != "minimum-switch"
         if k in trajectory.fixed:
             solution = fixed_point(solver, trajectory, previous, k)
             try:
@@ -78,7 +78,7 @@ def plan(
             solutions.append(solution)
             previous = solution.configuration
             continue
-        solution = solver.solve(goal, previous, tolerance, method, min(longest, left), turn)
+        solution = solver.solve(goal, previous, tolerance, method, min(longest, remaining), turn)
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:

@@ -38,17 +38,17 @@ def step(manipulator: Manipulator, states: States, wanted: States, most: int) ->
 
     Modules switch in order from the base. A module that exceeds the bound alone switches alone, in several stages.
     """
-    result, left, start = states.copy(), most, 0
+    result, budget, start = states.copy(), most, 0
     for module in manipulator.modules:
         own = slice(start, start + len(module.actuators))
         start = own.stop
         switches = int(np.count_nonzero(states[own] != wanted[own]))
-        if switches > left == most:
+        if switches > budget == most:
             result[own] = module_step(module.bits, states[own], wanted[own], most)
             return result
-        if switches <= left:
+        if switches <= budget:
             result[own] = wanted[own]
-            left -= switches
+            budget -= switches
     return result
 
 

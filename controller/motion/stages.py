@@ -153,16 +153,16 @@ def cut(transition: Transition, order: Index, most: int, limit: int) -> list[Ind
     """Returns the best cut of an order into stages; an empty list if there is none."""
     n, modules = len(order), np.arange(len(transition.end))
     wide = limit * min(most, WINDOW) < n  # stages must be too large for their deviations: minimize their number only
-    reach = min(most, n if wide else WINDOW)
+    longest = min(most, n if wide else WINDOW)
     masks = np.array([transition.masks([order[:i]]) for i in range(n + 1)])
     ends = np.all(transition.known[modules, masks[1:]], axis=1)
-    spans = np.full((n, reach), np.inf)
+    spans = np.full((n, longest), np.inf)
     for i in range(n):
-        sizes = np.arange(1, min(reach, n - i) + 1)
+        sizes = np.arange(1, min(longest, n - i) + 1)
         heights = sizes.astype(float)
         if not wide:
-            heights = np.maximum.accumulate(transition.deviations(masks[i], order[i : i + reach]))[(1 << sizes) - 1]
-        spans[i, : len(sizes)] = np.where(ends[i : i + reach], heights, np.inf)
+            heights = np.maximum.accumulate(transition.deviations(masks[i], order[i : i + longest]))[(1 << sizes) - 1]
+        spans[i, : len(sizes)] = np.where(ends[i : i + longest], heights, np.inf)
 
     def split(level: float) -> list[Index]:
         stages, i = list[Index](), 0

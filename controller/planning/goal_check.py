@@ -125,7 +125,7 @@ def check_path(goal: str, trajectory: Trajectory, point: int, where: Payload) ->
     tolerance = trajectory.tolerances[point] if between else trajectory.path_tolerance
     if error is not None and error <= tolerance:
         return None
-    away = "unknown" if error is None else f"{error:.4f} from the line's point"
+    away = "unknown" if error is None else f"{error:.4f} from the moving target"
     at = f"after waypoints[{trajectory.last(point)}] the measured tip is {away}"
     message = f"{at}, path_tolerance {trajectory.path_tolerance:g}"
     return Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, f"holding; goal {goal} left its path: {message}")

@@ -201,9 +201,9 @@ class RunningGoals:
         goal.switches = message.switches
         deviation = goal.feed.deviation(message.mark) if goal.feed is not None and message.planned else None
         measured = self._states(message.measured, message.known)
-        told, outcome = goal.report.settled(message.mark, measured, message.switches, message.stages, deviation)
-        if told is not None:
-            self._publish("feedback", told)
+        feedback, outcome = goal.report.settled(message.mark, measured, message.switches, message.stages, deviation)
+        if feedback is not None:
+            self._publish("feedback", feedback)
         if outcome is not None:
             self.end(goal, outcome)
 

@@ -106,8 +106,8 @@ class Ledger:
 
     def faults(self) -> tuple[Fault, ...]:
         """Returns the faults of the file; they do not stop the arm."""
-        told = (("ledger-unwritten", self.fault), ("ledger-damaged", self.damage))
-        return tuple(Fault(code, "ledger", message) for code, message in told if message is not None)
+        problems = (("ledger-unwritten", self.fault), ("ledger-damaged", self.damage))
+        return tuple(Fault(code, "ledger", message) for code, message in problems if message is not None)
 
     def close(self, timeout: float = 5.0) -> None:
         """Writes the rest, and frees the ledger for other processes."""
@@ -154,10 +154,8 @@ class Ledger:
                 return True
             except Exception as error:
                 self._file.close()
-                if damaged(error) and (aside := self._file.set_aside()) is not None:
-                    self.damage = (
-                        f"ledger {self.path} was damaged ({error}): it was renamed to {aside}, and a new one was begun"
-                    )
+                if damaged(error) and (renamed := self._file.set_aside()) is not None:
+                    self.damage = f"ledger {self.path} was damaged ({error}) and renamed to {renamed}; a new one was begun"
                     log.error("%s", self.damage)
                     continue
                 if self.fault is None:

@@ -100,14 +100,14 @@ class LedgerFile:
 
     def set_aside(self) -> str | None:
         """Renames a damaged file; returns its new name, or None if that fails."""
-        aside = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
+        renamed = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
         try:
             for suffix in ("", "-wal", "-shm"):
                 if (part := Path(f"{self._path}{suffix}")).exists():
-                    part.rename(f"{aside}{suffix}")
+                    part.rename(f"{renamed}{suffix}")
         except OSError:
             return None
-        return aside.name
+        return renamed.name
 
     def _opened(self) -> sqlite3.Connection:
         if self._connection is not None and not self._replaced():

@@ -179,4 +179,4 @@ class Planner:
         except Refusal:  # canceled or stopped: the goal has been answered already
             return
         except Exception:
-            log.exception("look-ahead failed, the goal goes on as first planned")
+            log.exception("look-ahead failed; the goal continues as first planned")

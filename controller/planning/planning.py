@@ -110,8 +110,8 @@ class Planning:
             link, self._monitor, self._admission, self._goals, self._locked, self._clearance, numbers, ledger, on_change
         )
         self._remaining_check = RemainingCheck(manipulator, self._monitor, self._goals, self._keep_out, self._clearance)
-        told, tracker = (self._tip_bias.state_fields, self._tracker) if self._tip_bias else (dict, dict)
-        self._status = StatusReport(self._monitor, link, self._goals, self._locked, self._keep_out, told)
+        bias, tracker = (self._tip_bias.state_fields, self._tracker) if self._tip_bias else (dict, dict)
+        self._status = StatusReport(self._monitor, link, self._goals, self._locked, self._keep_out, bias)
         self._diagnostics = DiagnosticsReport(
             link, lambda: self._listener.counted, self._queues, self._follower.status, lambda: ledger.fault, tracker
         )

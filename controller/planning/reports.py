@@ -126,9 +126,9 @@ class GoalReport:
         self._deviation = max(self._deviation, deviation or 0.0)
         target = target_of(self._manipulator, self._trajectory, point)
         where = measured_pose(self._manipulator, measured, target)
-        told: Payload | None = None
+        feedback: Payload | None = None
         if not self._trajectory.between(point):
-            told = {
+            feedback = {
                 "id": self.id,
                 "waypoint": self._trajectory.last(point),
                 "waypoints": len(self._trajectory.waypoints),
@@ -140,7 +140,7 @@ class GoalReport:
             }
             self._stages, self._deviation, self._deviation_known = 0, 0.0, True
         last = point == len(self._trajectory.times) - 1
-        return told, None if last else check_path(self.id, self._trajectory, point, where)
+        return feedback, None if last else check_path(self.id, self._trajectory, point, where)
 
     def final_outcome(self, measured: Measured) -> Outcome:
         """Returns the outcome of a program whose last mark has settled."""
@@ -198,14 +198,14 @@ class JogReport:
     def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:
         """Returns the measured pose, and the travel times of the actuators with an end-stop."""
         labels = self._manipulator.actuators
-        told = [{"actuator": labels[t.actuator], "state": STATES[t.state], "seconds": t.seconds} for t in travels]
-        return {**measured_pose(self._manipulator, measured, None), "travels": told}
+        shown = [{"actuator": labels[t.actuator], "state": STATES[t.state], "seconds": t.seconds} for t in travels]
+        return {**measured_pose(self._manipulator, measured, None), "travels": shown}
 
 
 def result(goal: str, outcome: Outcome, switches: int, where: Payload) -> Payload:
     """Returns the payload of a result."""
-    told = {"id": goal, "status": outcome.status, "code": outcome.code, "message": outcome.message}
-    return {**told, "switches": switches, **where}
+    fields = {"id": goal, "status": outcome.status, "code": outcome.code, "message": outcome.message}
+    return {**fields, "switches": switches, **where}
 
 
 def outcome_of(ended: Ended) -> Outcome:

@@ -134,4 +134,4 @@ class LimitedLog:
             left_out, self._left_out = self._left_out, 0
         self._log.info(text, *arguments)
         if left_out:
-            self._log.info("%d lines like this were left out before", left_out)
+            self._log.info("%d lines like this were omitted before", left_out)

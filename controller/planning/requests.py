@@ -68,15 +68,15 @@ class Requests:
             return
         sentence = self._locked.sentence(with_request(self._monitor.manipulator, self._locked.states, request))
         waits = state.snapshot.mode in ("fault", "stopped")
-        words = f"{sentence}{', from the reset on' if waits else ''}"
+        message = f"{sentence}{', from the reset on' if waits else ''}"
         actuator = self._monitor.manipulator.actuators.index(request.actuator)
         to = -1 if request.state is None else request.state
 
-        def told(answer: Payload) -> None:
-            reply({**answer, "message": words} if answer["accepted"] else answer)
+        def named(answer: Payload) -> None:
+            reply({**answer, "message": message} if answer["accepted"] else answer)
 
         self._admission.fence()
-        self._ask_for_epoch(lambda request: Lock(request, actuator, to), told)
+        self._ask_for_epoch(lambda request: Lock(request, actuator, to), named)
 
     def _bar(self, make: Callable[[int], Down], reply: Reply) -> None:
         """Bars all earlier requests, and sends a request that begins a new epoch."""

@@ -51,8 +51,8 @@ class Results:
         """Publishes the result of a program; `travels` are measured travels of actuators."""
         number = goal.program.program
         self._published.append(number)
-        told = result(goal.report.id, outcome, switches, goal.report.where(measured, travels))
-        self._publish("result", told if goal.plan is None else {**told, **goal.plan.proof()})
+        payload = result(goal.report.id, outcome, switches, goal.report.where(measured, travels))
+        self._publish("result", payload if goal.plan is None else {**payload, **goal.plan.proof()})
         self._ledger.ended(number, outcome.status, outcome.code, outcome.message, switches)
         self._ended(outcome.sentence)
 

@@ -55,7 +55,7 @@ class SetpointSearch:
         self._arm, self._pace = arm, pace
 
     def find(self, query: Query) -> Solution:
-        """Searches by the arm's method. Returns IPOP's result if that misses by far: longer searches would miss, too."""
+        """Searches by the arm's method; returns IPOP's result if it misses by far, as longer searches miss, too."""
         method, (solver, _, _, start, goal, tolerance) = self._arm.settings.method, query
         if method == "minimum-switch":
             first = solver.solve(goal, start, tolerance, "ipop-fewest-switches", patience=SEARCH_TIME)

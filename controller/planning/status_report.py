@@ -137,23 +137,23 @@ class DiagnosticsReport:
 
     def diagnostics(self) -> Payload:
         """Returns the payload of `diagnostics`; fields that need the executor are empty without it."""
-        told, counted = self._link.diagnostics, self._counted()
-        age = 0.0 if told is None else max(self._clock() - told.at, 0.0)
-        switches = 0 if told is None or counted is None else max(sum(told.counts) - counted, 0)
+        latest, counted = self._link.diagnostics, self._counted()
+        age = 0.0 if latest is None else max(self._clock() - latest.at, 0.0)
+        switches = 0 if latest is None or counted is None else max(sum(latest.counts) - counted, 0)
         return {
             "stamp": self._wall() - age,
-            "loop": {} if told is None else told.loop,
-            "buses": [] if told is None else told.buses,
-            "boards": [] if told is None else told.boards,
+            "loop": {} if latest is None else latest.loop,
+            "buses": [] if latest is None else latest.buses,
+            "boards": [] if latest is None else latest.boards,
             "queues": dict(self._queues()),
             "setpoint": self._setpoint(),
             "switches": switches,
-            "counts": [] if told is None else told.counts,
-            "waits": 0 if told is None else told.waits,
-            "dropped": 0 if told is None else told.dropped,
+            "counts": [] if latest is None else latest.counts,
+            "waits": 0 if latest is None else latest.waits,
+            "dropped": 0 if latest is None else latest.dropped,
             "ledger": self._ledger() or "ok",
-            "real_time": "off" if told is None else told.real_time,
-            "executor": "connected" if told is not None else self._link.problem,
+            "real_time": "off" if latest is None else latest.real_time,
+            "executor": "connected" if latest is not None else self._link.problem,
             **self._tracker(),
         }
 

@@ -16,4 +16,4 @@ def test_of_a_flood_a_few_lines_are_written_and_the_others_counted(caplog: pytes
         assert caplog.messages == [f"refused: {k}" for k in range(MOST_LINES)]
         now[0] += 1.0
         log.info("refused: last")
-    assert caplog.messages[MOST_LINES:] == ["refused: last", f"{100 - MOST_LINES} lines like this were left out before"]
+    assert caplog.messages[MOST_LINES:] == ["refused: last", f"{100 - MOST_LINES} lines like this were omitted before"]
