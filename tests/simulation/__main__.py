@@ -10,15 +10,15 @@ from collections import Counter
 from tests.simulation.world import World
 
 STEPS_A_SEED = 20_000
-MOST_FAILED = 20  # seeds; then it ends
+MOST_FAILED = 20  # failed seeds, after which the run ends
 
 
 def main() -> int:
-    """Runs one seed, or as many as the steps need; returns 1 if one fails."""
+    """Runs one seed, or as many seeds as the steps need; returns 1 if a seed fails."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, help="run this seed only; otherwise many seeds, from 0 on")
-    parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="in all")
-    parser.add_argument("--first", type=int, default=0, help="first of many seeds")
+    parser.add_argument("--seed", type=int, help="run only this seed; without it, many seeds from 0")
+    parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="number of steps of all seeds")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     options = parser.parse_args()
     began, steps, seed = time.monotonic(), 0, options.first if options.seed is None else options.seed
     counts: Counter[str] = Counter()

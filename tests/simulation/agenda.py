@@ -1,4 +1,4 @@
-"""Time in the simulated world: events in the order of their times, and of their entry where times are equal."""
+"""Time in the simulated world: events in the order of their times; equal times keep the order of entry."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 
 class Agenda:
-    """What is to happen.
+    """The queue of future events.
 
     Attributes:
         now: time [s].
-        steps: events so far.
+        steps: number of events so far.
     """
 
     def __init__(self) -> None:
@@ -21,16 +21,16 @@ class Agenda:
         self._number = 0
 
     def after(self, delay: float, happen: Callable[[], None]) -> None:
-        """Has something happen after a delay [s]."""
+        """Schedules an event after a delay [s]."""
         self.at(self.now + delay, happen)
 
     def at(self, time: float, happen: Callable[[], None]) -> None:
-        """Has something happen at a time, or now if the time has passed [s]."""
+        """Schedules an event at a time, or now if the time has passed [s]."""
         self._number += 1
         heapq.heappush(self._entries, (max(time, self.now), self._number, happen))
 
     def step(self) -> None:
-        """Lets the next event happen."""
+        """Runs the next event."""
         self.now, _, happen = heapq.heappop(self._entries)
         self.steps += 1
         happen()

@@ -1,4 +1,4 @@
-"""Arms drawn at random: wiring, times and bounds."""
+"""Random arms: wiring, times and limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings
 from drivers.simulation.buses import board_names
 from drivers.simulation.variants import VARIANTS, Variant
 
-# Variants of boards that boot and obey each SYNC; the second only where no output has to go off on loss of the master.
+# Variants of boards that boot and obey each SYNC; HOLDING only if no output must go off when the master is lost.
 ORDINARY = (
     *("standard", "one-supervision", "outputs-in-rpdo5", "many-outputs", "fixed-mapping", "saves-writes"),
     *("no-output-bit", "all-bits", "hidden-error-state", "resets-outputs"),
@@ -20,7 +20,7 @@ ORDINARY = (
 HOLDING = (
     *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
 )
-UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object")  # they take no dummy bytes, so no shared RPDO
+UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object")  # cannot map dummy bytes, so no shared RPDO
 
 
 def draw_arm(random: Random) -> ExecutedArm:
@@ -66,14 +66,14 @@ def draw_arm(random: Random) -> ExecutedArm:
         rest=random.choice([0.0, 0.0, 0.05, 0.3]),
         contract_on_stop=random.random() < 0.3,
         locked=locked,
-        locked_states=locked,  # of actuators with end-stops, those read
+        locked_states=locked,  # with an end-stop, the executor uses its reading
         continue_on_stuck=random.random() < 0.4,
         digest=64 * "0",
     )
 
 
 def draw_kind(random: Random, channel: Channel) -> Channel:
-    """Returns an actuator of any kind in place of an ordinary one; its second output and input are the bits above."""
+    """Returns a random kind of an actuator; its second output and input are 12 bits above the first ones."""
     paired, second = random.random() < 0.6, channel.output + 12
     fields: dict[str, Any] = {"input_contracted": second} if random.random() < 0.4 else {}
     inverted = {name for name in ("input", "input_contracted") if random.random() < 0.2}
@@ -91,7 +91,7 @@ def draw_kind(random: Random, channel: Channel) -> Channel:
 
 
 def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
-    """Returns an interlock on the first board, or on one of its own, or none."""
+    """Returns an interlock on the first board, or on a board of its own, or none."""
     if random.random() < 0.7:
         return ()
     node, inverted = random.choice([1, 9]), random.random() < 0.5
@@ -99,9 +99,9 @@ def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
 
 
 def draw_boards(random: Random, arm: ExecutedArm) -> tuple[ExecutedArm, dict[str, Variant]]:
-    """Returns what the boards of an arm are like, and the arm with what its file must say of them.
+    """Returns the arm with the settings that its boards need, and the variants of its boards.
 
-    Half of the arms have standard boards only.
+    Half of the arms have only standard boards.
     """
     if random.random() < 0.5:
         return arm, {}

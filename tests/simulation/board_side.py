@@ -1,4 +1,4 @@
-"""The far side of the buses: boards and actuators, their faults, and what their outputs do."""
+"""The boards of the world: boards and actuators, their faults, and the changes of their outputs."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ class BoardSide:
     """All boards of an arm.
 
     Attributes:
-        names: mask of the actuators of each board, by its name.
-        silent: whether a board is cut off from its bus.
-        opened: names of the interlocks that are open.
+        names: mask of the actuators of each board, by the board's name.
+        silent: whether a board is disconnected from its bus.
+        opened: names of the open interlocks.
 
     Args:
         wiring: buses, boards and actuators.
-        timing: of the actuators.
-        variants: of boards, by name.
-        agenda: time.
-        record: hears of outputs that change.
+        timing: times of boards and actuators.
+        variants: variants of boards by name.
+        agenda: time and events.
+        record: takes changes of outputs.
         send: takes the frames of the boards.
     """
 
@@ -61,22 +61,22 @@ class BoardSide:
         self._step()
 
     def drives(self) -> int:
-        """The end to which each actuator is driven, or was driven last, as a mask."""
+        """Returns the end to which each actuator is driven, or was driven last, as a mask."""
         return self._drives
 
     def coils(self) -> int:
-        """Mask of the actuators with two coils of which one is on."""
+        """Returns the mask of the actuators with two coils that have a coil on."""
         return self._coils
 
     def both_on(self) -> list[int]:
-        """How often both coils of each actuator were on at once, (A,)."""
+        """Returns how often both coils of each actuator were on at once, shape (A,)."""
         return self._buses.both_on()
 
     def _valves(self) -> int:
         return sum(drive << k for k, drive in enumerate(self._buses.drives()))
 
     def _driven(self, coils: list[tuple[int, int]]) -> int:
-        """Returns where the actuators are driven: those with two coils where the last one that was on drives them."""
+        """Returns the ends to which the actuators are driven; with two coils, by the last coil that was on."""
         before, after = self._drives, self._valves() & ~self._paired
         for k, (on, off) in enumerate(coils):
             if self._paired >> k & 1:
@@ -91,11 +91,11 @@ class BoardSide:
         self._set_timer()
 
     def positions(self) -> int:
-        """The end that each actuator is nearer to, as a mask."""
+        """Returns the nearer end of each actuator, as a mask."""
         return sum(round(position) << k for k, position in enumerate(self._buses.positions()))
 
     def hear(self, bus: str, sent: OnItsWay, lost: bool) -> None:
-        """Takes a frame of the executor that has left; `lost` if the boards do not get it."""
+        """Takes a sent frame of the executor; `lost` if the boards do not receive it."""
         frame = sent.frame
         boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
         missing = sum(mask for name, mask in boards.items() if lost or not self.takes_part(name))
@@ -109,7 +109,7 @@ class BoardSide:
             self._set_timer()
 
     def fault(self, verb: str, name: str, *numbers: float) -> None:
-        """Causes a fault of a board or an actuator, or ends one."""
+        """Causes or ends a fault of a board or an actuator."""
         self._step()
         if verb == "power_on" and self._buses.board(name).state is not None:
             return
@@ -123,7 +123,7 @@ class BoardSide:
         self.silent = any(self._buses.board(board).silent for board in self.names)
 
     def emergency(self, board: str, code: int) -> None:
-        """Has a board send an emergency."""
+        """Makes a board send an emergency."""
         self._buses.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
 
     def mend(self) -> None:
@@ -139,7 +139,7 @@ class BoardSide:
             self.door(name, is_open=False)
 
     def takes_part(self, name: str) -> bool:
-        """Whether a board sends its inputs and takes commands."""
+        """Returns whether a board is operational and connected."""
         board = self._buses.board(name)
         return not board.silent and board.state == State.OPERATIONAL
 
@@ -160,7 +160,7 @@ class BoardSide:
             self._step()
 
     def _see(self, cause: str, commit: Commit | None = None) -> None:
-        """Compares the outputs with those of before."""
+        """Records the changes of the outputs since the last call."""
         coils = self._buses.coils()
         after = self._driven(coils)
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))

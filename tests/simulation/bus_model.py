@@ -17,7 +17,7 @@ SDO_ANSWER = 0x580
 
 
 class OnItsWay(NamedTuple):
-    """A frame of the executor; `belongs_to` is what the world has to know of it."""
+    """A frame of the executor; `belongs_to` is its commit, for the world."""
 
     frame: Frame
     belongs_to: object
@@ -66,7 +66,7 @@ class BusModel:
 
     @property
     def healthy(self) -> bool:
-        """Whether frames of the executor leave, now and at once."""
+        """Whether frames of the executor are sent at once."""
         return self._connected and self.capacity == CAPACITY
 
     @property
@@ -74,7 +74,7 @@ class BusModel:
         return self.state in ("active", "passive") and self.acknowledged
 
     def send(self, frame: Frame, belongs_to: object = None) -> str | None:
-        """Takes a frame of the executor; returns why it is not sent, or None."""
+        """Takes a frame of the executor; returns why it cannot be sent, or None."""
         if self.state == "down":
             return "Network is down"
         if len(self._queue) >= self.capacity:
@@ -93,21 +93,21 @@ class BusModel:
     # --- faults and their ends
 
     def go_down(self) -> None:
-        """Takes the interface down: what waits in it is gone."""
+        """Takes the interface down: waiting frames are lost."""
         self._queue.clear()
         self._change("down", "the interface is down")
 
     def go_off(self) -> None:
-        """Makes the controller bus-off: what waits in it stays there."""
+        """Makes the controller bus-off: waiting frames stay in it."""
         self._change("bus-off", "")
 
     def warn(self) -> None:
-        """Makes the controller error-passive, which stops nothing."""
+        """Makes the controller error-passive, which does not stop frames."""
         if self.state == "active":
             self._change("passive", "")
 
     def restore(self) -> None:
-        """Makes everything as it should be."""
+        """Ends all faults of the bus."""
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
         if self.state != "active":
@@ -126,7 +126,7 @@ class BusModel:
         self._begin()
 
     def _begin(self) -> None:
-        """Puts the next frame on the wire, if it is free."""
+        """Puts the next frame on the wire if the wire is free."""
         if self._on_wire is not None:
             return
         ours = list(self._queue)[:MAILBOXES] if self._connected else []

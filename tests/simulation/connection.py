@@ -1,4 +1,4 @@
-"""A client's connection to the executor's socket: packets arrive in order, a moment after they were sent."""
+"""A client's connection to the executor's socket: packets arrive in order, after a short delay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from controller.program import VERSION, Down, Halt, Hello, Up, decode_down, deco
 from tests.simulation.agenda import Agenda
 from tests.simulation.process import ExecutorProcess
 
-LATENCY = 0.001  # [s], longest of the socket
+LATENCY = 0.001  # [s], longest delay of the socket
 
 
 class Connection:
@@ -58,7 +58,7 @@ class Connection:
         self.client = None
 
     def halt(self) -> None:
-        """Lets an operator halt the arm over a connection of their own."""
+        """Makes an operator halt the arm over a separate connection."""
         client = self._greet("operator")
         self._executor.hear(client, FromClient(client, Halt(1)))
         self._executor.hear(client, ClientGone(client))
@@ -79,7 +79,7 @@ class Connection:
         self._agenda.at(self._last_out, arrive)
 
     def deliver(self, client: Client, message: Up) -> None:
-        """Brings a message of the executor, when the socket and the process are ready for it."""
+        """Delivers a message of the executor, when the socket and the process are ready."""
         if client != self.client:
             return
         self._last_in = max(self._last_in, self._agenda.now + self._random.uniform(0.0, LATENCY))

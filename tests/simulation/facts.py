@@ -1,4 +1,4 @@
-"""What happens in the world, as plain data."""
+"""Facts of the world, as plain data."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ class Running:
     number: int
     begin: float
     strict: bool
-    stages: list[tuple[int, float]]  # states and when they may begin
+    stages: list[tuple[int, float]]  # states, and their earliest times
     last: int = -1
 
 
 @dataclass
 class Commit:
-    """RPDOs and the SYNCs after them, with what was asked for and locked when they were sent."""
+    """RPDOs and the SYNCs after them, with requests and locked actuators at the time of the RPDOs."""
 
     began: float
     locked: int
     locked_states: int
-    realigns: bool  # something was asked for, and outputs of locked actuators were not as they are locked
+    realigns: bool  # something was requested, and outputs of locked actuators differed from their locked states
     running: Running | None
-    candidates: list[tuple[int, int]]  # index and states of the stages that were asked for
-    homing: int = 0  # actuators of unknown state, which something that was asked for brings to `homes`
+    candidates: list[tuple[int, int]]  # index and states of the requested stages
+    homing: int = 0  # mask of the actuators of unknown state that a request brings to `homes`
     homes: int = 0
-    releases: bool = False  # an output of a pulse was on
+    releases: bool = False  # a pulse was on
     synced_at: float | None = None
     switched: int = 0
 
 
 class Switch(NamedTuple):
-    """Outputs that changed. `cause` is "SYNC", another frame, "time" or "fault"."""
+    """Changed outputs. `cause` is "SYNC", another frame, "time" or "fault"."""
 
     mask: int
     after: int
@@ -48,9 +48,9 @@ class Switch(NamedTuple):
 
 
 class Energised(NamedTuple):
-    """Coils of actuators with two: those that came on, all that are on, and those that came on to no effect.
+    """Coils of actuators with two coils: those that came on, all that are on, and those that came on without effect.
 
-    `cause` is as of a switch.
+    `cause` is that of `Switch`.
     """
 
     came: int
@@ -63,7 +63,7 @@ class Energised(NamedTuple):
 
 @dataclass
 class Step:
-    """What happened in the last step of the world."""
+    """The facts of the last step of the world."""
 
     frames: list[tuple[str, Frame]] = field(default_factory=list)
     switches: list[Switch] = field(default_factory=list)
@@ -71,4 +71,4 @@ class Step:
     accepted: list[tuple[Program, Accepted]] = field(default_factory=list)
     ended: list[Ended] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
-    epochs: list[tuple[int, int]] = field(default_factory=list)  # shown, and the least that is right
+    epochs: list[tuple[int, int]] = field(default_factory=list)  # shown epoch, and the least correct one

@@ -1,4 +1,4 @@
-"""What must hold at every step of the world, each as one function that raises `Violation` if it does not."""
+"""The invariants of the world: functions that are called at every step, and raise `Violation`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Violation(AssertionError):
 
 
 def require(holds: object, text: str) -> None:
-    """Raises a `Violation` unless something holds."""
+    """Raises `Violation` unless `holds` is true."""
     if not holds:
         raise Violation(text)
 
 
 def outputs_change_only_as_asked(world: World) -> None:
-    """A SYNC switches the boards to a stage of the running program or the set-point, and never back to an old one."""
+    """A SYNC switches the boards to a stage of the running program or set-point, never to an earlier one."""
     for switch in _by_sync(world):
         mask, commit = switch.mask & ~world.record.suspect, switch.commit
         if not mask:
@@ -33,19 +33,19 @@ def outputs_change_only_as_asked(world: World) -> None:
         require(commit is not None, f"a SYNC without RPDOs switched {mask:b}")
         assert commit is not None
         away = mask & commit.homing & (switch.after ^ commit.homes)
-        require(not away, f"{away:b} of unknown state switched away from what was guessed")
+        require(not away, f"{away:b} of unknown state switched away from the guessed state")
         mask &= ~(commit.locked | commit.homing)  # see locked_actuators_switch_only_to_their_states
         if not mask:
             continue
         fitting = [(k, states) for k, states in commit.candidates if not (states ^ switch.after) & mask]
-        require(fitting, f"{switch.mask:b} switched to {switch.after:b}; asked for were {commit.candidates}")
+        require(fitting, f"{switch.mask:b} switched to {switch.after:b}; requested were {commit.candidates}")
         commit.candidates = fitting
         if commit.running is not None:
             commit.running.last = max(commit.running.last, fitting[0][0])
 
 
 def nothing_is_commanded_without_a_request(world: World) -> None:
-    """RPDOs and SYNCs are sent only while something is asked for, and a SYNC soon after its RPDOs."""
+    """RPDOs and SYNCs are sent only for a request, and a SYNC soon after its RPDOs."""
     record = world.record
     for bus, frame in record.step.frames:
         if frame.id & 0x780 in RPDOS:
@@ -62,18 +62,18 @@ def nothing_is_commanded_without_a_request(world: World) -> None:
             require(delay <= longest + 1e-6, f"{bus}: SYNC {delay:g} s after the RPDOs, of {longest:g} s at most")
         elif frame.id & 0x780 == cia301.SDO_REQUEST and len(frame.data) == 8:
             written = frame.data[0] & 0xE0 == 0x20 and frame.data[1:3] == b"\x00\x62"
-            # The boot writes what the error state left of an output that goes off on loss; it switches nothing.
+            # The boot writes outputs off that the error state has switched off; this switches nothing.
             require(not written or record.mode == "starting", f"{bus}: outputs were written by SDO")
 
 
 def outputs_fall_only_with_a_cause(world: World) -> None:
-    """Outputs change without a SYNC only by a fault of the world, or if a board did not hear the executor."""
+    """Outputs change without a SYNC only by a fault, or if a board did not hear the executor."""
     timing, now = world.arm.timing, world.agenda.now
     for switch in world.record.step.switches:
         if switch.cause == "time":
             since = now - world.record.disturbed_at[switch.bus]
             excused = since < 2 * timing.heartbeat_timeout
-            require(excused, f"{switch.mask:b} fell on {switch.bus}, and nothing was wrong")
+            require(excused, f"{switch.mask:b} went off on {switch.bus} without a fault")
         else:
             require(switch.cause in ("SYNC", "fault"), f"{switch.mask:b} switched by {switch.cause}")
 
@@ -87,7 +87,7 @@ def each_program_has_one_result(world: World) -> None:
         require(record.results.setdefault(key, ended.result) == ended.result, f"two results of program {ended.program}")
         acknowledged = (record.instance, ended.result) in record.acknowledged
         require(not acknowledged, f"result {ended.result} was sent after it was acknowledged")
-        require(record.programs[key].context == ended.context, f"the result of program {ended.program} has its context")
+        require(record.programs[key].context == ended.context, f"result {ended.result} has another context")
 
 
 def programs_are_accepted_only_as_they_should_be(world: World) -> None:
@@ -104,7 +104,7 @@ def programs_are_accepted_only_as_they_should_be(world: World) -> None:
 
 
 def epochs_and_modes_are_respected(world: World) -> None:
-    """An accepted program is of the epoch shown last, and each cancel, halt and fault begins a new epoch."""
+    """An accepted program belongs to the last shown epoch, and each cancel, halt and fault begins a new epoch."""
     for epoch, least in world.record.step.epochs:
         require(epoch >= least, f"the epoch is {epoch} after {least} cancels, halts and faults")
     for program, _ in world.record.step.accepted:
@@ -113,7 +113,7 @@ def epochs_and_modes_are_respected(world: World) -> None:
 
 
 def switches_are_counted(world: World) -> None:
-    """The journal has each switch of a SYNC once: also of an executor that was killed, as soon as boards were asked."""
+    """The journal counts each switch of a SYNC once, also those of a killed executor after the next boot."""
     if not world.record.step.switches and not world.journal_changed():
         return
     journal, record = world.executor.journal, world.record
@@ -124,7 +124,7 @@ def switches_are_counted(world: World) -> None:
 
 
 def heartbeats_do_not_pause(world: World) -> None:
-    """The executor's heartbeats leave on each bus, unless it stands still, is dead, or the bus does not work."""
+    """The executor sends heartbeats on each bus, unless it stalls, is dead, or the bus does not work."""
     record, now = world.record, world.agenda.now
     for name, bus in world.buses.items():
         if not bus.healthy or not world.executor.awake:
@@ -138,7 +138,7 @@ def heartbeats_do_not_pause(world: World) -> None:
 
 
 def inrush_and_rest_hold(world: World) -> None:
-    """No more actuators switch at once than the arm allows, no stage before the last one has settled, and all rest."""
+    """At most `inrush` actuators switch at once, each stage waits for the previous one, and all actuators rest."""
     record, arm, now, travel = world.record, world.arm, world.agenda.now, world.kinds.travel
     for switch in _by_sync(world):
         commit, mask = switch.commit, switch.mask & ~record.suspect
@@ -159,13 +159,13 @@ def inrush_and_rest_hold(world: World) -> None:
 
 
 def two_coils_are_never_on_at_once(world: World) -> None:
-    """Of an actuator with two coils one is on at most, also during faults and boots."""
+    """At most one of two coils is on, also during faults and boots."""
     both = world.boards.both_on()
     require(not any(both), f"both coils of an actuator were on: {both}")
 
 
 def coils_come_on_only_as_asked(world: World) -> None:
-    """A coil of two comes on only by a SYNC whose RPDOs were sent for something that was asked for."""
+    """One of two coils comes on only by a SYNC whose RPDOs were sent for a request."""
     lost = sum(1 << k for k, level in zip(world.arm.wiring.paired, _off_levels(world), strict=True) if level == 1)
     for coils in world.record.step.energised:
         came, commit = coils.came & ~world.record.suspect, coils.commit
@@ -174,11 +174,11 @@ def coils_come_on_only_as_asked(world: World) -> None:
             require(not came, f"the coils {came:b} came on by {coils.cause}")
         elif came:
             asked = commit is not None and (commit.candidates or commit.realigns or commit.homing)
-            require(asked, f"the coils {came:b} came on, and nothing was asked for")
+            require(asked, f"the coils {came:b} came on without a request")
 
 
 def pulses_end(world: World) -> None:
-    """No pulse is longer than asked by more than a period, unless the executor or the bus did not work."""
+    """No pulse is too long by more than a period, unless the executor or the bus did not work."""
     record, now = world.record, world.agenda.now
     for k, length in world.kinds.pulse.items():
         since, bus = record.energised_at[k], world.arm.wiring.channels[k].bus
@@ -188,7 +188,7 @@ def pulses_end(world: World) -> None:
 
 
 def nothing_begins_while_an_interlock_is_open(world: World) -> None:
-    """No RPDO is sent for a stage from a period after an interlock was opened on."""
+    """One period after the opening of an interlock, no RPDO is sent for a stage any more."""
     record, now = world.record, world.agenda.now
     if not world.arm.wiring.interlocks:
         return
@@ -205,17 +205,17 @@ def nothing_begins_while_an_interlock_is_open(world: World) -> None:
 
 
 def locked_actuators_switch_only_to_their_states(world: World) -> None:
-    """A SYNC switches an actuator that was locked when its RPDOs were sent to its locked state only, if asked to."""
+    """A SYNC switches a locked actuator only to its locked state, and only for a request."""
     for switch in _by_sync(world):
         if (commit := switch.commit) is not None:
             moved = switch.mask & commit.locked & ~world.record.suspect
-            require(commit.realigns or not moved, f"the locked actuators {moved:b} switched, and nothing was asked for")
+            require(commit.realigns or not moved, f"the locked actuators {moved:b} switched without a request")
             away = moved & (switch.after ^ commit.locked_states)
             require(not away, f"the locked actuators {away:b} switched away from their states")
 
 
 def the_executor_has_no_defect(world: World) -> None:
-    """No internal error was caught."""
+    """The executor has caught no internal error."""
     for text in world.record.step.errors:
         raise Violation(text)
 

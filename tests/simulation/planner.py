@@ -1,4 +1,4 @@
-"""A planner that asks for things at random, is slow, hangs and dies; and an operator who halts the arm."""
+"""A planner with random requests, which is slow, hangs and dies; and an operator who halts the arm."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ class ScriptedPlanner:
     """The planner's process and its connection to the executor.
 
     Attributes:
-        calm: it asks for nothing but a reset where one is needed, and unlocks what was locked.
-        snapshot: the latest; None before the first of a connection.
-        results: those that it has not acknowledged.
-        connection: to the executor.
+        calm: it sends only the resets that are needed, and unlocks actuators.
+        snapshot: the latest snapshot; None before the first of a connection.
+        results: results that it has not acknowledged.
+        connection: its connection to the executor.
 
     Args:
         arm: the arm.
-        agenda: time.
-        random: for what it does and when.
-        executor: to talk to.
+        agenda: time and events.
+        random: for its requests and their times.
+        executor: the executor's process.
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
@@ -60,7 +60,7 @@ class ScriptedPlanner:
         self.connection = Connection(arm.name, agenda, random, executor, self._hear, lambda: self._awake_at)
         self._awake_at = 0.0
         self._number = self._request = 0
-        self._wanted = -1  # the program that it asked for while it was calm
+        self._wanted = -1  # the program that it sent while it was calm
         self._drawn: Drawn | None = None
         self._answered = 0
         agenda.after(0.0, self._live)
@@ -69,7 +69,7 @@ class ScriptedPlanner:
     # --- its troubles
 
     def stall(self, seconds: float) -> None:
-        """Lets it hang for a while [s]."""
+        """Makes it hang for a time [s]."""
         self._awake_at = max(self._awake_at, self._agenda.now + seconds)
 
     @property
@@ -78,16 +78,16 @@ class ScriptedPlanner:
         return self._agenda.now >= self._awake_at
 
     def be_calm(self, calm: bool) -> None:
-        """Begins or ends to be calm."""
+        """Sets `calm`."""
         self.calm, self._wanted = calm, -1
 
     def die(self) -> None:
-        """Ends the process; the next one starts with the next of its periods."""
+        """Ends the process; the next one starts with the next period."""
         self.connection.close()
         self.cut_off()
 
     def cut_off(self) -> None:
-        """Notes that the executor's end of the connection is closed."""
+        """Records that the executor has closed the connection."""
         self.connection.client = self.snapshot = self._drawn = None
         self.results.clear()
 
@@ -126,7 +126,7 @@ class ScriptedPlanner:
     # --- what it does
 
     def _live(self) -> None:
-        """Shows that it is alive, and connects if it is not connected."""
+        """Sends Alive, or connects."""
         if self.awake:
             if self.connection.client is None:
                 self._answered = self._request
@@ -152,7 +152,7 @@ class ScriptedPlanner:
                 self.connection.send(Lock(self._next(), k, -1))
 
     def ask_for_motion(self) -> int:
-        """Sends one good program; returns its number."""
+        """Sends one correct program; returns its number."""
         assert self.snapshot is not None
         self._number += 1
         self._drawn = self._author.program(self.snapshot, self._number, self._agenda.now)

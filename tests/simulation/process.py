@@ -1,4 +1,4 @@
-"""The executor as a process: its event loop, its death and its next start."""
+"""The executor's process: its event loop, its end and its next start."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import BusModel
 from tests.simulation.record import Record
 
-WAKE_UP = 0.0002  # [s], longest of a process that nobody stalls
+WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
 
 
 class ExecutorProcess:
-    """Runs an executor on the simulated clock, as its event loop does.
+    """Runs an executor on the simulated clock, like its event loop.
 
     Attributes:
-        journal: survives the process.
-        core: of the present process; None between a kill and the next start.
-        instances: processes so far.
+        journal: the switch journal, which survives the process.
+        core: core of the present process; None between a kill and the next start.
+        instances: number of processes so far.
 
     Args:
         arm: the arm.
-        agenda: time.
+        agenda: time and events.
         random: for delays.
-        buses: by name.
-        record: sees it all.
+        buses: the buses by name.
+        record: takes events and actions.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ExecutorProcess:
     # --- its life
 
     def start(self) -> None:
-        """Starts a process, if none runs; it opens the buses."""
+        """Starts a process if none runs, and opens the buses."""
         if self.core is not None:
             return
         self.instances += 1
@@ -76,20 +76,20 @@ class ExecutorProcess:
 
     @property
     def awake(self) -> bool:
-        """Whether a process runs and does not stand still."""
+        """Whether a process runs and is not stalled."""
         return self.core is not None and self._agenda.now >= self.awake_since
 
     @property
     def awake_since(self) -> float:
-        """When the process was started, or woke up [s]."""
+        """Time when the process was started, or its last stall ended [s]."""
         return max(self._awake_at, self._started_at)
 
     def recover(self) -> None:
-        """Forgets when to kill the process; a stall goes on to its end."""
+        """Cancels a planned kill; a stall continues to its end."""
         self._actions_left = None
 
     def kill(self) -> None:
-        """Ends the process at once; frames that it has handed out stay with the controller. It is started again."""
+        """Ends the process at once, and starts it again later. Frames that it has handed out stay in the controller."""
         if self.core is not None:
             self.core = None
             self._actions_left = None
@@ -99,21 +99,21 @@ class ExecutorProcess:
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
 
     def kill_after(self, actions: int) -> None:
-        """Kills the process after so many more of its actions, perhaps between two of one step."""
+        """Kills the process after `actions` further actions, perhaps in the middle of a step."""
         self._actions_left = actions
 
     def stall(self, seconds: float) -> None:
-        """Lets the process stand still for a while [s]."""
+        """Stalls the process for a time [s]."""
         self._awake_at = max(self._awake_at, self._agenda.now + seconds)
 
     # --- its clients
 
     def connect(self, to_client: Callable[[Client, Up], None], dies: Callable[[], None]) -> None:
-        """Sets what takes messages for clients, and what is called when the process dies."""
+        """Sets the functions that take messages for clients, and the end of the process."""
         self._to_client, self._dies = to_client, dies
 
     def hear(self, client: Client, event: FromClient | ClientGone) -> bool:
-        """Takes what a client does; returns whether the process knows of the connection."""
+        """Takes an event of a client; returns whether the process knows the connection."""
         if isinstance(event, ClientGone):
             if client not in self._clients:
                 return False
@@ -126,7 +126,7 @@ class ExecutorProcess:
     # --- its event loop
 
     def post(self, event: Event) -> None:
-        """Takes an event that waits for the process."""
+        """Queues an event for the process."""
         if self.core is not None:
             self._events.append(event)
             self._wake()
@@ -144,7 +144,7 @@ class ExecutorProcess:
             if self._agenda.now < self._awake_at:
                 self._agenda.at(self._awake_at, due)
                 return
-            # The order of file descriptors in epoll is nobody's promise; buses are opened before the first tick.
+            # `select` promises no order of file descriptors; buses are opened before the first tick.
             first = self._random.random() < 0.5 and self._ticked
             self._ticked = True
             (self._events.appendleft if first else self._events.append)(Tick())

@@ -1,4 +1,4 @@
-"""What a planner may ask for, drawn at random: programs, replacements, set-points; good ones and bad ones."""
+"""Random requests of a planner: programs, replacements and set-points, correct ones and bad ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from controller.program import Program, Replacement, Setpoint, Snapshot, Stage, 
 
 @dataclass
 class Drawn:
-    """A program that was sent, and what was appended to it."""
+    """A program that was sent, with the stages appended since."""
 
     program: Program
     stages: list[Stage]
@@ -22,7 +22,7 @@ class Drawn:
 
 
 class Author:
-    """Draws what a planner sends for an arm."""
+    """Draws the messages of a planner for an arm."""
 
     def __init__(self, arm: ExecutedArm, random: Random) -> None:
         self._random = random
@@ -31,7 +31,7 @@ class Author:
         self._travel = arm.timing.travel_time
 
     def program(self, snapshot: Snapshot, number: int, now: float) -> Drawn:
-        """Returns a good program from the outputs of a snapshot."""
+        """Returns a correct program from the outputs of a snapshot."""
         random = self._random
         stages = self._walk(unpack(snapshot.outputs), unpack(snapshot.locked), random.randint(1, 8), 0.0)
         program = Program(
@@ -49,7 +49,7 @@ class Author:
         return Drawn(program, stages)
 
     def replacement(self, drawn: Drawn, locked: int) -> Replacement:
-        """Returns new stages for a program, from any of its stages on."""
+        """Returns a replacement of a program's stages, from a random stage on."""
         random = self._random
         drawn.generation += 1
         first = random.randint(0, len(drawn.stages))
@@ -71,7 +71,7 @@ class Author:
         return message
 
     def setpoint(self, snapshot: Snapshot, stream: int, now: float) -> Setpoint:
-        """Returns a set-point near the outputs of a snapshot; one of four asks to stay."""
+        """Returns a set-point near the outputs of a snapshot; one of four has no stages."""
         random = self._random
         length = random.randint(0, 3)
         stages = self._walk(unpack(snapshot.outputs), unpack(snapshot.locked), length, 0.0)
@@ -86,7 +86,7 @@ class Author:
         )
 
     def spoiled(self, program: Program, snapshot: Snapshot) -> Program:
-        """Returns a program that must be declined, or is allowed by chance."""
+        """Returns a spoiled program, which must be declined unless it is correct by chance."""
         random, replace = self._random, msgspec.structs.replace
         stages = list(program.stages)
         k = random.randrange(len(stages))
@@ -116,7 +116,7 @@ class Author:
         return pack(unpack(stage.states) ^ unpack(snapshot.locked), self._count)
 
     def _walk(self, states: int, locked: int, length: int, earliest: float) -> list[Stage]:
-        """Returns stages that switch at most as many actuators at once as the arm allows, and no locked ones."""
+        """Returns stages within the inrush limit that switch no locked actuator."""
         random = self._random
         free = [k for k in range(self._count) if not locked >> k & 1]
         stages, at, mark = [], earliest, random.randint(0, 100)

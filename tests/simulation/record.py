@@ -1,4 +1,4 @@
-"""What happened in the world, as the invariants need it: seen at the executor's boards and clients."""
+"""The history of the world for the invariants, as seen at the executor's boards and clients."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ from tests.simulation.facts import Commit, Energised, Running, Step, Switch
 
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
-LATE = 1e-6  # [s], of rounding
+LATE = 1e-6  # [s], rounding error
 
 
 class Record:
     """The history of a world.
 
     Attributes:
-        step: what happened since it was last cleared.
-        programs: programs that were accepted, by instance of the executor and number.
-        results: number of the result of each of them.
-        acknowledged: results by instance and number.
-        synced: how often SYNCs switched each actuator.
-        slack: by how much the journal may differ from that: a frame was lost, or a board fell before it was asked.
-        lying: mask of the actuators whose end-stops are frozen or have broken wires.
-        fallen: mask of the actuators whose outputs changed without a SYNC, which the executor may not know yet.
-        floor: cancels, halts and faults of this instance: as often its epoch has grown at least.
-        suspect: mask of the actuators whose boards lost a frame since the boards were booted.
-        last_heartbeat: of the executor, on each bus [s].
-        disturbed_at: when its heartbeats could not leave, on each bus [s].
-        switched_at: when a SYNC switched each actuator [s].
-        energised_at: when the coil that is on of each actuator with two came on [s]; None: neither is on.
-        open_since: when an interlock was opened [s]; infinity if all are closed.
-        unread_at: when the board of the interlock did not send its inputs [s].
-        core: returns the executor, for what it takes for unknown, and for on.
+        step: facts of the present step.
+        programs: accepted programs, by instance of the executor and number.
+        results: number of the result of each program.
+        acknowledged: acknowledged results, by instance and number.
+        synced: number of switches of each actuator by SYNCs.
+        slack: permitted difference between the journal and `synced`, after a lost frame or an unread board.
+        lying: mask of the actuators with frozen end-stops or broken wires.
+        fallen: mask of the actuators whose outputs changed without a SYNC, perhaps unknown to the executor.
+        floor: number of cancels, halts and faults of this instance, the least value of its epoch.
+        suspect: mask of the actuators whose boards have missed a frame since their boot.
+        last_heartbeat: time of the executor's last heartbeat on each bus [s].
+        disturbed_at: last time when its heartbeats could not be sent on each bus [s].
+        switched_at: time when a SYNC switched each actuator [s].
+        energised_at: time when one of two coils of each actuator came on [s]; None: both are off.
+        open_since: time when an interlock was opened [s]; infinity if all are closed.
+        unread_at: last time when the board of the interlock did not send its inputs [s].
+        core: returns the executor, for its uncertain states and pulses.
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, note: Callable[[object], None]) -> None:
@@ -89,7 +89,7 @@ class Record:
     # --- the executor
 
     def started(self) -> None:
-        """An executor begins."""
+        """Records the start of an executor."""
         self._note("the executor starts")
         self.instance += 1
         self.mode, self.epoch, self.floor, self.commit = "starting", 0, 0, None
@@ -97,13 +97,13 @@ class Record:
         self._hold()
 
     def killed(self) -> None:
-        """The executor was killed, or has ended."""
+        """Records the end of an executor."""
         self._note("the executor is dead")
         self.counts["executors that ended"] += 1
         self._hold()
 
     def told(self, event: Event) -> None:
-        """The executor takes an event."""
+        """Records an event that the executor takes."""
         self._note(("executor takes", event))
         message = self._message = event.message if isinstance(event, FromClient) else None
         match message:
@@ -119,7 +119,7 @@ class Record:
                 self._setpoints.append(message)
 
     def says(self, message: Up) -> None:
-        """The executor sends a message to a client."""
+        """Records a message to a client."""
         self._note(("executor says", message))
         self.counts[type(message).__name__] += 1
         match message:
@@ -139,13 +139,13 @@ class Record:
                 self._show(message)
 
     def logs(self, level: int, text: str) -> None:
-        """The executor writes a line to its log."""
+        """Records a log line of the executor."""
         self._note(("executor logs", text))
         if "internal error" in text:
             self.step.errors.append(text)
 
     def sends(self, bus: str, frame: Frame) -> Commit | None:
-        """The executor hands out a frame; returns the commit of a SYNC."""
+        """Records a frame that the executor hands out; returns the commit of a SYNC."""
         self.step.frames.append((bus, frame))
         now = self._agenda.now
         if frame.id == cia301.SYNC:
@@ -170,7 +170,7 @@ class Record:
     # --- the boards
 
     def arrives(self, bus: str, frame: Frame, missing: int) -> None:
-        """A frame of the executor has left; the boards of a mask of actuators do not take it."""
+        """Records a sent frame of the executor; the boards of a mask of actuators do not receive it."""
         self._note(("boards hear", bus, frame, f"not those of {missing:b}" if missing else ""))
         if frame.id == MASTER_HEARTBEAT:
             self.last_heartbeat[bus] = self._agenda.now
@@ -181,7 +181,7 @@ class Record:
                 self.slack[k] += self.suspect >> k & 1
 
     def switch(self, switch: Switch) -> None:
-        """Outputs have changed."""
+        """Records changed outputs."""
         self._note((f"{switch.mask:b} switched to {switch.after:b}", switch.cause))
         self.step.switches.append(switch)
         for k in range(len(self.synced)):
@@ -194,7 +194,7 @@ class Record:
         self.counts["switches"] += switch.mask.bit_count() * (switch.cause == "SYNC")
 
     def energise(self, coils: Energised) -> None:
-        """Coils have come on or gone off."""
+        """Records coils that came on or went off."""
         if coils.came:
             self.step.energised.append(coils)
         for k, since in enumerate(self.energised_at):
@@ -206,13 +206,13 @@ class Record:
                 self.energised_at[k] = None
 
     def doors(self, are_open: bool) -> None:
-        """Interlocks were opened, or all are closed."""
+        """Records whether an interlock is open."""
         self.open_since = min(self.open_since, self._agenda.now) if are_open else math.inf
 
     def doubt(self, intended: int) -> None:
-        """Of actuators that fell unnoticed, nobody can tell whether the SYNC that was intended has switched them.
+        """Permits a difference of the counts where nobody can tell whether an intended switch took place.
 
-        Nor of pairs that are off, whose end-stops are asked, if their wires are broken.
+        This is so for outputs that went off unnoticed, and for pairs that are off with broken wires of end-stops.
         """
         lied = intended & self.lying
         for k in range(len(self.slack)):
@@ -252,7 +252,7 @@ class Record:
             self._hold()
 
     def _asked(self, now: float) -> list[tuple[int, int]]:
-        """Returns index and states of the stages that may be switched to now."""
+        """Returns index and states of the stages that may begin now."""
         if self.running is not None:
             due = enumerate(self.running.stages)
             return [
@@ -263,7 +263,7 @@ class Record:
         return [(-1, states) for states in self._followed(now)]
 
     def _followed(self, now: float) -> list[int]:
-        """Returns the stages of the set-points that are followed."""
+        """Returns the stages of the followed set-points."""
         if not self._setpoints or self._setpoints[-1].until < now - LATE:
             return []
         return [unpack(states) for setpoint in self._setpoints for states in setpoint.stages]

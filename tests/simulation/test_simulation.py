@@ -1,4 +1,4 @@
-"""The executor in its simulated world; and defects put into it, which the invariants must find."""
+"""The executor in its simulated world; the invariants must find planted defects."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ def _do_not_wait(self: Commit, clock: float, now: float) -> None:
         self._links[bus].send(Frame(SYNC), now)
 
 
-_go_on = Modes.go_on
+_hold_measured = Modes.hold_measured
 
 
 def _energise(self: Modes, now: float) -> None:
-    _go_on(self, now)
+    _hold_measured(self, now)
     actuation = self._motion.actuation
     actuation.switch(actuation.states, now, homing=-1)
 
@@ -72,11 +72,11 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
     "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
     "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),
-    "the SYNC does not wait for the RPDOs": (Commit, "_sync_if_left", _do_not_wait),
+    "the SYNC does not wait for the RPDOs": (Commit, "_sync_when_sent", _do_not_wait),
     "no epoch ends": (Modes, "new_epoch", lambda self: None),
     "pulses do not end": (Actuation, "tick", lambda self, now: None),
     "both outputs of a pair are on": (Kinds, "_off_lines", lambda self, mask: mask << self._size),
-    "a start energises": (Modes, "go_on", lambda self, now: _energise(self, now)),
+    "a start energises": (Modes, "hold_measured", lambda self, now: _energise(self, now)),
     "interlocks are ignored": (Motion, "interlocks", lambda self: []),
 }
 

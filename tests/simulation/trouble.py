@@ -29,11 +29,11 @@ LONGEST_STALL = 3.0  # [s] of executor or planner
 
 
 class Trouble:
-    """Makes faults, one every second or so, each of which ends after a while.
+    """Causes a fault about once a second; each fault ends after a time.
 
     Attributes:
-        made: faults by kind.
-        kinds: weights; a world leaves some kinds out.
+        made: number of faults by kind.
+        kinds: weights of the kinds; a world has only some of them.
     """
 
     def __init__(self, world: World, random: Random) -> None:
@@ -45,7 +45,7 @@ class Trouble:
         self._mean = random.choice([0.3, 1.0, 3.0])
 
     def begin(self) -> None:
-        """Begins to make faults."""
+        """Starts to cause faults."""
         self._active, self._round = True, self._round + 1
         self._next(self._round)
 
@@ -66,7 +66,7 @@ class Trouble:
         self._world.agenda.after(self._random.expovariate(1 / self._mean), happen)
 
     def _later(self, longest: float, mend: Callable[[], None]) -> None:
-        """Has a fault end after a while, unless all faults have ended meanwhile."""
+        """Ends a fault after a random time, unless all faults have ended before."""
         turn = self._round
 
         def happen() -> None:

@@ -1,4 +1,4 @@
-"""The world of an executor: one clock, its buses, boards and clients, and faults of them all, drawn from one seed."""
+"""The world of an executor: clock, buses, boards, clients, and faults of all of them, drawn from one seed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.simulation.process import ExecutorProcess
 from tests.simulation.record import Record
 from tests.simulation.trouble import LONGEST_STALL, Trouble
 
-PATIENCE = 15.0  # [s] beyond the boot time until the arm is ready after all trouble: late SDO answers are waited for
+PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
 
 class World:
@@ -29,13 +29,13 @@ class World:
 
     Attributes:
         agenda: time and events.
-        record: what happened.
-        trouble: faults.
-        kinds: of the actuators.
+        record: history of the world.
+        trouble: causes faults.
+        kinds: outputs and end-stops of the actuators.
 
     Args:
-        seed: of everything that is drawn.
-        remembered: events that are kept for a person to read.
+        seed: seed of all random numbers.
+        remembered: number of last events for the story.
     """
 
     def __init__(self, seed: int, remembered: int = 300) -> None:
@@ -67,10 +67,10 @@ class World:
     # --- it runs
 
     def run(self, steps: int) -> None:
-        """Goes on for so many steps, in turns with trouble and without.
+        """Runs `steps` steps, in turns with trouble and without.
 
         Raises:
-            Violation: something does not hold.
+            Violation: an invariant does not hold.
         """
         end = self.agenda.steps + steps
         self._calm()
@@ -106,7 +106,7 @@ class World:
         self._check_agreement()
 
     def _ask_for_motion(self) -> tuple[int, int]:
-        """Has the planner ask for a program, again if the first was planned from an old snapshot; returns its key."""
+        """Makes the planner send a program, again if its snapshot was old; returns the key of the program."""
         for _ in range(3):
             self._wait(self._settled, "ready", self.arm.timing.boot_timeout + PATIENCE)
             key = self.record.instance, self.planner.ask_for_motion()
@@ -156,30 +156,30 @@ class World:
         self.buses[bus].from_board(frame)
 
     def mend(self) -> None:
-        """Ends all faults at once; what stalls goes on to its end."""
+        """Ends all faults at once; stalls continue to their end."""
         for bus in self.buses.values():
             bus.restore()
         self.boards.mend()
         self.executor.recover()
 
-    # --- what the invariants ask, and a person
+    # --- for the invariants, and for a person
 
     @property
     def intended(self) -> int:
-        """Mask of the switches that the journal has noted and not counted yet."""
+        """Mask of the intended switches that the journal has not counted yet."""
         return self.executor.journal._intended
 
     def journal_changed(self) -> bool:
-        """Whether the journal's counts have changed since the last call."""
+        """Returns whether the journal's counts have changed since the last call."""
         before, self._counts = self._counts, list(self.executor.journal.counts)
         return before != self._counts
 
     def note(self, event: object) -> None:
-        """Keeps an event for a person to read."""
+        """Stores an event for the story."""
         self.events.append((self.agenda.now, event))
 
     def story(self) -> str:
-        """Returns the last events, a line each."""
+        """Returns the last events, one a line."""
         return "\n".join(f"{time - 1000:.6f} {event}" for time, event in self.events)
 
 
