@@ -1,4 +1,4 @@
-"""The goal sets: complete, valid, and proven again in part."""
+"""The goal sets are complete and valid; a part of the proofs is repeated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The proofs of the goal sets agree with trying every configuration."""
+"""The proofs of the goal sets agree with enumeration of all configurations."""
 
 import math
 from functools import cache

@@ -1,4 +1,4 @@
-"""What the benchmark makes of answers: right ones, wrong ones, and nonsense."""
+"""The benchmark's rating of correct, wrong and invalid answers."""
 
 from __future__ import annotations
 

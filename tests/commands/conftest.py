@@ -29,7 +29,7 @@ def hyperbit(monkeypatch, capsys):
 
 @pytest.fixture
 def own_folders(monkeypatch, tmp_path):
-    """Cache and ledger of this test alone."""
+    """Gives a test its own cache folder and ledger."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
@@ -48,7 +48,7 @@ def spatial(tmp_path):
 
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory):
-    """Where a daemon in a process of its own, with simulated boards, is ready."""
+    """Endpoint of a ready daemon with simulated boards, in its own process."""
     folder = tmp_path_factory.mktemp("daemon")
     with demo.started(ARM, folder) as (_, endpoint):
         with connected("planar16", endpoint, None) as client:

@@ -1,4 +1,4 @@
-"""The benchmark as scripts see it: its JSON, a stranger's method, and what is refused."""
+"""The command bench: JSON output, methods of users, refused options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`hyperbit calibrate` as scripts see it: what it writes, and what it refuses."""
+"""The command calibrate: written files and refused input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The option of `check` that compares with a maker's EDS."""
+"""The option --eds of the command check."""
 
 from __future__ import annotations
 

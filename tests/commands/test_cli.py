@@ -1,4 +1,4 @@
-"""The command line itself: its table of commands, what it imports, its version."""
+"""The command line: table of commands, imports, version."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from controller.strict import InputFaults
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 HEAVY = {"numba", "numpy", "scipy", "matplotlib", "can", "canopen"}
-SLOW = {"pydantic", "rich"}  # which a command that stops an arm is not to wait for
+SLOW = {"pydantic", "rich"}  # a command that stops an arm must not wait for their import
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
 RUN = """
 import json, sys
@@ -37,7 +37,7 @@ finally:
 
 
 def imported(*words: str) -> set[str]:
-    """Returns the top-level modules that a command imports in a process of its own."""
+    """Returns the top-level modules that a command imports, run in its own process."""
     done = subprocess.run([sys.executable, "-c", RUN, *words], capture_output=True, text=True, timeout=100)
     return set(json.loads(done.stdout.splitlines()[-1]))
 

@@ -1,4 +1,4 @@
-"""The command exercise: what it asks a daemon for, and what it proposes."""
+"""The command exercise: requests to the daemon, and the proposed travel times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LABELS = ["1.left", "1.right"]
 
 
 class Daemon:
-    """Answers as an arm of two actuators; the second is extended, and has no end-stop where it is contracted."""
+    """Answers for an arm of two actuators. The second is extended, and has no end-stop at its contracted end."""
 
     def __init__(self) -> None:
         self.mode, self.commanded = "ready", [0, 1]

@@ -1,4 +1,4 @@
-"""Commands jog, halt and lock, and configurations of send and plan: their words."""
+"""Arguments of the commands jog, halt and lock, and of --configuration in send and plan."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ SET = ("node-id", CHANNEL, "7", "--interface", "virtual")
 
 @pytest.fixture
 def run() -> Iterator[Callable[..., Simulation]]:
-    """Runs boards of some node ids; the serial number is 100 more."""
+    """Runs boards with given node ids; the serial number is the node id plus 100."""
     running: list[Simulation] = []
 
     def start(*nodes: int) -> Simulation:

@@ -1,4 +1,4 @@
-"""Plan as scripts see it: exit codes, JSON, and words on stderr."""
+"""The command plan: exit codes, JSON, and messages on stderr."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_goals_of_a_file_start_where_the_one_before_ended_unless_told(hyperbit, 
 
 
 def test_goals_of_a_file_are_planned_as_the_library_plans_a_path(hyperbit, tmp_path, monkeypatch):
-    monkeypatch.setattr(whole, "WHOLE_TIME", 60.0)  # so that both prove the fewest switches on any machine
+    monkeypatch.setattr(whole, "WHOLE_TIME", 60.0)  # so that both prove the minimum of switches on any machine
     file = tmp_path / "short.yaml"
     file.write_text(
         "name: short\ntolerance: {position: 0.01}\nmodules: [{type: vgt, count: 4, width: 0.2, lengths: [0.2, 0.25]}]\n"

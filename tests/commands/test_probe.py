@@ -15,7 +15,7 @@ CHANNEL = "test_commands_probe"
 
 @pytest.fixture
 def boards():
-    """Runs boards 5 and 9; the second is special."""
+    """Runs boards 5 and 9; board 9 differs from the standard."""
     settings = BusSettings("can0", "virtual", CHANNEL)
     channels = (Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 9, 0, 0))
     simulation = Simulation(Wiring((settings,), channels), Timing(), variants={"can0/9": VARIANTS["guarding-only"]})

@@ -1,4 +1,4 @@
-"""The command record: sizes, bad input in a sentence, and what it does not import."""
+"""The command record: sizes, messages about bad input, imports."""
 
 import subprocess
 import sys
@@ -12,7 +12,7 @@ from tests.keys import DEPLOY
 
 
 def hyperbit(*words: str, code: int) -> str:
-    """What the command says on stderr."""
+    """Returns the command's output on stderr."""
     ended = subprocess.run([sys.executable, "-m", "controller.cli", *words], capture_output=True, text=True)
     assert ended.returncode == code, ended.stderr
     assert "Traceback" not in ended.stderr

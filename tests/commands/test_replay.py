@@ -1,4 +1,4 @@
-"""The command replay: bad files, truncated files and wrong arms end in a sentence."""
+"""The command replay: messages about bad files, truncated files and wrong arms."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from tests.recorder.test_recording import written
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """A recording of an arm that was never described."""
+    """A recording without a description of the arm."""
     recording = written(tmp_path / "a.mcap")
     recording.close()
     return recording.path

@@ -1,4 +1,4 @@
-"""The command line as scripts see it: exit codes, JSON, and words on stderr."""
+"""Commands that report: exit codes, JSON, and messages on stderr."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_map_fills_the_cache_once(hyperbit, tmp_path, spatial):
 @pytest.mark.parametrize("name", ["revolute24", "platform8", "motor12"])
 def test_every_arm_is_checked_mapped_and_planned(hyperbit, name, tmp_path):
     arm = yaml.safe_load((Path(ARM).parent / f"{name}.yaml").read_text())
-    arm["workspace"] = {"memory": 4}  # coarser, so quicker
+    arm["workspace"] = {"memory": 4}  # coarser and faster
     file = tmp_path / f"{name}.yaml"
     file.write_text(yaml.safe_dump(arm))
     assert json.loads(hyperbit("check", str(file), "--json")[1]) == {"ok": True, "faults": [], "boards": []}
@@ -161,7 +161,7 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
 
 @pytest.fixture
 def ledgers(monkeypatch, tmp_path):
-    """Paths of the user's and the service's ledger, in folders of this test."""
+    """Paths of the user's and the service's ledger, in the test's own folders."""
     monkeypatch.setattr(wear, "SERVICE_FOLDERS", (tmp_path / "service", tmp_path / "private"))
     return tmp_path / "state" / "hyperbit" / "planar16.sqlite", tmp_path / "service" / "planar16.sqlite"
 

@@ -1,4 +1,4 @@
-"""What a running daemon is told: to hold, to go on, and to do without actuators that are stuck, and regions."""
+"""Commands that send a request to a running daemon: cancel, stop, reset, degrade, obstacles."""
 
 from __future__ import annotations
 

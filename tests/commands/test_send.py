@@ -1,4 +1,4 @@
-"""Commands against a daemon in a process of its own, with simulated boards."""
+"""The commands send, watch, run and demo with a daemon in its own process and simulated boards."""
 
 from __future__ import annotations
 

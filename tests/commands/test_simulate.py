@@ -1,4 +1,4 @@
-"""The option of simulated boards that says what they are like."""
+"""The option --board, which selects the kinds of simulated boards."""
 
 from __future__ import annotations
 

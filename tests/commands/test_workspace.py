@@ -1,4 +1,4 @@
-"""`hyperbit workspace` as scripts see it: figures, pictures, and what it refuses."""
+"""The command workspace: figures, pictures and refused options."""
 
 from __future__ import annotations
 

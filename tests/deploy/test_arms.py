@@ -1,4 +1,4 @@
-"""The arms in deploy: every file loads, is wired whole, and its demo stays in reach."""
+"""The arms in deploy: each file loads and wires all actuators, and the curve of its demo is reachable."""
 
 from pathlib import Path
 

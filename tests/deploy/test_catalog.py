@@ -1,4 +1,4 @@
-"""The catalogue explains every kind of message, and systemd takes it."""
+"""The catalog explains each kind of message, and systemd accepts it."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""The certificates that deploy/certificates.sh makes, looked at with openssl."""
+"""The certificates of deploy/certificates.sh, inspected with openssl."""
 
 import subprocess
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The units as systemd sees them, without a running systemd."""
+"""The units, checked by systemd's tools without a running systemd."""
 
 import difflib
 import re

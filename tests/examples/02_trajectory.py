@@ -1,4 +1,4 @@
-"""Follow a circle: look-ahead switches less than solving each point by itself."""
+"""Follow a circle: look-ahead switches fewer actuators than a separate search for each point."""
 
 from pathlib import Path
 

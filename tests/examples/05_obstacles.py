@@ -1,4 +1,4 @@
-"""Keep the whole arm clear of obstacles, at the goals and between them."""
+"""Avoid collisions of the whole arm with obstacles, at the goals and between them."""
 
 from pathlib import Path
 

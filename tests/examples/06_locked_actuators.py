@@ -1,4 +1,4 @@
-"""An actuator is stuck: lock it, and go on with the others."""
+"""An actuator is stuck: lock it, and continue with the others."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Draw the density of an arm's tips: where many configurations end, goals are easy to reach."""
+"""Draw the density of an arm's tips: goals in dense regions are easy to reach."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Fit an arm to measured tips; here a second arm with other lengths stands for the real one."""
+"""Fit an arm to measured tips; here a second arm with other lengths replaces the real one."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Every example runs, and prints what it promises."""
+"""Each example runs and prints the expected words."""
 
 import runpy
 import sys

@@ -1,9 +1,9 @@
-"""Bad input at scale: all targets by both engines, two at a time, and a table of what came of it.
+"""Fuzzes all targets with both engines, two at a time, and prints a table of the results.
 
-`python -m tests.fuzz [OUT.json]` needs the extra "fuzz". Nothing may crash, nothing move, nothing leak; else it ends
-with 1, and the inputs that did it are in `fuzz-found`. What is replayed does not count as inputs; blocks is by how much
-the number of those that Python has given out grew meanwhile, resident the whole process with what its allocator keeps.
-Seconds are those of the processor, in the last line those that passed.
+`python -m tests.fuzz [OUT.json]` needs the extra "fuzz". No input may cause a crash, a motion or a leak; otherwise the
+exit code is 1, and the failing inputs are in `fuzz-found`. Replayed inputs are not counted. Column `blocks` has the
+growth of the number of allocated memory blocks, `resident` the resident memory of the process, and `seconds` processor
+time, in the last line elapsed time.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ROW = "{:10} {:11} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:
-    """Returns the figures of one target and engine, from a process of its own."""
+    """Runs one target with one engine in a separate process; returns the figures."""
     target, engine, runs = job
     out = room / f"{target}-{engine}.json"
     command = [sys.executable, "-m", "tests.fuzz.engine", target, engine, str(runs), str(out)]
@@ -65,7 +65,7 @@ def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:
 
 
 def row(result: dict[str, Any]) -> str:
-    """One line of the table."""
+    """Returns one line of the table."""
     r = result
     cells = [f"{r['runs']:,}", f"{r['inputs']:,}", f"{r['seconds']:.0f}", r["crashes"], r["motions"]]
     judged = r["engine"] in ("replay", "")  # engines keep memory of their own
@@ -74,7 +74,7 @@ def row(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Runs all and prints the table; writes JSON where it is told to."""
+    """Runs all targets, prints the table, and writes the figures as JSON if a file is given."""
     began = time.monotonic()
     print(ROW.format("target", "engine", "runs", "inputs", "seconds", "crashes", "motions", "blocks", "resident"))
     with tempfile.TemporaryDirectory() as room, ThreadPoolExecutor(2) as two:

@@ -1,8 +1,8 @@
-"""Attacks one target with one engine, and writes what came of it: python -m tests.fuzz.engine TARGET ENGINE RUNS OUT.
+"""Fuzzes one target with one engine and writes the figures: python -m tests.fuzz.engine TARGET ENGINE RUNS OUT.
 
-hypothesis makes inputs from strategies; atheris (libFuzzer) changes seeds, led by which lines of code they reach. Both
-begin with the same seed on every run. Each keeps memory of its own, so "replay" runs the inputs that atheris kept, over
-and over and not instrumented, to see what the program itself leaves behind.
+hypothesis generates inputs from strategies; atheris (libFuzzer) mutates seeds, guided by code coverage. Both begin with
+the same random seed on each run. Engines need memory themselves. So "replay" runs the inputs of atheris repeatedly
+without instrumentation, to measure leaks of the program itself.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Endless(Exception):
 
 
 class Record:
-    """What a target went through."""
+    """Figures and failures of one target."""
 
     def __init__(self, build: Callable[[], Callable[[bytes], int]], name: str, runs: int) -> None:
         self.inputs = self.count = 0
@@ -45,7 +45,7 @@ class Record:
         signal.signal(signal.SIGVTALRM, self._interrupt)
 
     def take(self, data: bytes) -> None:
-        """Attacks with one input; what goes wrong is noted and its input kept, the first of each kind."""
+        """Runs one input; of each kind of failure it records the first and saves the input."""
         signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
         try:
             self.inputs += self._attack(data)
@@ -58,7 +58,7 @@ class Record:
             self._before = footprint()
 
     def result(self) -> dict[str, Any]:
-        """The figures, as the table tells them."""
+        """Returns the figures for the table."""
         blocks, resident = footprint()
         before = self._before or (blocks, resident)
         moved = sum(times for kind, times in self.wrong.items() if kind.startswith("Moved"))
@@ -91,9 +91,9 @@ class Record:
 
 
 def footprint() -> tuple[int, int]:
-    """Blocks of memory that Python has given out, and bytes of the process that are resident.
+    """Returns the number of memory blocks that Python has allocated, and the resident bytes of the process.
 
-    What leaks is given out and never taken back; bytes also grow when a table of Python's own is doubled, once.
+    A leak increases both. Bytes also grow when a table of the interpreter is doubled.
     """
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
@@ -101,7 +101,7 @@ def footprint() -> tuple[int, int]:
 
 
 def by_hypothesis(name: str, runs: int, out: Path) -> None:
-    """Attacks with examples of the target's strategy."""
+    """Fuzzes with examples of the target's strategy."""
     from hypothesis import HealthCheck, Phase, given, seed, settings
 
     from tests.fuzz.targets import TARGETS
@@ -125,7 +125,7 @@ def by_hypothesis(name: str, runs: int, out: Path) -> None:
 
 
 def by_replay(name: str, runs: int, out: Path) -> None:
-    """Attacks with the inputs that atheris has kept, again and again."""
+    """Runs the inputs that atheris has saved, repeatedly."""
     from tests.fuzz.targets import TARGETS
 
     record = Record(TARGETS[name].build, name, runs)
@@ -136,7 +136,7 @@ def by_replay(name: str, runs: int, out: Path) -> None:
 
 
 def by_atheris(name: str, runs: int, out: Path) -> None:
-    """Attacks with inputs that reach new lines of the program, which are instrumented for it."""
+    """Fuzzes with inputs that reach new lines of the instrumented program."""
     import atheris
 
     compiled = [p for room in ("controller", "drivers") for p in Path(room).rglob("*.py") if "numba" in p.read_text()]

@@ -1,4 +1,4 @@
-"""Frames, ordered by a string of bytes, into the executor and its boards in every state."""
+"""CAN frames, decoded from a byte string, sent to the executor and its boards in all states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LINES = 40  # most lines of the log between two boots of the boards: one a sourc
 
 
 def message(kind: int, number: int, length: int, data: bytes) -> can.Message:
-    """The frame that an act stands for: mostly standard data frames, and mostly identifiers that mean something."""
+    """Returns the frame of an act: mostly standard data frames, mostly with identifiers in use."""
     cob_id = IDS[number % len(IDS)] if kind & 1 else number & 0x7FF
     match kind >> 1 & 15:
         case 0:
@@ -44,13 +44,13 @@ def message(kind: int, number: int, length: int, data: bytes) -> can.Message:
 
 
 def acts(data: bytes) -> list[tuple[int, int, int, bytes]]:
-    """Kind, number, length and data of each whole act."""
+    """Yields kind, number, length and data of each complete act."""
     cut = [data[k : k + SIZE] for k in range(0, len(data) - SIZE + 1, SIZE)]
     return [(a[0], a[1] | a[2] << 8, a[3] % 9, a[4:]) for a in cut]
 
 
 class Boards:
-    """The executor's core, its master and its boards. They live on; each input ends with an arm that is ready."""
+    """The executor's core with master and boards, reused for all inputs; each input ends with a ready arm."""
 
     def __init__(self) -> None:
         self.world = World()
@@ -93,7 +93,7 @@ class Boards:
 
 
 class Lines(logging.Handler):
-    """Counts the lines of the log."""
+    """Counts log lines."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -105,7 +105,7 @@ class Lines(logging.Handler):
 
 
 class Firmware:
-    """A simulated board, alone on its bus. It lives on; each input begins with a board that has just started."""
+    """A simulated board, alone on its bus, reused for all inputs; each input begins with a restarted board."""
 
     def __init__(self) -> None:
         self.actuators = [Actuator("a", 0.02), Actuator("b", 0.02)]
@@ -150,7 +150,7 @@ class Firmware:
 
 
 def act(kind: int, number: int = 0, length: int = 8, body: bytes = b"") -> bytes:
-    """One act written down."""
+    """Returns one act as bytes."""
     return struct.pack("<BHB8s", kind, number, length, body)
 
 

@@ -1,4 +1,4 @@
-"""What an executor may send on its bus: what keeps boards alive and boots them, and what accepted programs switch."""
+"""Rules for the frames of an executor: heartbeats, boot of boards, and switches of accepted programs only."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ STREAM = -1  # in place of a program's number
 
 
 class Moved(AssertionError):
-    """Something was switched, or sent, that no accepted program asked for."""
+    """A frame was sent, or an output switched, without an accepted program."""
 
 
 class Wedged(AssertionError):
-    """After all trouble was over, a reset did not bring the arm up."""
+    """A reset did not make the arm ready, although all faults were removed."""
 
 
 class Flood(AssertionError):
-    """The log grew with the frames."""
+    """The log grew with the number of frames."""
 
 
 class Judge:
-    """Knows which states programs and set-points ask for, and refuses all else.
+    """Checks that the executor commands only the states of programs and set-points.
 
     Attributes:
         asked: actuator states by number of the program.
-        syncs: how many were judged.
+        syncs: number of checked SYNCs.
     """
 
     def __init__(self, wiring: Wiring) -> None:
@@ -52,24 +52,24 @@ class Judge:
         self._latched: dict[int, bytes] = {}
 
     def begin(self) -> None:
-        """Forgets what has ended before this event."""
+        """Removes programs that ended before this event."""
         for number in self._ended:
             self.asked.pop(number, None)
         self._ended.clear()
 
     def end(self, executing: bool) -> None:
-        """Forgets set-points that are not followed after this event."""
+        """Removes set-points that are not followed after this event."""
         if not executing:
             self.asked.pop(STREAM, None)
 
     def clear(self) -> None:
-        """Forgets everything that was asked for."""
+        """Removes all programs and set-points."""
         self.asked.clear()
         self._proposed.clear()
         self._latched.clear()
 
     def proposed(self, message: Down) -> None:
-        """Notes what the planner sends."""
+        """Records a message of the planner."""
         match message:
             case Program():
                 self._proposed[message.program] = [message]
@@ -81,7 +81,7 @@ class Judge:
                 pass
 
     def heard(self, message: Up) -> None:
-        """Notes what the executor answers to the planner."""
+        """Records an answer of the executor to the planner."""
         match message:
             case Accepted():
                 self.asked[message.program] = self._states(message.program)
@@ -93,10 +93,10 @@ class Judge:
                 pass
 
     def judge(self, frame: Frame, core: Executor) -> None:
-        """Refuses a frame of the executor that it may not send now.
+        """Checks a frame of the executor.
 
         Raises:
-            Moved: it may not.
+            Moved: the executor may not send this frame now.
         """
         cob_id, data = frame
         if cob_id == cia301.HEARTBEAT + MASTER:
@@ -123,7 +123,7 @@ class Judge:
             raise Moved(f"{sent:06b} was switched, {[f'{states:06b}' for states in asked]} are asked for")
 
     def _sent(self, outputs: int) -> int:
-        """The states in the frames sent last; of boards that were sent none, what the master took over from them."""
+        """Returns the states in the last frames; for boards without frames, the states that the master has read."""
         for cob_id, data in self._latched.items():
             for k, channel in enumerate(self._wiring.channels):
                 if cia301.RPDO1 + channel.node == cob_id:

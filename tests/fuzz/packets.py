@@ -1,4 +1,4 @@
-"""Packets of clients at the executor's socket, ordered by a string of bytes, into the executor in every state."""
+"""Packets of clients, decoded from a byte string, sent to the executor's socket in all states."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ FITTING, WAIT, LONG, BY_OPERATOR = 1, 2, 4, 8  # flags: right numbers, a tick af
 
 
 class Packets:
-    """The executor's core, its boards and its clients. They live on; each input ends with an arm that is ready.
+    """The executor's core with boards and clients, reused for all inputs; each input ends with a ready arm.
 
-    Nothing may be switched but the stages of programs and set-points that the planner sent and the executor accepted.
+    The executor may switch only stages of accepted programs and set-points of the planner.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class Packets:
         return packets
 
     def _fitted(self, message: Down) -> Down:
-        """A message with the numbers that the executor expects."""
+        """Returns a message with the numbers that the executor expects."""
         core, world = self.world.core, self.world
         start, epoch, greatest = pack(world.master.outputs, SIZE), core.modes.epoch, core._requests.greatest
         match message:
@@ -81,7 +81,7 @@ class Packets:
 
 
 def packets_of(data: bytes) -> list[tuple[int, bytes]]:
-    """Flags and body of each packet."""
+    """Yields flags and body of each packet."""
     packets, at = [], 0
     while at + HEAD.size <= len(data):
         flags, length = HEAD.unpack_from(data, at)
@@ -91,7 +91,7 @@ def packets_of(data: bytes) -> list[tuple[int, bytes]]:
 
 
 def packet(flags: int, body: bytes) -> bytes:
-    """One packet written down."""
+    """Returns one packet as bytes."""
     return HEAD.pack(flags, len(body)) + body
 
 

@@ -1,4 +1,4 @@
-"""What peers send, configurations and arms' files, right ones and ones gone wrong: read, or refused in words."""
+"""Payloads, configurations and arms' files, valid and corrupted: each is read, or refused with a message."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LONGEST = 2 * goal.LONGEST_SENTENCE + 100  # characters of a refusal; half pairs
 
 
 def told(sentence: str) -> None:
-    """Expects what a person can be shown."""
+    """Checks that a text is printable and short."""
     assert 0 < len(sentence) <= 6 * LONGEST, f"a sentence of {len(sentence)} characters"
     assert sentence.encode() is not None
 

@@ -1,4 +1,4 @@
-"""Right requests and arms' files, and what makes them wrong."""
+"""Valid requests and arms' files, and mutations of them."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ SPATIAL = {
 
 
 def written(value: Any) -> bytes:
-    """As JSON, which is YAML, too."""
+    """Returns a value as JSON."""
     return json.dumps(value).encode()
 
 
 def plain(value: Any) -> bytes:
-    """As YAML without aliases."""
+    """Returns a value as YAML without aliases."""
     return yaml.safe_dump(json.loads(json.dumps(value)), default_flow_style=None).encode()
 
 
@@ -94,13 +94,13 @@ AWKWARD: list[Any] = [
 
 
 def places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """The paths of all parts of a value."""
+    """Yields the paths of all parts of a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     return [at, *(path for key, part in inner for path in places(part, (*at, key)))]
 
 
 def spoil(value: Any, chance: random.Random) -> Any:
-    """Returns a value with one part of it changed, left out, doubled, misnamed, moved or nested."""
+    """Returns a value with one part changed, omitted, duplicated, renamed, moved or nested."""
     value = json.loads(json.dumps(value))
     path = chance.choice(places(value))
     if not path:
@@ -126,7 +126,7 @@ def spoil(value: Any, chance: random.Random) -> Any:
 
 
 def spoiler(*right: Any) -> Callable[[bytes, random.Random], bytes]:
-    """What spoils a payload that is JSON once or more, or else one of the right values."""
+    """Returns a mutation of a JSON payload, or of a valid value if the payload is no JSON."""
 
     def spoiled(data: bytes, chance: random.Random) -> bytes:
         try:
@@ -145,7 +145,7 @@ def spoiler(*right: Any) -> Callable[[bytes, random.Random], bytes]:
 
 
 def wrong(*right: Any) -> st.SearchStrategy[bytes]:
-    """Payloads: right values spoiled, text of them cut and pasted, and any bytes."""
+    """Strategy of payloads: mutated valid values, spliced texts, and random bytes."""
     spoiled = spoiler(*right)
     seeds = [written(value) for value in right]
     values = st.builds(

@@ -1,4 +1,4 @@
-"""What is attacked: by what, from where on, and how."""
+"""The targets of the fuzzing, with seeds and strategies."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Target:
     """One way into the program.
 
     Attributes:
-        build: makes what takes one input after the other; each call returns how many payloads or frames it held, and
-            raises when something did not go as it must.
-        seeds: right inputs, and nearly right ones.
-        strategy: of hypothesis.
-        spoil: changes an input with its structure in mind; None: bytes are as good.
+        build: returns a function for one input after the other. A call returns the number of payloads or frames in the
+            input, and raises an exception on a failure.
+        seeds: valid and nearly valid inputs.
+        strategy: strategy of hypothesis.
+        spoil: mutates an input by its structure; None: mutate bytes.
         size: most bytes of an input.
     """
 
@@ -36,7 +36,7 @@ class Target:
     size: int = 2000
 
     def found(self, name: str) -> list[bytes]:
-        """Inputs that something once went wrong with."""
+        """Returns inputs that once caused a failure."""
         return [path.read_bytes() for path in sorted(CORPUS.glob(f"{name}-*"))]
 
 

@@ -1,4 +1,4 @@
-"""A short attack on what has states, and every input that something once went wrong with."""
+"""A short run on targets with states, and all inputs that once caused a failure."""
 
 from __future__ import annotations
 

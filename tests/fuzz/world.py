@@ -1,7 +1,7 @@
-"""An executor's core, its CAN bus and simulated boards in one thread on one clock: what happens can be had again.
+"""An executor's core, its CAN bus and simulated boards in one thread on one simulated clock, so that runs reproduce.
 
-The real parts are the core with its CANopen master, the reading of python-can's messages, and the firmware. Between
-them lies a wire that hands each frame over at once, and time passes only when it is told to.
+Core, CANopen master, decoding of python-can's messages, and simulated firmware are the real code. The bus delivers each
+frame at once. Time advances only on request.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PLANNER, OPERATOR = Client(1, 4001), Client(2, 4002)
 
 
 class Wire(CanBus):
-    """The executor's bus; what is sent is judged, and what is heard waits in a queue."""
+    """The executor's bus; it checks sent frames and queues received ones."""
 
     def __init__(self, world: World) -> None:
         super().__init__(BUS, lambda: world.now)
@@ -65,14 +65,14 @@ class Wire(CanBus):
 
 
 class World:
-    """One arm of two boards, its executor, its bus, its planner, and who sends what on the bus.
+    """One arm of two boards with executor, bus, planner, and an intruder on the bus.
 
     Attributes:
         now: [s].
-        judge: of all frames of the executor.
+        judge: checks all frames of the executor.
         lines: of the log.
         last: line of the log.
-        dirty: whether a stranger may have commanded the boards.
+        dirty: whether the intruder may have commanded the boards.
     """
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class World:
     # --- events
 
     def do(self, event: Any) -> None:
-        """Brings an event to the core, and all that comes of it."""
+        """Passes an event to the core, and carries out the resulting actions."""
         self.judge.begin()
         events = deque([event])
         while events:
@@ -122,7 +122,7 @@ class World:
     # --- time
 
     def go(self, ticks: int = 1) -> None:
-        """Lets so many periods pass for all."""
+        """Advances the time of all parts by a number of periods."""
         for _ in range(ticks):
             self.now += PERIOD
             self.boards.step(self.now)
@@ -132,7 +132,7 @@ class World:
     # --- the planner
 
     def connect(self) -> None:
-        """Has the clients say hello, at first or after they were turned away."""
+        """Connects the clients, at the start or after a refusal."""
         for client in self._turned_away:
             self.do(ClientGone(client))
         gone, self._turned_away = self._turned_away, []
@@ -141,7 +141,7 @@ class World:
             self.send(Hello(VERSION, role, self.arm.name), client)
 
     def send(self, message: Down, client: Client = PLANNER) -> None:
-        """Sends a message of a client; what an operator proposes must not be accepted."""
+        """Sends a message of a client; programs of an operator must be refused."""
         if client == PLANNER:
             self.judge.proposed(message)
         self.do(FromClient(client, message))
@@ -149,7 +149,7 @@ class World:
             self.connect()
 
     def program(self, *stages: int, step: float = 0.04) -> None:
-        """Sends a program from where the arm is."""
+        """Sends a program that begins at the arm's present states."""
         number = self.core._requests.greatest + 1
         packed = tuple(Stage(pack(states, SIZE), k * step, k, k * step) for k, states in enumerate(stages))
         start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch
@@ -158,7 +158,7 @@ class World:
     # --- frames
 
     def attack(self, it: can.Message) -> None:
-        """Lets a stranger send a frame: to the executor and to the boards."""
+        """Sends a frame of the intruder to the executor and to the boards."""
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
         self.dirty |= standard and it.arbitration_id in COMMANDS
         means_nothing = not (standard or it.is_error_frame)
@@ -180,11 +180,11 @@ class World:
             self.do(event)
 
     def arm_ambush(self, mode: int, index: int, data: bytes) -> None:
-        """Has an SDO answer of a stranger meet the master's next question for an object, 0 any."""
+        """Queues an SDO answer of the intruder to the master's next request for an object; 0: any object."""
         self._answers.append((mode, index, data))
 
     def ambush(self, frame: Frame) -> None:
-        """Brings a frame of the master to the boards; the stranger may answer before they do, or in their place."""
+        """Delivers a frame of the master to the boards; the intruder may answer before them or instead of them."""
         if self._answers and frame.id & 0x780 == cia301.SDO_REQUEST and frame.data[0] != 0x80:
             asked = int.from_bytes(frame.data[1:3], "little")
             place = next((k for k, (_, index, _) in enumerate(self._answers) if index in (0, asked)), None)
@@ -200,14 +200,14 @@ class World:
         self.boards.receive("can0", frame, self.now)
 
     def supply(self, node: int, on: bool) -> None:
-        """Takes a board's supply away, or gives it back."""
+        """Switches a board's supply off or on."""
         self.dirty = True
         (self.boards.power_on if on else self.boards.power_cut)(f"can0/{node}")
 
     # --- what must hold
 
     def check_outputs(self) -> None:
-        """Compares the boards' outputs with what the master switched, if no stranger commanded them.
+        """Compares the boards' outputs with the master's commands, unless the intruder commanded them.
 
         Raises:
             Moved: they differ.
@@ -217,10 +217,10 @@ class World:
             raise Moved(f"the outputs are {drives:06b}, switched to {self.master.outputs:06b}")
 
     def recover(self) -> None:
-        """Ends the trouble, resets, and expects the arm to be ready.
+        """Removes all faults, resets, and checks that the arm becomes ready.
 
         Raises:
-            Wedged: it is not.
+            Wedged: the arm does not become ready.
         """
         self._answers.clear()
         if self.dirty:
@@ -245,5 +245,5 @@ class World:
 
 
 def message(frame: Frame, own: bool = False) -> can.Message:
-    """A frame as python-can gives it."""
+    """Returns a frame as a message of python-can."""
     return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False, is_rx=not own)

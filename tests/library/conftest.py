@@ -1,4 +1,4 @@
-"""A short arm whose every configuration can be tried, and a cache folder of the tests' own."""
+"""A short arm, so that tests can enumerate its configurations, and a separate cache folder."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""What is wrong is told by errors of one hierarchy."""
+"""Exceptions of the library: one hierarchy, with messages that name the argument."""
 
 from collections.abc import Callable
 from pathlib import Path

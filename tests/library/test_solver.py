@@ -1,4 +1,4 @@
-"""Goals, paths and pictures by way of the library."""
+"""Goals, paths and pictures of the library."""
 
 import math
 

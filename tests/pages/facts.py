@@ -1,4 +1,4 @@
-"""What the code says, for the tables of the pages: names of fields, keys, faults, commands, and others."""
+"""Facts of the code for the tables of the pages: names of fields, keys, faults, commands and others."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def faults() -> set[str]:
 
 
 def faults_of_the_code() -> set[str]:
-    """Returns the codes with which the code makes faults, as far as they are written beside `Fault`."""
+    """Returns the fault codes that are literals in calls of `Fault`."""
     made = re.compile(r"Fault\(\s*\"([a-z-]+)\"")
     folders = ("controller/executor", "controller/planning", "controller/gateway", "drivers/canopen")
     return {code for text in sources(*folders) for code in made.findall(text)}

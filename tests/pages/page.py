@@ -1,4 +1,4 @@
-"""Pages as their tests read them: examples, tables, links and commands of each README.md.
+"""Parses the pages for their tests: examples, tables, links and commands of each README.md.
 
 A mark is an HTML comment on the line before an example or a table. Fenced blocks are examples:
 
@@ -79,12 +79,12 @@ class Page(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The path as messages show it."""
+        """Path relative to the project, for messages."""
         return self.path.relative_to(ROOT).as_posix()
 
 
 def find() -> list[Path]:
-    """Returns the paths of all pages. Does not look into `build`, where files may come and go meanwhile."""
+    """Returns the paths of all pages, except in `build`, whose files may change during a test."""
     folders = [path for path in ROOT.iterdir() if path.is_dir() and not re.match(r"\.|build$", path.name)]
     return sorted([*ROOT.glob("README.md"), *(path for folder in folders for path in folder.rglob("README.md"))])
 
@@ -93,7 +93,7 @@ def read(path: Path) -> Page:
     """Returns a page.
 
     Raises:
-        ValueError: a block or a mark is not written as this module says.
+        ValueError: a block or a mark has another form than this module describes.
     """
     text = path.read_text()
     lines, examples, tables, prose = text.splitlines(), list[Example](), list[Table](), list[str]()
@@ -142,7 +142,7 @@ def links(page: Page) -> list[str]:
 
 
 def code(page: Page) -> list[str]:
-    """Returns what stands in backticks, and the lines of blocks that a shell would take."""
+    """Returns the texts in backticks, and the lines of shell blocks."""
     inline = re.findall(r"`([^`\n]+)`", page.prose)
     return inline + [
         line for example in page.examples if example.language == "sh" for line in example.text.splitlines()
@@ -156,7 +156,7 @@ def commands(page: Page) -> list[str]:
 
 
 def modules(page: Page) -> list[str]:
-    """Returns what a page runs with `python -m`."""
+    """Returns the modules that a page runs with `python -m`."""
     found = [name for line in code(page) for name in re.findall(r"python3? -m ([\w.]+)", line)]
     return [name for name in found if name.islower()]  # NAME stands for any
 

@@ -1,4 +1,4 @@
-"""Runs the examples of a page in a folder of its own, which has the project's folders beside it."""
+"""Runs the examples of a page in a separate folder with links to the project's folders."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run(page: Page, folder: Path, daemon: Daemon) -> None:
     """Runs the examples of a page in order.
 
     Raises:
-        AssertionError: one fails, or prints other lines than the page says.
+        AssertionError: an example fails, or prints other lines than the page.
     """
     variables: dict[str, Any] = {"__name__": "__main__"}
     printed = ""
@@ -73,7 +73,7 @@ def run(page: Page, folder: Path, daemon: Daemon) -> None:
 
 
 def run_shell(text: str, folder: Path, endpoint: str | None, where: str) -> str:
-    """Runs a shell block, which must not fail; returns what it prints."""
+    """Runs a shell block, which must succeed; returns its output."""
     path = f"{folder / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "COLUMNS": "200", "PYTHONPATH": str(ROOT)}
     if endpoint is not None:
@@ -92,7 +92,7 @@ def run_shell(text: str, folder: Path, endpoint: str | None, where: str) -> str:
 
 
 def run_python(text: str, variables: dict[str, Any], endpoint: str | None, where: str) -> str:
-    """Runs a Python block in the folder of its page, where this process is; returns what it prints."""
+    """Runs a Python block in the current folder, which is the page's; returns its output."""
     printed = io.StringIO()
     text = text.replace(ENDPOINT, endpoint or ENDPOINT)
     with contextlib.redirect_stdout(printed):
@@ -101,7 +101,7 @@ def run_python(text: str, variables: dict[str, Any], endpoint: str | None, where
 
 
 def read_fields(text: str, file: Path, where: str) -> None:
-    """Reads an arm's file of which a YAML block is a part: the rest is that of a short arm, wired if it fits."""
+    """Reads an arm's file that consists of a YAML block and the fields of a short arm, wired if it fits."""
     given = yaml.safe_load(text)
     assert isinstance(given, dict), f"{where}: no fields of an arm's file"
     whole = {name: copy.deepcopy(document()[name]) for name in ("name", "modules", "tolerance", "buses", "actuators")}
@@ -127,7 +127,7 @@ def send(example: Example, endpoint: str | None, where: str) -> None:
 
 
 def compare(expected: str, printed: str, where: str) -> None:
-    """Compares what a page promises, line by line, with what is printed."""
+    """Compares the lines on a page with the printed lines."""
     lines = [" ".join(line.split()) for line in printed.splitlines()]
     for line in filter(None, (" ".join(line.split()) for line in expected.splitlines())):
         form = re.compile(".*".join(map(re.escape, line.split("..."))))
@@ -136,7 +136,7 @@ def compare(expected: str, printed: str, where: str) -> None:
 
 @functools.cache
 def options(command: str) -> Mapping[str, bool]:
-    """Returns the options of a command, and of each whether a value follows."""
+    """Returns the options of a command, each with whether it takes a value."""
     entry = cli.COMMANDS[command]
     module = importlib.import_module(f"controller.commands.{entry.module}")
     single = typer.Typer(add_completion=False)

@@ -1,4 +1,4 @@
-"""Each example of each page runs, and prints what the page says."""
+"""Each example of each page runs and prints the lines on the page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def daemon(folders, tmp_path_factory: pytest.TempPathFactory) -> Iterator[running.Daemon]:
-    """Returns the endpoint of a daemon with the simulated boards of planar16, which is started once it is needed."""
+    """Returns the endpoint of a daemon of planar16 with simulated boards, started at the first use."""
     with ExitStack() as stack:
         endpoints: list[tuple[subprocess.Popen[bytes], str]] = []
 
@@ -37,7 +37,7 @@ def daemon(folders, tmp_path_factory: pytest.TempPathFactory) -> Iterator[runnin
                 endpoints.append((process, endpoint))
             process, endpoint = endpoints[0]
             with connected("planar16", endpoint, None) as client:
-                demo.wait_until_ready(client, process.poll)  # the example before may have stopped the arm
+                demo.wait_until_ready(client, process.poll)  # the previous example may have stopped the arm
             return endpoint
 
         yield start

@@ -1,4 +1,4 @@
-"""Pages are short, their links lead somewhere, their tables are those of the code, and their commands exist."""
+"""Pages are short, their links and commands exist, and their tables agree with the code."""
 
 from __future__ import annotations
 

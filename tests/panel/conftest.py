@@ -1,4 +1,4 @@
-"""A panel on a real Zenoh session, and a played daemon, which keeps what it is asked and answers at once."""
+"""A panel on a real Zenoh session, and a fake daemon that records requests and answers at once."""
 
 import json
 import socket
@@ -37,11 +37,11 @@ PATIENCE = 60.0  # [s]
 
 
 class PlayedDaemon:
-    """Answers like the daemon of one arm.
+    """A fake daemon of one arm.
 
     Attributes:
-        asked: key and payload of each request but `arm`.
-        gate: plans wait for it.
+        asked: key and payload of each request except `arm`.
+        gate: event that answers to `plan` wait for.
     """
 
     def __init__(self, endpoint: str) -> None:
@@ -76,7 +76,7 @@ class PlayedDaemon:
         query.reply(query.key_expr, json.dumps(answer).encode())
 
     def commands(self) -> list[str]:
-        """The keys that were asked, in order."""
+        """Returns the keys of the requests, in order."""
         return [key for key, _ in self.asked]
 
     def state(self, **fields: Any) -> Message:
@@ -98,7 +98,7 @@ class PlayedDaemon:
         self._session.put(f"hyperbit/{ARM}/{key}", json.dumps(payload).encode())
 
     def die(self) -> None:
-        """Takes the token back."""
+        """Removes the liveliness token."""
         self._token.undeclare()
 
     def close(self) -> None:
@@ -116,14 +116,14 @@ class Opened:
         self._number = 0
 
     def heard(self) -> list[Message]:
-        """The parts of the next message."""
+        """Returns the parts of the next message."""
         parts: list[Message] = json.loads(self.socket.receive_text())
         for part in parts:
             self.latest[part["section"]] = part
         return parts
 
     def until(self, section: str, condition: Callable[[Message], Any] = lambda message: True) -> Message:
-        """Waits for a section that meets a condition; the latest counts, too."""
+        """Waits for a section that meets a condition; the section may have arrived already."""
         if section in self.latest and condition(self.latest[section]):
             return self.latest[section]
         while True:
@@ -132,7 +132,7 @@ class Opened:
                     return part
 
     def closed(self) -> int:
-        """Reads until the page is closed; returns the code."""
+        """Reads until the page is closed; returns the close code."""
         try:
             while True:
                 self.heard()
@@ -152,7 +152,7 @@ class Opened:
 
 
 class Site:
-    """A panel that runs, its daemon, and people with browsers."""
+    """A running panel, its daemon, and logged-in clients."""
 
     def __init__(self, closing: ExitStack) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:

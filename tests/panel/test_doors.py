@@ -1,4 +1,4 @@
-"""What is refused at the door: no cookie, foreign origins and hosts, wrong methods and paths, large bodies."""
+"""Refused connections: no cookie, foreign origins and hosts, wrong methods and paths, large bodies."""
 
 import pytest
 from starlette.testclient import WebSocketDenialResponse

@@ -1,4 +1,4 @@
-"""Open pages: what they show, what they may ask, and what they cannot disturb."""
+"""Open pages: shown data, allowed requests, and isolation of pages from each other."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Figures for Prometheus: read back by its own parser, whatever the arms publish."""
+"""Metrics for Prometheus, checked by its own parser, also with malformed messages of arms."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -37,7 +37,7 @@ class Arm:
 
 
 def read(*arms: Arm, counters: Counters | None = None) -> dict[tuple[str, ...], float]:
-    """The figures by their name and the values of their labels, which come in the order of their names."""
+    """Returns the metrics by name and label values; labels are in alphabetical order."""
     text = exposition(arms, counters or Counters()).decode()
     samples = [sample for family in text_string_to_metric_families(text) for sample in family.samples]
     return {(sample.name, *sample.labels.values()): sample.value for sample in samples}

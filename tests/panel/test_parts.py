@@ -1,4 +1,4 @@
-"""The parts of the panel by themselves: tokens, allowances, slow pages, drawings, advice."""
+"""Single parts of the panel: tokens, rate limits, slow pages, drawings, advice."""
 
 import asyncio
 import io

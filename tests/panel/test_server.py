@@ -1,4 +1,4 @@
-"""The server as a process of its own: what it prints, TLS, client certificates, and its end."""
+"""The server in its own process: output, TLS, client certificates, and its end."""
 
 import contextlib
 import json
@@ -22,7 +22,7 @@ from tests.waiting import PATIENCE, eventually
 
 @contextlib.contextmanager
 def running(folder: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    """Runs the panel until it has printed its addresses; no daemon is there."""
+    """Runs the panel without a daemon; returns after it has printed its addresses."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     command = [sys.executable, "-m", "controller.cli", "panel", "--connect", endpoint, *words]
@@ -60,7 +60,7 @@ def test_client_certificates_take_the_place_of_tokens(tmp_path: Path) -> None:
         origin = f"https://localhost:{port}"
 
         def roles(client: str | None) -> str | int:
-            """What the page calls this client, or the code with which it is turned away."""
+            """Returns the page's name for this client, or the close code of a refused connection."""
             context = ssl.create_default_context(cafile=keys / "ca/certificate.pem")
             if client is not None:
                 context.load_cert_chain(keys / client / "certificate.pem", keys / client / "key.pem")
