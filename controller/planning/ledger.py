@@ -155,7 +155,8 @@ class Ledger:
             except Exception as error:
                 self._file.close()
                 if damaged(error) and (renamed := self._file.set_aside()) is not None:
-                    self.damage = f"ledger {self.path} was damaged ({error}) and renamed to {renamed}; a new one was begun"
+                    what = f"was damaged ({error}) and renamed to {renamed}; a new one was begun"
+                    self.damage = f"ledger {self.path} {what}"
                     log.error("%s", self.damage)
                     continue
                 if self.fault is None:
