@@ -54,7 +54,7 @@ def test_a_sample_is_proven_again(name):
 
 
 @pytest.mark.parametrize("name", ["paper", "paper-poses", "obstacles"])
-def test_a_set_is_what_its_recipe_draws(name):
+def test_a_set_has_the_goals_of_its_seed(name):
     draw, seed, counts = RECIPES[name]
     few = dict.fromkeys(counts, 2)
     tasks = [own[k] for own in by_arm(read(name)).values() for k in range(2)]

@@ -123,7 +123,7 @@ def test_distances_from_obstacles_agree_with_the_product():
         assert [not clear(check, own) for own in some] == arm.clearance().blocked(some).tolist()
 
 
-def test_a_list_leaves_nothing_out_and_has_nothing_twice():
+def test_a_list_is_complete_without_duplicates():
     arm, start = truss(6), np.array([1, 7, 0, 2, 5, 4])
     lower, _, point, _ = halves(arm.manipulator, np.eye(4), start, 0.01, math.inf)
     listed = rows(lower, point, 3)

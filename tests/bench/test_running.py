@@ -138,7 +138,7 @@ def test_a_method_that_cannot_be_prepared_fails_all_goals():
     assert run("none", lambda arm: None, TASKS, ARMS, 60.0).errors == {"no function": 10}
 
 
-def test_goals_that_a_method_is_not_made_for_are_left_out():
+def test_goals_that_a_method_does_not_support_are_left_out():
     def planar(arm):
         if arm.base.shape != (4, 4) or arm.name in ("lattice-space", "lattice-boxes"):
             raise NotImplementedError
@@ -148,7 +148,7 @@ def test_goals_that_a_method_is_not_made_for_are_left_out():
     assert (row.goals, row.left_out, row.solved, row.errors) == (6, 4, 6, {})
 
 
-def test_a_method_cannot_change_what_it_is_judged_by():
+def test_a_method_cannot_change_the_task():
     before = [(task.start.copy(), task.best.copy()) for task in TASKS]
 
     def vandal(arm):

@@ -37,7 +37,7 @@ def test_a_method_answers_with_a_configuration_and_leaves_the_previous_one(metho
     assert previous.tolist() == [0, 1, 2, 3, 4, 5]
 
 
-def test_listing_a_half_leaves_nothing_out_and_nothing_twice():
+def test_the_list_of_a_half_is_complete_without_duplicates():
     arm = paper_arm(6)
     problem, previous = two_list.prepare(arm, None, 3), np.array([1, 7, 0, 2, 5, 4])
     problem.upper.list((0.0, 0.0), problem.arm.costs(previous), 3)

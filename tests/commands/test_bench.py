@@ -85,7 +85,7 @@ def test_names_are_listed(hyperbit):
         (("--method", "math:pi"), "math has no function 'pi'"),
     ],
 )
-def test_what_is_unknown_is_refused(hyperbit, words, sentence):
+def test_unknown_names_are_refused(hyperbit, words, sentence):
     code, _, err = hyperbit("bench", *words)
     assert code == 2
     assert sentence in err

@@ -71,7 +71,7 @@ def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, m
         assert other.objects.number(0x1000)
 
 
-def test_a_board_that_is_not_there_is_told(board, arm):
+def test_a_missing_board_is_reported(board, arm):
     arm.write_text(arm.read_text().replace("boot_timeout: 60", "boot_timeout: 0.2"))
     code, _, err = board("can0/5", "errors")
     assert (code, "board can0/5 does not answer" in err) == (1, True)
@@ -83,14 +83,14 @@ def test_a_board_that_is_not_there_is_told(board, arm):
     ("words", "sentence"),
     [(("can0/99", "errors"), "'can0/99' is no board of"), (("can0/5", "restart"), "'restart' is not one of")],
 )
-def test_what_is_not_there_is_unusable_input(board, words, sentence):
+def test_a_missing_file_is_unusable_input(board, words, sentence):
     code, _, err = board(*words)
     assert (code, sentence in err) == (2, True), err
 
 
 @pytest.mark.parametrize("action", ["errors", "reset"])
 @pytest.mark.parametrize("answer", [Welcome(1, "planar16", "", 1, (), 0), Goodbye("of another version")])
-def test_nothing_is_done_while_the_executor_runs(board, arm, tmp_path, action, answer):
+def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, action, answer):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as server:
         server.bind(str(tmp_path / "planar16.sock"))
         server.listen()
@@ -112,7 +112,7 @@ def test_a_socket_that_nobody_serves_does_not_count(board, boards, tmp_path):
     assert board("can0/5", "errors")[0] == 0
 
 
-def test_nothing_is_done_while_a_master_is_on_the_bus(board, boards, request):
+def test_the_command_refuses_while_a_master_is_on_the_bus(board, boards, request):
     with can.Bus(interface="virtual", channel=request.node.name) as bus:
         message = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
         task = bus.send_periodic(message, 0.05)

@@ -68,7 +68,7 @@ def test_the_table_names_fields_and_residuals(hyperbit, files):
         assert words in out
 
 
-def test_nothing_is_written_over(hyperbit, files, tmp_path):
+def test_existing_files_are_not_overwritten(hyperbit, files, tmp_path):
     arm, samples = files
     before = Path(arm).read_text()
     code, out, err = hyperbit("calibrate", arm, samples, "--out", arm)

@@ -15,7 +15,7 @@ def test_boards_that_lack_nothing(hyperbit):
     assert "can0/6" not in out
 
 
-def test_lacks_are_told_for_each_board(hyperbit, tmp_path):
+def test_missing_objects_are_reported_for_each_board(hyperbit, tmp_path):
     path = tmp_path / "other.eds"
     path.write_text(EDS.read_text().replace("[1017]", "[1FFF]"))
     code, out, _ = hyperbit("check", str(ARM), "--eds", str(path), "--json")
@@ -24,7 +24,7 @@ def test_lacks_are_told_for_each_board(hyperbit, tmp_path):
     assert told["boards"][0]["lacks"][0]["object"] == "1017h sub 0 (period of its heartbeat)"
 
 
-def test_faults_name_what_was_given(hyperbit, tmp_path):
+def test_faults_name_the_wrong_option(hyperbit, tmp_path):
     code, _, err = hyperbit("check", str(ARM), "--node", "can0/5")
     assert (code, "--node needs --eds FILE" in err) == (2, True)
     code, _, err = hyperbit("check", str(ARM), "--eds", str(EDS), "--node", "can7/5")

@@ -109,7 +109,7 @@ def test_commands_to_a_daemon_import_no_kernels(words):
 
 
 @pytest.mark.parametrize("command", ["stop", "cancel", "reset", "halt"])
-def test_commands_that_stop_an_arm_import_what_they_need_only(command):
+def test_commands_that_stop_an_arm_import_only_needed_modules(command):
     found = imported(command, "planar16", *NOWHERE)
     assert "zenoh" in found
     assert found.isdisjoint({*HEAVY, *SLOW, "yaml"})
@@ -120,7 +120,7 @@ def test_a_local_halt_does_not_import_zenoh():
     assert imported(*words).isdisjoint({*HEAVY, *SLOW, "yaml", "zenoh"})
 
 
-def test_the_switches_of_an_arm_are_told_without_kernels(tmp_path):
+def test_wear_imports_no_kernels(tmp_path):
     assert imported("wear", str(ARM), "--ledger", str(tmp_path / "none.sqlite")).isdisjoint({"numba", "scipy", "zenoh"})
 
 

@@ -87,7 +87,7 @@ def test_json_has_a_line_for_each_way_and_the_proposal(hyperbit, daemon):
     ]
 
 
-def test_nothing_moves_without_a_yes(hyperbit, daemon, monkeypatch):
+def test_nothing_moves_without_confirmation(hyperbit, daemon, monkeypatch):
     monkeypatch.setattr("typer.confirm", lambda question, err: "2 actuators" in question and False)
     assert hyperbit("exercise", "a")[0] == 1
     assert daemon.jogs == []
@@ -107,7 +107,7 @@ def test_the_first_fault_ends_it(hyperbit, daemon, result, sentence):
     assert sentence in err
 
 
-def test_what_was_measured_before_a_fault_is_told(hyperbit, daemon):
+def test_times_measured_before_a_fault_are_printed(hyperbit, daemon):
     daemon.result = lambda label, state: (
         daemon.well(label, state) if label == "1.left" else {"status": "aborted", "code": -4, "message": "stuck"}
     )
@@ -137,7 +137,7 @@ def test_an_arm_that_is_not_ready_is_not_exercised(hyperbit, daemon):
     assert daemon.jogs == []
 
 
-def test_an_actuator_that_is_not_there_is_unusable_input(hyperbit, daemon):
+def test_an_unknown_actuator_is_unusable_input(hyperbit, daemon):
     code, _, err = hyperbit("exercise", "a", "9.left", "--yes")
     assert (code, "'9.left' is no actuator of this arm, which has 1.left to 1.right" in err) == (2, True)
 

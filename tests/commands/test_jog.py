@@ -51,12 +51,12 @@ def test_a_socket_is_for_local_halts_only(hyperbit, tmp_path):
     assert (code, "only with --local" in err) == (2, True)
 
 
-def test_halt_over_zenoh_wants_the_arm(hyperbit):
+def test_halt_over_zenoh_needs_the_arm(hyperbit):
     code, _, err = hyperbit("halt", *NOWHERE)
     assert (code, "give the arm's name, or --local" in err) == (2, True)
 
 
-def test_a_local_halt_without_an_executor_fails_in_words(hyperbit, tmp_path):
+def test_a_local_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_path):
     code, out, err = hyperbit("halt", "a", "--local", "--socket", str(tmp_path))
     assert (code, out) == (1, "")
     assert "no executor answers" in err

@@ -65,7 +65,7 @@ def test_an_id_that_another_board_has_is_refused(hyperbit, run):
     assert (code, "node id 7 is taken" in err) == (1, True)
 
 
-def test_nothing_is_set_while_a_master_is_on_the_bus(hyperbit, run):
+def test_the_node_id_is_not_set_while_a_master_is_on_the_bus(hyperbit, run):
     boards = run(5)
     with can.Bus(interface="virtual", channel=CHANNEL) as bus:
         message = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)

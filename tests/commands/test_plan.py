@@ -35,7 +35,7 @@ def test_plan_prints_one_line_of_json(hyperbit):
     assert line["switches"] == sum(bin(int(digit)).count("1") for digit in line["configuration"])
 
 
-def test_plan_leaves_an_actuator_that_is_declared_stuck(hyperbit, tmp_path):
+def test_plan_does_not_switch_an_actuator_that_is_declared_stuck(hyperbit, tmp_path):
     document = yaml.safe_load(Path(ARM).read_text())
     for label in ("left", "right"):
         next(a for a in document["actuators"] if (a["module"], a["actuator"]) == (3, label))["stuck"] = "extended"
@@ -73,7 +73,7 @@ def test_plan_takes_method_tolerance_and_previous(hyperbit, method):
     assert json.loads(out)["error"] <= 0.004
 
 
-def test_goals_of_a_file_start_where_the_one_before_ended_unless_told(hyperbit, tmp_path):
+def test_goals_of_a_file_start_at_the_previous_goal_by_default(hyperbit, tmp_path):
     goals = tmp_path / "goals.csv"
     goals.write_text("x,y,previous\n0.55,2.9,\n0.55,2.9,\n0.55,2.9,0000000000000000\n")
     code, out, _ = hyperbit("plan", ARM, "--goals", str(goals), "--json")

@@ -60,7 +60,7 @@ def test_a_bus_without_nodes_fails_in_words(hyperbit):
     assert "no node answers on test_nobody (virtual): check power, cable, termination and bit rate" in err
 
 
-def test_a_bus_that_is_not_there_fails_in_words(hyperbit):
+def test_a_missing_bus_fails_with_a_message(hyperbit):
     code, _, err = hyperbit("probe", "can99")
     assert code == 1
     assert "check that can99 is up and that its --interface is socketcan" in err

@@ -32,7 +32,7 @@ def test_no_sizes(text: str) -> None:
         parse_size(text, "--size")
 
 
-def test_bad_input_is_told_in_a_sentence(tmp_path: Path) -> None:
+def test_bad_input_gives_a_message(tmp_path: Path) -> None:
     assert "a number of bytes is needed" in hyperbit("record", "a", "--size", "much", code=2)
     assert "a number above 0" in hyperbit("record", "a", "--minutes", "0", code=2)
     assert "no-such.yaml" in hyperbit("record", "no-such.yaml", code=2)

@@ -18,7 +18,7 @@ def recording(tmp_path: Path) -> Path:
     return recording.path
 
 
-def test_bad_options_are_told_in_a_sentence(recording: Path) -> None:
+def test_bad_options_give_a_message(recording: Path) -> None:
     assert "--speed" in hyperbit("replay", str(recording), "--speed", "0", code=2)
     assert "--from" in hyperbit("replay", str(recording), "--from", "-1", code=2)
     assert "only with --goals" in hyperbit("replay", str(recording), "--arm", "arm.yaml", code=2)
@@ -30,7 +30,7 @@ def test_bad_options_are_told_in_a_sentence(recording: Path) -> None:
     )
 
 
-def test_bad_files_are_told_in_a_sentence(recording: Path, tmp_path: Path) -> None:
+def test_bad_files_give_a_message(recording: Path, tmp_path: Path) -> None:
     assert "No such file" in hyperbit("replay", str(tmp_path / "none.mcap"), code=2)
     (tmp_path / "text.mcap").write_text("no recording")
     assert "no MCAP file" in hyperbit("replay", str(tmp_path / "text.mcap"), code=2)
@@ -43,7 +43,7 @@ def test_a_recording_without_the_arms_file_needs_one(recording: Path) -> None:
     assert "name it by --arm" in hyperbit("replay", str(recording), "--goals", code=1)
 
 
-def test_a_wrong_arm_is_told(recording: Path, tmp_path: Path) -> None:
+def test_a_wrong_arm_is_refused(recording: Path, tmp_path: Path) -> None:
     planar = str(DEPLOY / "planar16.yaml")
     told = hyperbit("replay", str(recording), "--goals", "--arm", planar, code=2)
     assert "the file describes the arm 'planar16', the recording is of 'a'" in told

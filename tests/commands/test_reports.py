@@ -113,7 +113,7 @@ def test_an_arm_without_boards_is_not_run(hyperbit, spatial):
         assert "actuators" in err
 
 
-def test_a_bus_that_is_not_there_fails_in_words(hyperbit, tmp_path):
+def test_a_missing_bus_fails_with_a_message(hyperbit, tmp_path):
     arm = yaml.safe_load(Path(ARM).read_text())
     arm["buses"][0]["channel"] = "no-such-bus"
     file = tmp_path / "arm.yaml"
@@ -127,7 +127,7 @@ def test_a_bus_that_is_not_there_fails_in_words(hyperbit, tmp_path):
         assert "no-such-bus" in err or "bus cannot be opened" in err
 
 
-def test_a_daemon_that_is_not_there_fails_in_words(hyperbit):
+def test_a_missing_daemon_fails_with_a_message(hyperbit):
     for command in (("send", "planar16", "--to", "1,2"), ("watch", "planar16")):
         code, _, err = hyperbit(*command, "--connect", "tcp/127.0.0.1:1")
         assert code == 1
@@ -135,7 +135,7 @@ def test_a_daemon_that_is_not_there_fails_in_words(hyperbit):
 
 
 @pytest.mark.parametrize("words", [(), ("--to", "a"), ("no-such-goal.yaml",), ("goal.yaml", "--to", "1,2")])
-def test_unusable_words_of_send_end_with_2(hyperbit, words):
+def test_unusable_arguments_of_send_end_with_2(hyperbit, words):
     code, out, err = hyperbit("send", "planar16", *words)
     assert (code, out) == (2, "")
     assert err

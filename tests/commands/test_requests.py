@@ -23,7 +23,7 @@ def test_a_stop_holds_until_reset(hyperbit, endpoint):
         demo.wait_until_ready(client)
 
 
-def test_cancel_says_whether_there_was_a_goal(hyperbit, endpoint):
+def test_cancel_reports_a_missing_goal(hyperbit, endpoint):
     assert hyperbit("cancel", "planar16", "--connect", endpoint) == (
         0,
         "there was no goal to cancel; the arm holds\n",
@@ -32,13 +32,13 @@ def test_cancel_says_whether_there_was_a_goal(hyperbit, endpoint):
 
 
 @pytest.mark.parametrize("command", ["cancel", "stop", "reset"])
-def test_where_no_daemon_is_the_command_fails_in_words(hyperbit, endpoint, command):
+def test_a_command_without_a_daemon_fails_with_a_message(hyperbit, endpoint, command):
     code, out, err = hyperbit(command, "other", "--connect", endpoint)
     assert (code, out) == (1, "")
     assert "'other'" in err
 
 
-def test_degrade_holds_actuators_and_uses_them_again(hyperbit, endpoint):
+def test_degrade_locks_and_unlocks_actuators(hyperbit, endpoint):
     words = ("degrade", "planar16", "--connect", endpoint)
     assert hyperbit(*words, "5.left=contracted", "7.right=contracted") == (
         0,
@@ -53,7 +53,7 @@ def test_degrade_holds_actuators_and_uses_them_again(hyperbit, endpoint):
     ]
 
 
-def test_a_refused_change_ends_with_1_and_those_before_it_stand(hyperbit, endpoint):
+def test_a_refused_change_ends_with_1_and_earlier_changes_remain(hyperbit, endpoint):
     words = ("degrade", "planar16", "--connect", endpoint)
     code, out, err = hyperbit(*words, "5.left=contracted", "5.middle=contracted", "7.right=contracted")
     assert (code, out) == (1, "locked: 5.left (contracted)\n")
@@ -65,17 +65,17 @@ def test_a_refused_change_ends_with_1_and_those_before_it_stand(hyperbit, endpoi
 
 
 @pytest.mark.parametrize("change", ["5.left", "5.left=", "5.left=1", "5.left=up", "5.left contracted", "5.\udcff=free"])
-def test_what_is_no_change_is_unusable_input(hyperbit, change):
+def test_a_malformed_change_is_unusable_input(hyperbit, change):
     code, out, err = hyperbit("degrade", "planar16", "5.left=free", change)
     assert (code, out) == (2, "")
     assert "an actuator, =, and one of contracted, extended, free are needed, as in 5.left=contracted" in err
 
 
-def test_degrade_wants_a_change(hyperbit):
+def test_degrade_needs_a_change(hyperbit):
     assert hyperbit("degrade", "planar16")[0] == 2
 
 
-def test_obstacles_are_kept_out_of_until_there_are_none(hyperbit, endpoint, tmp_path):
+def test_obstacles_block_goals_until_they_are_removed(hyperbit, endpoint, tmp_path):
     file = tmp_path / "regions.yaml"
     file.write_text("regions:\n- {disc: {centre: [0.55, 2.9], radius: 0.2}, name: crate}\n")
     words = ("obstacles", "planar16", "--connect", endpoint)
@@ -98,7 +98,7 @@ def test_a_fault_in_the_regions_is_refused_by_field(hyperbit, endpoint, tmp_path
 
 
 @pytest.mark.parametrize("words", [(), ("no-such-file.yaml",), ("regions.yaml", "--none")])
-def test_unusable_words_of_obstacles_end_with_2(hyperbit, words):
+def test_unusable_arguments_of_obstacles_end_with_2(hyperbit, words):
     code, out, err = hyperbit("obstacles", "planar16", *words)
     assert (code, out) == (2, "")
     assert err
@@ -113,7 +113,7 @@ def test_a_file_without_regions_is_unusable_input(hyperbit, tmp_path):
 
 
 @pytest.mark.parametrize("words", [("degrade", "planar16", "5.left=free"), ("obstacles", "planar16", "--none")])
-def test_a_daemon_that_is_not_there_fails_in_words(hyperbit, words):
+def test_a_missing_daemon_fails_with_a_message(hyperbit, words):
     code, _, err = hyperbit(*words, "--connect", "tcp/127.0.0.1:1")
     assert code == 1
     assert "no daemon at tcp/127.0.0.1:1" in err

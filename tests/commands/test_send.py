@@ -23,7 +23,7 @@ def test_send_follows_a_goal_to_its_result(hyperbit, endpoint):
     assert "reached (0.5" in out
 
 
-def test_send_takes_an_angle_and_tells_what_is_left_of_it(hyperbit, endpoint):
+def test_send_takes_an_angle_and_reports_its_error(hyperbit, endpoint):
     code, out, err = hyperbit("send", "planar16", "--to", "0.55,2.9,0.3", "--connect", endpoint, "--json")
     *_, result = [json.loads(line) for line in out.splitlines()]
     assert (code, err) == (0, "")
@@ -46,7 +46,7 @@ def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoin
     assert result["position"] == pytest.approx([0.4, 2.8], abs=0.002)
 
 
-def test_send_follows_lines_if_told_to(hyperbit, endpoint, tmp_path):
+def test_send_follows_lines_within_a_path_tolerance(hyperbit, endpoint, tmp_path):
     file = tmp_path / "goal.yaml"
     file.write_text("id: line\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 1.0}\n")
     words = ("send", "planar16", str(file), "--connect", endpoint)
@@ -107,7 +107,7 @@ def test_an_interrupt_cancels_the_goal_that_was_sent(endpoint, tmp_path):
         demo.wait_until_ready(client)
 
 
-def test_a_second_daemon_at_the_same_endpoint_fails_in_words(hyperbit, endpoint, tmp_path):
+def test_a_second_daemon_at_the_same_endpoint_fails_with_a_message(hyperbit, endpoint, tmp_path):
     book = str(tmp_path / "ledger.sqlite")
     code, _, err = hyperbit("run", str(ARM), "--simulate", "--listen", endpoint, "--ledger", book)
     assert code == 1

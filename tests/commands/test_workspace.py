@@ -47,7 +47,7 @@ def test_positions_orientations_and_locks(hyperbit, arm):
     assert picture.stat().st_size > 10_000
 
 
-def test_the_table_says_what_it_used_and_why(hyperbit, arm):
+def test_the_table_names_its_method_and_the_reason(hyperbit, arm):
     file, point, picture = arm
     code, out, _ = hyperbit(
         "workspace", file, "--at", point, "--locked", "2", "--samples", "3", "--picture", str(picture)

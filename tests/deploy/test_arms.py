@@ -30,7 +30,7 @@ def test_no_arm_is_forgotten() -> None:
     assert {path.stem for path in Path(DEPLOY).glob("*.yaml")} == set(ARMS)
 
 
-def test_an_arm_is_what_its_name_says(shipped: Arm) -> None:
+def test_an_arm_has_the_name_of_its_file(shipped: Arm) -> None:
     m = shipped.manipulator
     boards = {(entry.bus, entry.node) for entry in shipped.wiring}
     assert (m.dimension, len(m.modules), len(m.actuators), len(boards)) == ARMS[shipped.settings.name]

@@ -62,7 +62,7 @@ def test_nothing_is_overwritten(keys: Path) -> None:
     assert {path: path.read_bytes() for path in keys.rglob("*") if path.is_file()} == before
 
 
-def test_a_failure_leaves_nothing_half_made(keys: Path) -> None:
+def test_a_failure_leaves_no_partial_files(keys: Path) -> None:
     (keys / "daemon").rename(keys / "old")
     before = names(keys)
     assert "bad ip address" in refusal(keys, "daemon", "999.1.1.1")
@@ -84,6 +84,6 @@ def test_a_failure_leaves_nothing_half_made(keys: Path) -> None:
         (("daemon",), "usage"),
     ],
 )
-def test_what_is_no_name_is_refused(tmp_path: Path, words: tuple[str, ...], sentence: str) -> None:
+def test_invalid_names_are_refused(tmp_path: Path, words: tuple[str, ...], sentence: str) -> None:
     assert sentence in refusal(tmp_path / "keys", *words)
     assert not (tmp_path / "keys").exists() or not names(tmp_path / "keys")

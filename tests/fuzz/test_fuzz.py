@@ -28,7 +28,7 @@ def _journal() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_seeds_and_what_was_found(name):
+def test_seeds_and_former_failures(name):
     target = TARGETS[name]
     attack = target.build()
     for data in target.seeds + target.found(name):
@@ -66,7 +66,7 @@ def test_states_that_no_goal_asks_for_are_found():
         world.judge.judge(Frame(cia301.SYNC), world.core)
 
 
-def test_outputs_that_differ_from_what_was_switched_are_found():
+def test_outputs_that_differ_from_the_command_are_found():
     world = World()
     world.boards.board("can0/5").wired[0].actuator.drive(1, world.now)
     with pytest.raises(Moved, match="the outputs are 000001, switched to 000000"):

@@ -59,14 +59,14 @@ WRONG: dict[str, tuple[type[hb.Error], str, Callable[[hb.Arm], object]]] = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_errors_say_what_is_wrong(what: str, arm: hb.Arm) -> None:
+def test_errors_name_the_wrong_argument(what: str, arm: hb.Arm) -> None:
     kind, words, act = WRONG[what]
     with pytest.raises(hb.Error, match=words) as caught:
         act(arm)
     assert type(caught.value) is kind
 
 
-def test_a_wrong_file_tells_every_fault(tmp_path: Path) -> None:
+def test_a_wrong_file_names_each_fault(tmp_path: Path) -> None:
     file = tmp_path / "arm.yaml"
     file.write_text("name: a b\nmodules: [{type: vgt, width: -1, lengths: [0.2, 0.25]}]\ntolerance: {position: 0.01}\n")
     with pytest.raises(hb.ArmError) as caught:

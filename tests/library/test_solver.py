@@ -59,7 +59,7 @@ def test_locked_actuators_stay_in_solutions(arm: hb.Arm) -> None:
     assert solution.switches == fewest(arm, goal, arm.tolerance, locked.home, served)
 
 
-def test_obstacles_are_kept_clear_of(arm: hb.Arm) -> None:
+def test_configurations_avoid_obstacles(arm: hb.Arm) -> None:
     ik = hb.Solver(arm, obstacles=[hb.Disc((0.3, 0.6), 0.15, "pillar")])
     clear = np.array([ik.contact(row) is None for row in EVERY])
     assert 0 < clear.sum() < len(EVERY)
@@ -76,7 +76,7 @@ def test_obstacles_are_kept_clear_of(arm: hb.Arm) -> None:
     assert ik.contact(arm.home) == "module 4 is in disc 'pillar'"
 
 
-def test_weights_change_what_is_cheap(arm: hb.Arm) -> None:
+def test_weights_change_the_cheapest_configuration(arm: hb.Arm) -> None:
     weights = np.where([label.startswith("1.") for label in arm.actuators], 50.0, 1.0)
     solution = hb.Solver(arm, weights=weights).solve(arm.position([0, 3, 3, 3]), deadline=DEADLINE)
     assert solution.cost < 50
@@ -171,7 +171,7 @@ def test_paths_have_orientations_and_locked_actuators(arm: hb.Arm) -> None:
         assert arm.actuator_states(row)[place] == 1
 
 
-def test_calibration_with_frames_keeps_what_is_locked(arm: hb.Arm) -> None:
+def test_calibration_with_frames_keeps_locked_actuators(arm: hb.Arm) -> None:
     real = hb.Arm([hb.vgt("BC", width=0.202, lengths=(0.2, 0.251), count=4)], base=(0.02, 0.01))
     rows = arm.sample(40)
     fitted = hb.calibrate(arm.lock({"1.left": "extended"}), rows, real.frames(rows))

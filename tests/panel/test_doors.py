@@ -17,7 +17,7 @@ FOREIGN = [
 ]
 
 
-def test_who_has_no_cookie_sees_nothing(site: Site) -> None:
+def test_pages_without_a_cookie_get_no_data(site: Site) -> None:
     for cookie in (
         "",
         "hyperbit=anna.9999999999.0",
@@ -126,7 +126,7 @@ def test_large_bodies_are_refused(site: Site) -> None:
         "/docs",
     ],
 )
-def test_there_is_nothing_else(site: Site, path: str) -> None:
+def test_other_addresses_do_not_exist(site: Site, path: str) -> None:
     answer = site.browser.get(path)
     assert answer.status_code == 404, answer.text
     assert "set-cookie" not in answer.headers
@@ -161,7 +161,7 @@ def test_the_page_asks_no_other_server() -> None:
             assert "innerHTML" not in text, path
 
 
-def test_metrics_are_for_who_has_a_token(site: Site) -> None:
+def test_metrics_need_a_token(site: Site) -> None:
     site.daemon.state()
     assert site.browser.get("/metrics").status_code == 401
     for word in ("Bearer wrong", f"Basic {VIEWER}", "Bearer"):

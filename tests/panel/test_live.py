@@ -44,7 +44,7 @@ def test_measured_states_that_are_known_no_more_are_drawn_as_commanded(site: Sit
     bodies = page.until("bodies", lambda b: b["measured"] != b["commanded"])
 
 
-def test_faults_come_with_what_to_do(site: Site) -> None:
+def test_faults_come_with_advice(site: Site) -> None:
     page = site.open()
     fault = {"code": "stuck", "source": "5.left", "message": "5.left did not arrive"}
     site.daemon.state(mode="fault", reason="5.left did not arrive", faults=[fault])
@@ -54,7 +54,7 @@ def test_faults_come_with_what_to_do(site: Site) -> None:
     page.until("log", lambda log: any("5.left did not arrive" in line["text"] for line in log["lines"]))
 
 
-def test_the_distance_from_the_goal_is_told(site: Site) -> None:
+def test_the_distance_from_the_goal_is_published(site: Site) -> None:
     page = site.open()
     told = site.daemon.state(goal="g", target={"position": [0.0, 3.0], "orientation": None})
     shift = told["tip"]["position"][1] - 3.0
@@ -68,7 +68,7 @@ def test_the_list_shows_all_arms(site: Site) -> None:
     assert (arm["name"], arm["alive"], arm["mode"]) == (ARM, True, "ready")
 
 
-def test_a_dead_daemon_is_told_and_the_age_of_the_last_state(site: Site) -> None:
+def test_a_dead_daemon_and_the_age_of_the_last_state_are_shown(site: Site) -> None:
     page = site.open()
     site.daemon.state()
     page.until("presence", lambda told: told["alive"] and told["age"] is not None)

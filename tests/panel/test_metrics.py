@@ -43,7 +43,7 @@ def read(*arms: Arm, counters: Counters | None = None) -> dict[tuple[str, ...], 
     return {(sample.name, *sample.labels.values()): sample.value for sample in samples}
 
 
-def test_figures_are_what_arms_tell() -> None:
+def test_metrics_agree_with_the_messages_of_arms() -> None:
     counters = Counters()
     for status in ("succeeded", "succeeded", "aborted"):
         counters.result("a", {"status": status})

@@ -32,7 +32,7 @@ class Clock:
         return self.now
 
 
-def test_cookies_end_and_are_worth_nothing_when_changed() -> None:
+def test_old_and_changed_cookies_are_invalid() -> None:
     clock = Clock()
     access = Access([ANNA], b"key", clock)
     cookie = access.enter("a")
@@ -180,7 +180,7 @@ def test_addresses_of_this_computer() -> None:
     assert parse_address("[::1]:3").written(3, secure=True) == "https://[::1]:3/"
 
 
-def test_run_tells_the_page_how_to_connect(tmp_path: Path) -> None:
+def test_run_gives_the_page_its_endpoint(tmp_path: Path) -> None:
     assert reachable("tcp/0.0.0.0:7447") == reachable("tcp/[::]:7447") == "tcp/127.0.0.1:7447"
     assert reachable("tcp/192.168.1.2:7448") == "tcp/192.168.1.2:7448"
     with pytest.raises(InputFaults, match="start the page by itself"):

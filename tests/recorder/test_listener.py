@@ -38,7 +38,7 @@ def until(listener: Listener, key: str, before: list[Received]) -> Received:
     return item
 
 
-def test_all_that_concerns_the_arm_is_heard(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
+def test_all_messages_of_the_arm_are_received(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
     daemon, own = ends
     listener, items = Listener(own, "a"), list[Received]()
     publisher = daemon.declare_publisher("hyperbit/a/@request")

@@ -85,7 +85,7 @@ def played(
     return sessions.put_at
 
 
-def test_all_comes_again_in_order_and_time(past: RecordingReader) -> None:
+def test_all_messages_are_replayed_in_order_and_time(past: RecordingReader) -> None:
     for speed in (1.0, 4.0):
         put = played(past, speed, step=0.01)
         states = [(at, message["stamp"]) for at, key, message in put if key == "replay/planar16/state"]
@@ -106,7 +106,7 @@ def test_a_fast_replay_leaves_out_states_but_no_result(past: RecordingReader) ->
     assert sum(key.endswith("/result") for _, key, _ in put) == 6
 
 
-def test_a_replay_that_begins_later_tells_how_things_stood(past: RecordingReader) -> None:
+def test_a_replay_that_begins_later_publishes_the_latest_snapshots(past: RecordingReader) -> None:
     put = played(past, 1.0, begin=5.2)
     assert [message["stamp"] for _, key, message in put if key.endswith("/state")] == [
         105.0,

@@ -128,7 +128,9 @@ ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
         ({"result": {**DONE, "bias": [0.0, 0.01]}}, Played(DONE, {}), "skipped", "measured tips corrected it"),
     ],
 )
-def test_what_becomes_of_a_goal_is_told(changes: dict[str, Any], played: Played, outcome: str, reason: str) -> None:
+def test_a_goal_is_compared_with_its_recording(
+    changes: dict[str, Any], played: Played, outcome: str, reason: str
+) -> None:
     found = compared(played, ONCE._replace(**changes), anytime=True)  # type: ignore[arg-type]
     assert (found.id, found.outcome) == ("a", outcome)
     assert reason in found.reason
