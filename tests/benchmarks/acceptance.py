@@ -1,6 +1,6 @@
-"""Whether a configuration serves a goal: forward kinematics of the whole arm, and distances from obstacles.
+"""Checks whether a configuration solves a goal: forward kinematics of the arm, and distances from obstacles.
 
-Written for the proofs: it shares with the product the modules' frames and bodies, and the regions' numbers, only.
+Written for the proofs: it uses from the product only the modules' frames and bodies, and the obstacles' numbers.
 """
 
 from typing import NamedTuple
@@ -17,20 +17,20 @@ Index = NDArray[np.int64]
 
 
 class Check(NamedTuple):
-    """What is asked of a configuration.
+    """The requirements on a configuration.
 
     Attributes:
         base: frame F_0 in the world, shape (4, 4).
         frames: of the modules' states, shape (B, K, 4, 4).
         goal: frame in the world, shape (4, 4).
         tolerance: of the distance.
-        turn: of the angle about z [rad]; infinite if any will do.
+        turn: tolerance of the angle about z [rad]; infinite: any angle.
         bodies: line segments of the modules' states, padded with the first one, shape (B, K, L, 2, 3).
         kinds: of the obstacles, shape (n,); see controller.obstacles.
         axes: rows are those of boxes, the first is a half-space's normal, shape (n, 3, 3).
         centres: shape (n, 3).
         sizes: radius in the first place, or half the sides of a box, shape (n, 3).
-        margin: distance from a body's line that counts as touching.
+        margin: least distance of a body's line from an obstacle without collision.
     """
 
     base: Array
@@ -47,10 +47,10 @@ class Check(NamedTuple):
 
 
 def check_of(clearance: Clearance, goal: Array, tolerance: float, turn: float) -> Check:
-    """Returns what a goal asks of an arm's configurations.
+    """Returns the requirements of a goal on an arm's configurations.
 
     Raises:
-        ValueError: the arm is to avoid what cannot be checked here.
+        ValueError: this module cannot check a kind of obstacle, or self-collision.
     """
     m, regions = clearance.manipulator, clearance.obstacles
     if clearance.self_collision or (not m.planar and (regions.kinds == BOX).any()):
@@ -69,7 +69,7 @@ def check_of(clearance: Clearance, goal: Array, tolerance: float, turn: float) -
 
 @njit(cache=True, nogil=True)
 def accepted(check: Check, configuration: Index) -> bool:
-    """Returns whether a configuration (B,) is within the tolerances, and clear."""
+    """Returns whether a configuration (B,) is within the tolerances and collision-free."""
     frame, following = check.base.copy(), np.empty((4, 4))
     for i in range(len(configuration)):
         own = check.frames[i, configuration[i]]

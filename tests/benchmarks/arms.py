@@ -1,4 +1,4 @@
-"""Every arm in deploy: what mapping it takes, and what each method finds for random goals within its tolerance."""
+"""Each arm in deploy: time and memory of mapping, and the results of each method for random goals."""
 
 import argparse
 import time
@@ -32,7 +32,7 @@ class Row:
 
 
 def measured(path: Path, number: int) -> tuple[str, list[Row]]:
-    """Measures an arm on so many tips of random configurations, each from the configuration reached before."""
+    """Measures an arm on tips of random configurations, each from the previous goal's configuration."""
     arm = load(path)
     manipulator = arm.manipulator
     map_densities(manipulator, manipulator.length / 20, 1_000)  # loads the kernels

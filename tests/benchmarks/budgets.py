@@ -1,7 +1,7 @@
-"""Ours and annealing in equal times, and the time by which each has brought a share of the goals within the tolerance.
+"""Compares minimum-switch and annealing at equal times, and the times in which they solve a share of the goals.
 
-Annealing is given longer and longer until it brings as great a share within the tolerance with as few switches as ours
-does by its own deadline, or LONGEST for each goal.
+Annealing gets increasing times, until it solves as large a share with as few switches as minimum-switch by its own
+deadline, or until LONGEST for each goal.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ FIRST = "annealing, first found"
 
 @dataclass(frozen=True)
 class Rung:
-    """What one method came to in a time for each goal: share within the tolerance, switches, and times taken [s]."""
+    """Results of one method with a time for each goal: share within the tolerance, switches, and times [s]."""
 
     method: str
     budget: float
@@ -35,7 +35,7 @@ class Rung:
 
 @dataclass(frozen=True)
 class Reached:
-    """By which time [s] a method has answered these SHARES of the goals within the tolerance, None where never."""
+    """Times [s] after which a method has solved SHARES of the goals; None: never."""
 
     method: str
     seconds: tuple[float | None, ...]
@@ -71,7 +71,7 @@ def share(trace: Trace, arm: Arm) -> float:
 
 
 def reached(arm: Arm, goals: Goals) -> list[Reached]:
-    """Measures how soon our methods, and annealing that ends with the first it finds, are within the tolerance."""
+    """Measures the time to the first solution of hyperbit's methods and of annealing."""
     result = []
     for method in (*METHODS[:2], annealed(FIRST, LONGEST, first=True)):
         trace = traced(method, prepared(method, arm)[0], arm, goals)

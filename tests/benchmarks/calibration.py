@@ -1,4 +1,4 @@
-"""The paper's arm with errors of manufacture in every leg, and how near `hyperbit calibrate` brings its file to it.
+"""Accuracy of `hyperbit calibrate` for the paper's arm with manufacturing errors in each leg.
 
 Usage: python -m tests.benchmarks.calibration
 """

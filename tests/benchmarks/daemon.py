@@ -1,4 +1,4 @@
-"""The planner's and executor's own time for a goal: from its put to its SYNC, less the search and Zenoh's way.
+"""Time of planner and executor for a goal: from its put to its SYNC, without the search and Zenoh's transport.
 
 python -m tests.benchmarks.daemon [--goals N] [--json PATH]
 
@@ -31,7 +31,7 @@ Times = NDArray[np.float64]
 
 
 def main() -> None:
-    """Measures, prints, writes."""
+    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--goals", type=int, default=200)
     parser.add_argument("--json", type=Path)
@@ -60,7 +60,7 @@ def quantiles(times: Times) -> dict[str, float]:
 
 
 def send(parts: Parts, bare: zenoh.Session, count: int) -> tuple[Times, Times]:
-    """Sends goals one by one; returns when each was put, and when the ping before it was, shapes (count,) [s]."""
+    """Sends goals one by one; returns the times of each put and of the ping before it, shapes (count,) [s]."""
     manipulator = load(parts.file).manipulator
     states = np.random.default_rng(7).integers(0, 8, (count, len(manipulator.states)))
     tips = manipulator.tips(states)[:, :2, 3].tolist()
@@ -86,7 +86,7 @@ def send(parts: Parts, bare: zenoh.Session, count: int) -> tuple[Times, Times]:
 
 
 def steps_of(parts: Parts, put: float, ping: float) -> dict[str, float] | None:
-    """Returns what each step of a goal took [s]; None if it switched nothing."""
+    """Returns the duration of each step of a goal [s]; None if the goal switched no actuator."""
     sync = after(parts.record("syncs")["at"], put)
     if sync - put > 0.5:
         return None

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-# Okabe and Ito's colours, which the colour-blind tell apart; as there are fewer than methods, markers differ as well.
+# Colours of Okabe and Ito, which colour-blind readers can distinguish. There are fewer than methods, so markers differ.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*", "d")
 WELL = 0.95

@@ -1,4 +1,4 @@
-"""Floods of bad requests: neither a running goal's feedback nor a stop may wait for them.
+"""Floods of bad requests, which must not delay the feedback of a running goal or a stop.
 
 python -m tests.benchmarks.floods [--kinds KIND...] [--stops N] [--json PATH]
 
@@ -53,7 +53,7 @@ while True:
 
 
 def main() -> None:
-    """Measures, prints, writes."""
+    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--stops", type=int, default=50)
@@ -87,7 +87,7 @@ def main() -> None:
 
 @contextmanager
 def flooding(parts: Parts, kind: str) -> Iterator[list[int]]:
-    """Floods the daemon while the context lasts; at its end the list has how many requests each process sent."""
+    """Floods the daemon inside the context; afterwards the list has the number of requests of each process."""
     how, payload = KINDS[kind]
     program = FLOOD.format(payload=payload, send=PUT if how == "put" else GET)
     command, sent = [sys.executable, "-c", program, parts.endpoint, f"hyperbit/{parts.name}/goal"], list[int]()
@@ -106,7 +106,7 @@ def flooding(parts: Parts, kind: str) -> Iterator[list[int]]:
 
 
 def curve(client: Observer, kind: str) -> dict[str, Any]:
-    """Runs a curve; returns what was heard of it."""
+    """Runs a curve; returns its feedback and result."""
     goal, began = f"flooded by {kind}", time.monotonic()
     answer = eventually(lambda: it if (it := run(client, goal))["accepted"] else None)
     accepted = time.monotonic()
@@ -126,7 +126,7 @@ def run(client: Observer, goal: str) -> dict[str, Any]:
 
 
 def stop_often(parts: Parts, client: Observer, count: int) -> list[float]:
-    """Stops curves and resets; returns when each stop was put [s]."""
+    """Stops curves and resets; returns the time of each stop's put [s]."""
     session, drawn, puts = parts.session(), random.Random(50), list[float]()
     time.sleep(1.0)
     for k in range(count):

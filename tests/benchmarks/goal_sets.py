@@ -30,19 +30,19 @@ POSE = 0.005, 0.03  # tolerances of poses
 
 
 def position(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """The tip of a random configuration, from another; both clear of obstacles."""
+    """Draws the tip of a random configuration, from another configuration; both are collision-free."""
     start, end = free(arm, rng), free(arm, rng)
     return start, tip(arm, end), None, arm.tolerance, math.inf, end
 
 
 def pose(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """The tip of a random configuration with its angle, from another."""
+    """Draws the pose of a random configuration, from another configuration."""
     start, end = free(arm, rng), free(arm, rng)
     return start, tip(arm, end), float(angle(arm.manipulator.tip(end))), *POSE, end
 
 
 def lattice(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """A point at a lattice distance from a tip, the tolerance this distance or one float beside; or the tip.
+    """Draws a point at a lattice distance from a tip, with this distance or an adjacent float as tolerance; or the tip.
 
     Goals out of reach are drawn again.
     """
@@ -62,7 +62,7 @@ def lattice(arm: Arm, rng: np.random.Generator) -> Drawn:
 
 
 def free(arm: Arm, rng: np.random.Generator) -> Configuration:
-    """A random configuration that is clear of obstacles."""
+    """Draws a random collision-free configuration."""
     check = check_of(arm.clearance(), np.eye(4), 1.0, math.inf)
     while True:
         own = rng.integers(0, arm.manipulator.states)
@@ -71,7 +71,7 @@ def free(arm: Arm, rng: np.random.Generator) -> Configuration:
 
 
 def tip(arm: Arm, configuration: NDArray[np.int64]) -> tuple[float, ...]:
-    """Where a configuration brings the tip."""
+    """Returns the tip's position for a configuration."""
     return tuple(arm.manipulator.tip(configuration)[: arm.manipulator.dimension, 3].tolist())
 
 
@@ -125,7 +125,7 @@ def row_of(arm: str, asked: Drawn, seconds: float) -> dict[str, str]:
 
 
 def same(task: Task, arm: str, asked: Drawn) -> bool:
-    """Returns whether a set has a goal as it is drawn."""
+    """Returns whether a set has a goal as the seed draws it."""
     own = (task.position, task.angle, task.tolerance, task.angle_tolerance)
     return task.arm == arm and own == asked[1:5] and bool(np.array_equal(task.start, asked[0]))
 

@@ -1,4 +1,4 @@
-"""Sets of goals, each drawn from a seed of its own, so that one set is the same whichever others are run."""
+"""Sets of goals, each with its own seed, so that a set does not depend on the other sets."""
 
 from collections.abc import Callable
 
@@ -22,7 +22,7 @@ def random(manipulator: Manipulator, densities: Densities, tolerance: float, num
 
 
 def curve(manipulator: Manipulator, densities: Densities, tolerance: float, number: int) -> Goals:
-    """Waypoints once around a figure of eight, as large as stays where density is good."""
+    """Waypoints of the largest figure of eight in the dense part of the workspace."""
     turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)[:number]
     tips = random(manipulator, densities, tolerance, 1_000)
     good = expected(densities, tolerance) >= MANY
@@ -37,7 +37,7 @@ def curve(manipulator: Manipulator, densities: Densities, tolerance: float, numb
 
 
 def boundary(manipulator: Manipulator, densities: Densities, tolerance: float, number: int) -> Goals:
-    """Tips on the edge of the workspace: of configurations that lead to pixels with few points."""
+    """Tips at the edge of the workspace, in pixels with few points."""
     few = expected(densities, tolerance)
     centres = pixels(densities, (few > 0) & (few <= FEW))
     drawn = np.random.default_rng(2).choice(centres, number)
@@ -46,7 +46,7 @@ def boundary(manipulator: Manipulator, densities: Densities, tolerance: float, n
 
 
 def arbitrary(manipulator: Manipulator, densities: Densities, tolerance: float, number: int) -> Goals:
-    """Points uniform where density is good, whether or not any configuration ends there."""
+    """Uniform points in the dense part of the workspace, reachable or not."""
     rng = np.random.default_rng(3)
     centres = pixels(densities, expected(densities, tolerance) >= MANY)
     return rng.choice(centres, number) + densities.pixels[0] * rng.uniform(-0.5, 0.5, (number, 2))

@@ -1,7 +1,7 @@
-"""How many switches goals of the paper's arm take at least: python -m tests.benchmarks.histogram
+"""Distribution of the minimum of switches over goals of the paper's arm: python -m tests.benchmarks.histogram
 
-Goals are tips of random configurations, each asked for from the optimal configuration for the goal before. The search
-gets so much time for each that nearly every optimum is proven.
+Goals are tips of random configurations. Each search starts at the optimal configuration of the previous goal, and gets
+enough time to prove nearly all optima.
 """
 
 import argparse

@@ -31,7 +31,7 @@ PERIOD, SHOWN = 0.01, 8  # [s] of the executor; longest periods that are told of
 
 
 class Goals:
-    """Sends goals without waiting for them; counts what becomes of each."""
+    """Sends goals without waiting for results; counts answers and results."""
 
     def __init__(self, session: zenoh.Session, name: str) -> None:
         self._session, self._key = session, f"hyperbit/{name}/goal"
@@ -58,7 +58,7 @@ class Goals:
 
     @property
     def complete(self) -> bool:
-        """Whether each goal has its answer, and each that was accepted one result."""
+        """Whether each goal has one answer, and each accepted goal one result."""
         return len(self.answers) == self.sent and self.accepted <= self.results.keys()
 
     def _hear(self, sample: zenoh.Sample) -> None:
@@ -68,7 +68,7 @@ class Goals:
 
 
 def main() -> None:
-    """Measures, prints, writes."""
+    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=240.0)
     parser.add_argument("--ordinary", action="store_true", help="no real-time priority")
@@ -117,7 +117,7 @@ def longest(ticks: dict[str, NDArray[np.float64]], empty: NDArray[np.float64]) -
 
 
 def load(parts: Parts, seconds: float) -> Goals:
-    """Sends set-points and goals for so long."""
+    """Sends set-points and goals for a time [s]."""
     session, drawn = parts.session(), random.Random(20)
     goals, began, next_goal, k = Goals(session, parts.name), time.monotonic(), 0.0, 0
     while (t := time.monotonic() - began) < seconds:

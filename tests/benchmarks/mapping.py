@@ -1,4 +1,4 @@
-"""How mapping and search grow with the number of modules: python -m tests.benchmarks.mapping [--json PATH].
+"""Growth of mapping and search with the number of modules: python -m tests.benchmarks.mapping [--json PATH].
 
 Every arm is the paper's, longer or shorter. Pixels are so fine that the bound on a level's pixels binds from the first
 modules on: then each level costs the same, and time and memory must grow with the number of modules, B. The last five
@@ -34,7 +34,7 @@ REPEATS, GOALS, TOLERANCE = 3, 100, 0.002
 
 @dataclass(frozen=True)
 class Row:
-    """What was measured for one arm; times in seconds of one processor, memory in MiB.
+    """Measurements of one arm; times in processor seconds, memory in MiB.
 
     Attributes:
         modules: B.
@@ -63,7 +63,7 @@ def timed(manipulator: Manipulator) -> tuple[Densities, float]:
 
 
 def measured(modules: int) -> Row:
-    """Measures an arm of so many modules; best in a process of its own, whose peak of memory is then its alone."""
+    """Measures an arm with a number of modules; a separate process gives the correct peak of memory."""
     manipulator = paper_arm(modules)
     map_densities(paper_arm(2), 0.1, 100)  # loads the kernels
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

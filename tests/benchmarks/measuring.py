@@ -1,4 +1,4 @@
-"""How methods are measured: one process, one thread, kernels loaded, no garbage collection while the clock runs."""
+"""Measurement of methods: one process, one thread, loaded kernels, no garbage collection during the measurement."""
 
 import gc
 import time
@@ -36,7 +36,7 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What one method did, goal by goal: switches, errors and times, each of shape (n,)."""
+    """Switches, errors and times of one method for each goal, each of shape (n,)."""
 
     switches: NDArray[np.int64]
     errors: NDArray[np.float64]
@@ -59,7 +59,7 @@ class Proofs:
 
 
 def prepared(method: Method, arm: Arm) -> tuple[Any, float, int]:
-    """Returns a method's problem, the time its tables took, and their memory in bytes."""
+    """Returns a method's problem, and time [s] and memory [bytes] of its tables."""
     began = time.perf_counter()
     problem = method.prepare(arm.manipulator, arm.densities)
     seconds = time.perf_counter() - began + (arm.mapping if method.mapped else 0.0)
@@ -85,7 +85,7 @@ def traced(method: Method, problem: Any, arm: Arm, goals: Goals, previous: NDArr
 
 
 def proven(problem: Any, arm: Arm, goals: Goals, most: float) -> Proofs:
-    """Finds the fewest switches for as many goals as `most` seconds suffice for."""
+    """Proves the minimum of switches for as many goals as possible in `most` seconds."""
     second = MEETING.prepare(arm.manipulator, arm.densities)
     for goal in goals[:WARM]:
         OPTIMUM.solve(problem, goal, arm.home, arm.tolerance)
@@ -108,9 +108,9 @@ def proven(problem: Any, arm: Arm, goals: Goals, most: float) -> Proofs:
 
 
 def ratio(method: Method, problem: Any, arm: Arm, goals: Goals, proofs: Proofs) -> tuple[float | None, int]:
-    """Returns switches over the fewest there are, both from the same configurations, and over how many goals.
+    """Returns the ratio of switches to the proven minimum, from the same configurations, and the number of goals.
 
-    Only goals count whose optimum is proven and which the method brings within the tolerance: a miss costs nothing.
+    Only goals with a proven optimum that the method solves are counted.
     """
     number = min(len(proofs.fewest), method.most or len(proofs.fewest))
     trace = traced(method, problem, arm, goals[:number], proofs.previous)
@@ -123,7 +123,7 @@ def ratio(method: Method, problem: Any, arm: Arm, goals: Goals, proofs: Proofs) 
 
 
 def claimed(problem: product.Problem, arm: Arm, goals: Goals, proofs: Proofs) -> tuple[int, int, int]:
-    """Returns how often the product says that its answer is optimal, how often the proof agrees, and how often not."""
+    """Returns the numbers of answers that the product claims to be optimal: all, confirmed, and refuted."""
     claims = agrees = contradicts = 0
     for goal, before, fewest in zip(goals, proofs.previous, proofs.fewest, strict=False):
         solution = product.solution(problem, goal, before, arm.tolerance)

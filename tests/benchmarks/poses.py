@@ -1,4 +1,4 @@
-"""Goals with orientation: what each method finds for poses of random configurations. python -m tests.benchmarks.poses
+"""Goals with orientation: results of each method for poses of random configurations. python -m tests.benchmarks.poses
 
 Each goal is asked for from the configuration reached for the one before. Fewest switches are held to what the same
 search proves when it is given more time, from the same configurations. With --busy deadlines and times are those of the
@@ -51,7 +51,7 @@ EXPERIMENTS = (
 
 
 def traced(solve: Solve, goals: NDArray[np.float64], home: Configuration) -> tuple[list[Configuration], list[Solution]]:
-    """Returns where each goal was asked for from, and what was found."""
+    """Returns the start and the solution of each goal."""
     for goal in goals[:WARM]:
         solve(goal, home)
     before, found = [home], list[Solution]()
@@ -62,7 +62,7 @@ def traced(solve: Solve, goals: NDArray[np.float64], home: Configuration) -> tup
 
 
 def oriented(arm: Arm, solver: Solver, tolerance: float, turn: float) -> Solve:
-    """Returns IPOP on densities with orientation; its time is that of Python, of no meaning."""
+    """Returns IPOP on densities with orientation; it runs in Python, so its time is not comparable."""
     problem = oriented_ipop.prepare(arm.manipulator, solver.densities, ORIENTED_PIXELS, tolerance / turn)
     to_base = inverse(arm.manipulator.base)
 
@@ -121,7 +121,7 @@ def proven(
     before: list[Configuration],
     found: list[Solution],
 ) -> str:
-    """Returns what the fewest switches come to where they are proven, beside those found."""
+    """Compares the found switches with the proven minimum."""
     own = least = known = 0
     for goal, previous, solution in zip(goals, before, found, strict=True):
         proof = solver.solve(goal, previous, tolerance, deadline=PROVING, angle_tolerance=turn)

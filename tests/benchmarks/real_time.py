@@ -1,4 +1,4 @@
-"""How late the executor's ticks are while the planner works and others burn the processors.
+"""Lateness of the executor's ticks while the planner works and other processes load all processors.
 
 python -m tests.benchmarks.real_time [--seconds N] [--json PATH]
 
@@ -35,7 +35,7 @@ HEARTBEAT = 0.1  # [s] of the master, as in the arm's file
 
 
 def main() -> None:
-    """Measures, prints, writes."""
+    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--json", type=Path)
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def load(session: zenoh.Session, name: str, seconds: float) -> dict[str, int]:
-    """Sends set-points and goals in turn, for so long; returns how many."""
+    """Sends set-points and goals in turn for a time [s]; returns their numbers."""
     began, k, sent = time.monotonic(), 0, {"setpoint": 0, "goal": 0}
     while (t := time.monotonic() - began) < seconds:
         key = "setpoint" if t % (2 * TURN) < TURN else "goal"
@@ -98,7 +98,7 @@ def place(turn: float) -> tuple[float, float]:
 
 @contextmanager
 def asking(parts: Parts) -> Iterator[None]:
-    """Asks what a curve would take, again and again, while the context lasts."""
+    """Requests the plan of a curve repeatedly inside the context."""
     over, client = threading.Event(), Client(parts.session(), parts.name)
 
     def ask() -> None:
@@ -119,14 +119,14 @@ def asking(parts: Parts) -> Iterator[None]:
 
 
 def burn() -> None:
-    """Takes all the time a processor gives."""
+    """Uses all the time of a processor."""
     while True:
         pass
 
 
 @contextmanager
 def burning() -> Iterator[None]:
-    """Has a process burn each processor while the context lasts."""
+    """Loads each processor with a process inside the context."""
     spawning = multiprocessing.get_context("spawn")
     burners = [spawning.Process(target=burn, daemon=True) for _ in range(os.cpu_count() or 1)]
     for burner in burners:

@@ -36,7 +36,7 @@ PROOF_SECONDS, PROOF_SHARE = 25.0, 0.08  # for all proofs of one set: at most, a
 
 @dataclass(frozen=True)
 class Row:
-    """What was measured of one method on one set; times in seconds, memory in bytes."""
+    """Measurements of one method on one set; times in seconds, memory in bytes."""
 
     method: str
     goals: int
@@ -76,7 +76,7 @@ def measured(method: Method, arm: Arm, goals: Goals, proofs: Proofs) -> Row:
 
 
 def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[Row], dict[str, int]]:
-    """Measures all methods on a set; returns the rows, and how much of it is proven."""
+    """Measures all methods on a set; returns the rows and the number of proven goals."""
     draw, most = SETS[name]
     goals = draw(arm.manipulator, arm.densities, arm.tolerance, min(number, most))
     problem, seconds, _ = prepared(OPTIMUM, arm)
@@ -124,7 +124,7 @@ def table(name: str, rows: list[Row], proofs: dict[str, int]) -> Table:
 
 
 def main() -> None:
-    """Measures, prints the tables, and writes figures and plot if asked to."""
+    """Measures, prints the tables, and writes figures and plot if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--goals", type=int, default=1_000, help="at most so many of each set")
     parser.add_argument("--set", choices=SETS, help="this set alone, without the growth with the number of modules")

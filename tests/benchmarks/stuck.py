@@ -1,4 +1,4 @@
-"""What stuck actuators leave of the paper's arm: python -m tests.benchmarks.stuck [--goals N] [--draws N].
+"""Reach and switches of the paper's arm with stuck actuators: python -m tests.benchmarks.stuck [--goals N] [--draws N].
 
 For every number of stuck actuators, that many are drawn some times, each stuck in a random state, and the densities of
 the arm that is left are mapped. The goals are tips of random configurations of the whole arm, the same for all, each
@@ -46,7 +46,7 @@ class Row:
 
 
 def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> LockedStates:
-    """Returns so many random actuators held in the states of a random configuration."""
+    """Returns random actuators locked in the states of a random configuration."""
     held = none_locked(manipulator)
     chosen = rng.choice(len(held), stuck, replace=False)
     held[chosen] = manipulator.actuator_states(rng.integers(0, manipulator.states))[chosen]
@@ -79,7 +79,7 @@ def searched(
 
 
 def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], edge: NDArray[np.float64], draws: int) -> Row:
-    """Measures an arm with so many stuck actuators."""
+    """Measures an arm with a number of stuck actuators."""
     rng = np.random.default_rng(stuck)
     each = [searched(arm, drawn(arm.manipulator, stuck, rng), goals, edge) for _ in range(draws if stuck else 1)]
     found, mapping, on_edge = zip(*each, strict=True)

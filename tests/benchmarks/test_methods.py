@@ -1,4 +1,4 @@
-"""What the comparison rests on: that the proof is one, that methods keep to the arm, and that the two papers' hold."""
+"""Foundations of the comparison: the proof is correct, and each method returns valid configurations."""
 
 from itertools import product
 

@@ -1,7 +1,7 @@
-"""Whole trajectories of the paper's arm: switches, and what is proven of them: python -m tests.benchmarks.trajectories
+"""Whole trajectories of the paper's arm: switches and proven bounds: python -m tests.benchmarks.trajectories
 
-Random curves with 30 waypoints, each from where the arm stands. Beside the search over the whole trajectory, in the
-same run: the cheapest configuration for each waypoint (greedy), and the look-ahead of a running goal.
+Random curves with 30 waypoints, each from the arm's present configuration. In the same run: the search over the whole
+trajectory, the cheapest configuration for each waypoint (greedy), and the look-ahead of a running goal.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDAr
 
 
 def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
-    """Returns what the look-ahead of a running goal chooses with time enough, see greedy."""
+    """Returns the configurations of the look-ahead of a running goal with enough time, see greedy."""
     search = LookAhead(solver, start, trajectory)
     for _ in trajectory.times:
         search.extend()

@@ -1,7 +1,7 @@
 """An empty loop of the executor's period, under the same scheduling.
 
 python -m tests.benchmarks.chain.bare RECORDS real-time|ordinary. RECORDS is a folder: bare.npz has a row for each turn.
-It waits as the executor does; what it is late by is the machine's and Python's, not the executor's.
+It waits in the same way as the executor. Its lateness is caused by the machine and by Python, not by the executor.
 """
 
 import gc

@@ -1,4 +1,4 @@
-"""The boards of an arm on an emulated bus, in a process of their own with one thread.
+"""The boards of an arm on an emulated bus, in a separate process with one thread.
 
 python -m tests.benchmarks.chain.boards RECORDS FOLDER ARM.yaml. FOLDER is the channel of the emulated interface.
 RECORDS is a folder: syncs.npz and beats.npz have a row for each SYNC and each heartbeat of the master, when the

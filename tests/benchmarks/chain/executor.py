@@ -1,4 +1,4 @@
-"""The executor as it ships, in a process that also keeps when its ticks and modes were.
+"""The unmodified executor, in a process that also records the times of its ticks and modes.
 
 python -m tests.benchmarks.chain.executor RECORDS ARM.yaml --socket PATH [--simulate]. The interface "virtual" of the
 arm's file is the emulated one. RECORDS is a folder: ticks.npz has a row for each tick, halts.npz one for each halt,
@@ -22,7 +22,7 @@ from tests.benchmarks.chain.records import Record
 
 
 def note_ticks(record: Record) -> None:
-    """Keeps when each tick began, how late that was, and how long it took [s]."""
+    """Records begin, lateness and duration of each tick [s]."""
     ticked, note = Timekeeper.ticked, record.note
 
     def noting(keeper: Timekeeper, began: float, ended: float) -> None:
@@ -33,7 +33,7 @@ def note_ticks(record: Record) -> None:
 
 
 def note_halts(record: Record) -> None:
-    """Keeps when the mode "stopped" was entered [s]."""
+    """Records the times at which the mode "stopped" began [s]."""
     enter = Modes.enter
 
     def noting(modes: Modes, mode: str, reason: str) -> None:
@@ -45,7 +45,7 @@ def note_halts(record: Record) -> None:
 
 
 def note_programs(record: Record) -> None:
-    """Keeps when each program was read [s]."""
+    """Records the time at which each program was read [s]."""
     take = Requests._take_program
 
     def noting(requests: Requests, message: Program, now: float) -> None:

@@ -1,4 +1,4 @@
-"""`hyperbit run` as it ships, in a process that also keeps when goals came, were searched and were sent on.
+"""The unmodified `hyperbit run`, in a process that also records the times of goals, searches and programs.
 
 python -m tests.benchmarks.chain.planner RECORDS ARM.yaml --socket PATH --listen ENDPOINT --ledger PATH. RECORDS is a
 folder: goals.npz has a row for each goal that came in, services.npz one for its planning, solves.npz one for each
@@ -22,7 +22,7 @@ from tests.system.nursery import run
 
 
 def timed(owner: type, name: str, record: Record, takes: Callable[..., bool] = lambda *_: True) -> None:
-    """Keeps begin and end of the calls of a method [s]."""
+    """Records begin and end of the calls of a method [s]."""
     method = getattr(owner, name)
 
     def timing(self: object, *arguments: Any, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Rows of numbers that a process keeps while it runs and writes when it ends: no I/O while times are measured."""
+"""Rows of numbers that a process collects and writes at its end, so that no I/O disturbs the measurement."""
 
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +13,7 @@ class Record:
     """Rows of numbers, written to a file at the end of the context; those beyond `MOST` are dropped.
 
     Args:
-        path: of the file; None: nothing is kept.
+        path: path of the file; None: nothing is recorded.
         columns: names of the numbers of each row.
     """
 
@@ -23,7 +23,7 @@ class Record:
         self._count = 0
 
     def note(self, *row: float) -> None:
-        """Keeps a row."""
+        """Records a row."""
         if self._count < len(self._rows):
             self._rows[self._count] = row
             self._count += 1

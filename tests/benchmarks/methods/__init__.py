@@ -1,5 +1,5 @@
-"""What is compared. A method is a file with `prepare(manipulator, densities, ...)`, which returns its problem (tables),
-and `solve(problem, goal, previous, tolerance)`, which returns a configuration.
+"""The compared methods. A method is a file with `prepare(manipulator, densities, ...)`, which returns its problem
+(tables), and `solve(problem, goal, previous, tolerance)`, which returns a configuration.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ class Method:
     Attributes:
         name: in tables and plots.
         prepare: builds the tables.
-        solve: takes a goal.
-        most: goals that it is measured on, the first of a set; where it is slow.
+        solve: solves a goal.
+        most: number of goals for a slow method, the first of a set; None: all.
         mapped: whether the densities are among its tables.
     """
 
@@ -62,7 +62,7 @@ METHODS = (
 
 
 def annealed(name: str, seconds: float, first: bool = False) -> Method:
-    """Returns annealing that takes so long for a goal, or ends with the first configuration within the tolerance."""
+    """Returns annealing with a time for each goal [s], or one that ends with the first solution."""
     return Method(name, partial(annealing.prepare, seconds=seconds, first=first), annealing.solve)
 
 

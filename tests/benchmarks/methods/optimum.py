@@ -1,4 +1,4 @@
-"""The fewest switches there are, proven by tests.benchmarks.proof, as a method to compare with."""
+"""The proven minimum of switches by tests.benchmarks.proof, as a reference method."""
 
 import numpy as np
 

@@ -29,5 +29,5 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 
 def solution(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Solution:
-    """Returns all that the solver says, for what it claims to have proven."""
+    """Returns the solver's whole solution, with its certificate."""
     return problem.solver.solve(goal, previous, tolerance, problem.method, problem.deadline)
