@@ -30,7 +30,7 @@ from controller.panel.shield import Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
 MOST_PAGES = 100
-NOBODY, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
+NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
 class Panel:
@@ -176,7 +176,7 @@ class Panel:
         person, name = self._person(socket), socket.path_params.get("name")
         await socket.accept()
         if person is None:
-            await socket.close(NOBODY, "log in first")
+            await socket.close(NO_LOGIN, "log in first")
             return
         page = Page(person)
         view = self.arms.open(page, name) if self._pages < MOST_PAGES and (name is None or valid(name)) else None

@@ -75,7 +75,7 @@ class Control:
         """Returns why a page may not command; None: the page has control now."""
         if self._holder is not None and self._holder.person.name != page.person.name:
             return f"{self._holder.person.name} has control: take it first"
-        if self._holder is not page:  # nobody had control, or another page of the same person
+        if self._holder is not page:  # control was free, or another page of the same person had it
             self.take(page)
         return None
 

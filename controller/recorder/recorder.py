@@ -142,7 +142,7 @@ class Recorder:
             "file_sha256": str(file.get("sha256", "")),
         }
 
-        def tell(recording: Recording) -> None:
+        def add_description(recording: Recording) -> None:
             recording.add_metadata("hyperbit", values)
             if file:
                 recording.attach(file["name"], "application/yaml", file["text"].encode(), at)
@@ -153,7 +153,7 @@ class Recorder:
             self._open(at)  # a recording begins with the description
             return
         recording = self._recording
-        self._attempt(lambda: tell(recording))
+        self._attempt(lambda: add_description(recording))
         self._write("arm", "arm", self._description, at, at)
 
     def _draw(self) -> None:

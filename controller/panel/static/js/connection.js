@@ -1,7 +1,7 @@
 // The WebSocket of a page: receives sections, sends requests, and reconnects automatically.
 
 const SILENT_AFTER = 1.5; // [s] without a state until values count as old
-const NOBODY = 4401; // the server's code: log in first
+const NO_LOGIN = 4401; // close code of the server: log in first
 
 export class Connection {
   constructor(path, { onLogin }) {
@@ -15,6 +15,7 @@ export class Connection {
     this.serverAt = performance.now();
     this.pause = 250;
     this.connect();
+    addEventListener("pagehide", () => this.socket.close()); // the browser may keep the page: it gives control up
   }
 
   connect() {
@@ -28,7 +29,7 @@ export class Connection {
     this.socket.onclose = (event) => {
       for (const answer of this.waiting.values()) answer({ accepted: false, message: "the connection was lost" });
       this.waiting.clear();
-      if (event.code === NOBODY) this.onLogin();
+      if (event.code === NO_LOGIN) this.onLogin();
       else setTimeout(() => this.connect(), (this.pause = Math.min(this.pause * 2, 5000)));
     };
   }

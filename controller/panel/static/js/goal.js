@@ -26,7 +26,9 @@ export function showGoal(connection, editor, notify) {
   );
   let arm = null;
   let sent = null; // the goal that Go sent, until it has ended
+  let about = ""; // the goal that the message is about
   const say = (text, fine) => {
+    about = JSON.stringify(editor.goal);
     message.textContent = text;
     message.classList.toggle("bad", !fine);
   };
@@ -42,14 +44,17 @@ export function showGoal(connection, editor, notify) {
     go.disabled = editor.goal === null;
     sent = answer.accepted ? { id: answer.id, goal } : null;
     say(answer.message, answer.accepted);
+    showResult(connection.latest.goals ?? { goals: [] }); // it may have come before this answer
   });
-  connection.on("goals", ({ goals }) => {
+  connection.on("goals", showResult);
+
+  function showResult({ goals }) {
     const entry = goals.find(({ id }) => id === sent?.id);
     if (!entry || entry.status === "running") return;
     say(`${entry.status}: ${entry.message ?? ""}`, entry.status === "succeeded");
     if (entry.status === "succeeded" && JSON.stringify(editor.goal) === sent.goal) editor.clear();
     sent = null;
-  });
+  }
   connection.on("state", (state) => {
     const moved = editor.plan !== null && state.configuration !== editor.plannedFrom;
     if (state.mode === "ready" && moved && editor.file === null) editor.ask(); // the plan began at another configuration
@@ -68,6 +73,7 @@ export function showGoal(connection, editor, notify) {
   function describe() {
     if (arm === null) return;
     go.disabled = editor.goal === null || document.body.classList.contains("viewer");
+    if (editor.goal !== null && JSON.stringify(editor.goal) !== about) message.textContent = "";
     if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
     fill(words, ...planInWords(editor));
   }
