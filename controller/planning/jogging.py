@@ -6,10 +6,11 @@ from collections.abc import Callable
 import numpy as np
 
 from controller.config import Arm
+from controller.manipulator.locked import STATES
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.jog import STATES, decode
 from controller.motion.pacing import pace_of
 from controller.motion.program import in_groups, pack_states
+from controller.motion.requests import decode_jog
 from controller.planning.arm_state import ArmState
 from controller.planning.keep_out import KeepOut
 from controller.planning.messages import Reply, done
@@ -39,7 +40,7 @@ class Jogging:
         Raises:
             Refusal: the request is malformed.
         """
-        return decode(payload, self._manipulator.actuators)
+        return decode_jog(payload, self._manipulator.actuators)
 
     def maker(self, wanted: Switches, reply: Reply) -> Callable[[ArmState, int, int], RunningGoal]:
         """Returns a function that makes the program of a request from the arm's state, a number and an epoch.

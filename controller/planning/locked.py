@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.locked import STATES, LockedStates, lock_actuators
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.degrade import DegradeMessage
+from controller.motion.requests import DegradeMessage
 from controller.planning.arm_state import ArmState, Measured
 from controller.program import Fault
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.manipulator.locked import LockedStates, lock_actuators
-from controller.motion import degrade, obstacles
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED, Refusal
 from controller.motion.pacing import pace_of
+from controller.motion.requests import decode_degrade, decode_obstacles
 from controller.planning.admission import Admission, Receive
 from controller.planning.clearance_worker import ClearanceWorker, RemainingCheck
 from controller.planning.description import density, description, drawing, file
@@ -172,14 +172,14 @@ class Planning:
     def degrade(self, payload: bytes, reply: Reply) -> None:
         """Locks or unlocks an actuator."""
         try:
-            self._requests.lock(degrade.decode(payload), reply)
+            self._requests.lock(decode_degrade(payload), reply)
         except Refusal as refusal:
             reply(refused(refusal.code, str(refusal)))
 
     def obstacles(self, payload: bytes, reply: Reply) -> None:
         """Replaces the obstacles that were sent before; nothing moves."""
         try:
-            sent = obstacles.decode(payload, self._arm.manipulator.dimension)
+            sent = decode_obstacles(payload, self._arm.manipulator.dimension)
         except Refusal as refusal:
             reply(refused(refusal.code, str(refusal)))
             return

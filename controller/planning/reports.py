@@ -5,10 +5,10 @@ from typing import Protocol
 
 import numpy as np
 
+from controller.manipulator.locked import STATES
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import pose
 from controller.motion import codes
-from controller.motion.jog import STATES
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import Measured, States
 from controller.planning.context import GoalContext, encode_context

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from controller.motion.codes import INVALID_GOAL
-from controller.motion.degrade import DegradeMessage
+from controller.motion.requests import DegradeMessage
 from controller.planning.admission import Admission
 from controller.planning.connection import NotConnected
 from controller.planning.goals import RunningGoals

@@ -16,7 +16,7 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion import bias, degrade, goal, jog, obstacles, setpoint
+from controller.motion import bias, goal, requests, setpoint
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.pacing import Pace
 from controller.obstacles.notation import MOST
@@ -56,7 +56,7 @@ def read_goal(data: bytes) -> int:
 def read_jog(data: bytes) -> int:
     """Actuators that are to be switched."""
     try:
-        it = jog.decode(data, LABELS)
+        it = requests.decode_jog(data, LABELS)
     except Refusal as error:
         told(str(error))
         return 1
@@ -81,7 +81,7 @@ def read_setpoint(data: bytes) -> int:
 def read_degrade(data: bytes) -> int:
     """A request to hold an actuator."""
     try:
-        it = degrade.decode(data)
+        it = requests.decode_degrade(data)
     except Refusal as error:
         told(str(error))
         return 1
@@ -108,7 +108,7 @@ def read_obstacles(data: bytes) -> int:
     """Regions to keep a planar arm out of, and one in space."""
     for dimension in (2, 3):
         try:
-            it = obstacles.decode(data, dimension)
+            it = requests.decode_obstacles(data, dimension)
         except Refusal as error:
             told(str(error))
             continue

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
-from controller.motion.degrade import decode
+from controller.motion.requests import decode_degrade
 from tests.motion.requests import scalars, unreadable
 
 anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)
@@ -29,15 +29,15 @@ anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalar
 )
 def test_what_is_wrong_with_a_request_is_named_by_field(payload: bytes, named: str) -> None:
     with pytest.raises(Refusal) as refused:
-        decode(payload)
+        decode_degrade(payload)
     assert str(refused.value).startswith(named)
 
 
 @given(st.binary(max_size=60) | anything.map(lambda value: json.dumps(value).encode()))
 def test_whatever_bytes_come_are_a_request_or_refused(payload: bytes) -> None:
     try:
-        wish = decode(payload)
+        request = decode_degrade(payload)
     except Refusal:
         return
-    assert isinstance(wish.actuator, str)
-    assert wish.state in (0, 1, None)
+    assert isinstance(request.actuator, str)
+    assert request.state in (0, 1, None)

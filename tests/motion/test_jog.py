@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
-from controller.motion.jog import decode
+from controller.motion.requests import decode_jog
 from tests.motion.requests import scalars, unreadable
 
 LABELS = ("1.left", "1.right", "2.left")
@@ -31,19 +31,19 @@ anything = st.dictionaries(words, scalars | st.dictionaries(st.sampled_from(LABE
 )
 def test_an_invalid_request_is_refused_by_field(payload: bytes, named: str) -> None:
     with pytest.raises(Refusal) as refused:
-        decode(payload, LABELS)
+        decode_jog(payload, LABELS)
     assert str(refused.value).startswith(named)
 
 
 def test_states_are_given_by_the_index_of_the_actuator() -> None:
     payload = b'{"actuators": {"2.left": "extended", "1.left": "contracted"}}'
-    assert decode(payload, LABELS) == {2: 1, 0: 0}
+    assert decode_jog(payload, LABELS) == {2: 1, 0: 0}
 
 
 @given(st.binary(max_size=60) | anything.map(lambda value: json.dumps(value).encode()))
 def test_any_bytes_are_a_request_or_refused(payload: bytes) -> None:
     try:
-        states = decode(payload, LABELS)
+        states = decode_jog(payload, LABELS)
     except Refusal:
         return
     assert states

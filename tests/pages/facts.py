@@ -10,7 +10,7 @@ import msgspec
 
 import hyperbit
 from controller import cli, settings
-from controller.motion import bias, codes, degrade, goal, jog, obstacles, setpoint
+from controller.motion import bias, codes, goal, requests, setpoint
 from controller.program.parts import Mode
 from drivers.simulation.variants import VARIANTS
 from tests.pages.page import ROOT
@@ -19,7 +19,7 @@ from tests.pages.payloads import payloads
 
 def structs() -> Iterator[type[msgspec.Struct]]:
     """Returns the structs of the arm's file and of payloads."""
-    for module in (settings, goal, jog, degrade, obstacles, setpoint, bias):
+    for module in (settings, goal, requests, setpoint, bias):
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, msgspec.Struct) and value.__module__ == module.__name__:
                 yield value
