@@ -9,10 +9,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
+from PIL import Image
 
 from controller.panel.access import digest_of
 from tests import waiting
@@ -39,19 +41,24 @@ def eventually(what: Callable[[], T], told: Callable[[], str] = lambda: "") -> T
 
 
 class World:
-    """The arms `flat`, in the plane, and `mixed`, in space, and the panel that shows both."""
+    """The arms `flat`, in the plane, and `mixed`, in space, and the panel that shows both.
+
+    Attributes:
+        planners: process of each arm.
+        endpoints: Zenoh endpoint of each arm.
+        url: of the panel.
+    """
 
     def __init__(self, folder: Path, closing: ExitStack) -> None:
         self.planners: dict[str, subprocess.Popen[str]] = {}
-        endpoints = []
+        self.endpoints: dict[str, str] = {}
+        self._folder, self._closing = folder, closing
         for kind, name in (("planar", "flat"), ("mixed", "mixed")):
-            own = folder / name
-            own.mkdir()
+            own = self.folder(name)
             arms.write(own, kind, name, {"channel": "can0"}, {})
-            with socket.create_server(("127.0.0.1", 0)) as free:
-                endpoints.append(f"tcp/127.0.0.1:{free.getsockname()[1]}")
-            command = ["run", str(own / "arm.yaml"), "--simulate", "--listen", endpoints[-1]]
-            self.planners[name] = started(command, own, closing)
+            self.endpoints[name] = free_endpoint()
+            command = ["run", str(own / "arm.yaml"), "--simulate", "--listen", self.endpoints[name]]
+            self.planners[name] = self.start(command, own)
         people = [
             f"{{name: {name}, role: {role}, token: {digest_of(token)}}}"
             for name, role, token in (
@@ -61,12 +68,32 @@ class World:
             )
         ]
         (folder / "people.yaml").write_text(f"people: [{', '.join(people)}]\n")
-        words = ["panel", "--listen", "127.0.0.1:0", "--people", str(folder / "people.yaml")]
-        words += [word for endpoint in endpoints for word in ("--connect", endpoint)]
-        self.panel = started(words, folder, closing)
-        log = folder / "log"
-        line = eventually(lambda: [x for x in log.read_text().splitlines() if x.startswith("hyperbit panel, ")])[0]
-        self.url = line.removeprefix("hyperbit panel, ").rstrip("/")
+        self.url = self.panel("panel", *self.endpoints.values())
+
+    def folder(self, name: str) -> Path:
+        """Makes a folder."""
+        folder = self._folder / name
+        folder.mkdir()
+        return folder
+
+    def start(self, words: list[str], folder: Path) -> subprocess.Popen[str]:
+        """Runs a command of hyperbit until the tests end; its log is in the folder."""
+        return started(words, folder, self._closing)
+
+    def panel(self, name: str, *endpoints: str, prefix: str = "hyperbit") -> str:
+        """Runs a panel of these people; returns its address."""
+        folder = self.folder(name)
+        words = ["panel", "--listen", "127.0.0.1:0", "--people", str(self._folder / "people.yaml"), "--prefix", prefix]
+        self.start([*words, *(word for endpoint in endpoints for word in ("--connect", endpoint))], folder)
+        begin = "hyperbit panel, "
+        line = eventually(lambda: [x for x in (folder / "log").read_text().splitlines() if x.startswith(begin)])[0]
+        return line.removeprefix(begin).rstrip("/")
+
+
+def free_endpoint() -> str:
+    """A Zenoh endpoint that nobody listens at."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
 def started(words: list[str], folder: Path, closing: ExitStack) -> subprocess.Popen[str]:
@@ -152,13 +179,17 @@ class Shown:
 
     def press(self, css: str) -> None:
         """Clicks on an element."""
-        from selenium.common.exceptions import StaleElementReferenceException
+        from selenium.common import exceptions
 
         def pressed() -> bool:
             try:
                 self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
                 self.one(css).click()
-            except StaleElementReferenceException:  # the page drew it anew meanwhile
+            except (
+                exceptions.StaleElementReferenceException,  # the page drew it anew meanwhile
+                exceptions.ElementNotInteractableException,  # it is not shown yet
+                exceptions.ElementClickInterceptedException,  # a notice is before it
+            ):
                 return False
             return True
 
@@ -170,6 +201,12 @@ class Shown:
 
         self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
         ActionChains(self.driver).click_and_hold(self.one(css)).pause(seconds).release().perform()
+
+    def picture(self, name: str) -> None:
+        """Keeps a picture of what is shown, in the folder that PICTURES names, if it does."""
+        if folder := os.environ.get("PICTURES"):
+            shown = Image.open(BytesIO(self.driver.get_screenshot_as_png())).convert("RGB")
+            shown.quantize(256, dither=Image.Dither.NONE).save(Path(folder) / name, optimize=True)
 
     def ready(self) -> None:
         """Waits until the arm is shown and ready, after a stop or a fault of a test before, too."""

@@ -73,9 +73,11 @@ def test_a_goal_is_planned_by_a_click_and_reached_by_go(page: Page) -> None:
     type_goal(shown, 0.55, 2.9)
     shown.says("#goal .plan", "switches", "stage")
     eventually(lambda: shown.run(DRAWN, PLANNED) > 100)
+    shown.picture("panel.png")
     shown.press("#go")
     eventually(lambda: shown.text("#goals li") != before)
     assert "succeeded" in finished(shown)
+    shown.says("#goal .message", "succeeded")
     shown.says("#log", "anna asked for goal", "reached")
     shown.says("#wear", "switches in all")
 
@@ -197,6 +199,7 @@ def test_a_phone_has_all_of_it(page: Page) -> None:
     assert box["left"] >= 0
     assert box["right"] <= 360
     assert box["bottom"] <= 740
+    shown.picture("panel-phone.png")
     shown.run("window.scrollTo(0, document.body.scrollHeight)")
     assert shown.run("return document.elementFromPoint(180, 715).id") == "stop"
     assert shown.text("#name") == "flat"
@@ -238,5 +241,5 @@ def test_who_has_no_token_is_asked_for_one(page: Page, driver: object, world: Wo
     shown.says(".message", "nobody's")
     field.clear()
     field.send_keys(VIEWER, Keys.ENTER)
-    shown.says("#mode", "ready")
+    shown.says("#control", "You are hall, viewer")
     shown.driver.get_log("browser")  # the browser notes the refusal itself
