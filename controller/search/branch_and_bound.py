@@ -3,9 +3,11 @@
 A node fixes the modules up to a level; what it costs at least is its own cost plus the map's value of the goal, seen
 from its frame. The tree is searched in depth, up to a threshold that rises from one proven bound to the next (Korf
 1985, "Depth-first iterative-deepening: an optimal admissible tree search"): each threshold that is searched whole is a
-lower bound. For planar arms; the maps know positions only, so orientations are decided at the leaves.
+lower bound. For planar arms. Poses have two lower bounds, the cost to go of the position and that of the heading; the
+greater counts.
 """
 
+import math
 import time
 from typing import NamedTuple
 
@@ -18,7 +20,8 @@ from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.frame_rows import F1, F2, I1, motions, named
 from controller.search.solution import EPSILON, Incumbent
 from controller.search.target import QUERY, Query, Target, reaches, search_radius
-from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps
+from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
+from controller.workspace.heading_to_go import BINS, HEADINGS, PART_BITS, Headings, HeadingToGo, parts
 from controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
@@ -49,6 +52,7 @@ class Walk(NamedTuple):
 
     Attributes:
         points: the goal seen from the frame of each level's node, shape (B + 1, 2).
+        headings: of the goal seen from there, in parts of the circle, shape (B + 1,).
         prices: cost of each level's node, shape (B + 1,).
         tried: number of its children that were tried, shape (B + 1,).
         configuration: of the current path, or found, shape (B,).
@@ -57,6 +61,7 @@ class Walk(NamedTuple):
     """
 
     points: Array
+    headings: Integers
     prices: Array
     tried: Integers
     configuration: Integers
@@ -65,7 +70,7 @@ class Walk(NamedTuple):
 
 
 TREE = named(Tree, F2, I1, I1, F2)
-WALK = named(Walk, F2, F1, I1, I1, I1, F1)
+WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1)
 
 
 class BranchAndBound:
@@ -78,7 +83,7 @@ class BranchAndBound:
 
     def __init__(self, manipulator: Manipulator, hull: Hull) -> None:
         self._m, self._motions = manipulator, motions(manipulator)
-        self.maps = CostToGo(manipulator, hull.boxes)
+        self.maps, self._to_turn = CostToGo(manipulator, hull.boxes), HeadingToGo(manipulator)
         self._walk: Walk | None = None
         self._map_time = 0.0
 
@@ -111,12 +116,14 @@ class BranchAndBound:
         m, maps = self._m, self.maps.maps(costs, target.radius)
         padded = np.where(np.arange(costs.shape[1]) < m.states[:, None], costs, np.inf)
         tree = Tree(self._motions, m.states, np.argsort(padded, axis=1, kind="stable").ravel(), costs)
+        angle = 2 * math.asin(math.sqrt(target.chord) / 2) if target.oriented and target.chord < 4 else math.inf
+        headings = self._to_turn.headings(in_levels(costs)[1], UNREACHABLE, angle)
         if self._walk is None:
-            self._walk = start(target.position, seed, incumbent.bound)
+            self._walk = start(target, seed, incumbent.bound)
         walk = self._walk
         while not incumbent.proven and time.perf_counter() < until:
             walk.bounds[2] = incumbent.cost
-            if search(tree, maps, target.query, target.scene, walk, AT_ONCE):
+            if search(tree, maps, headings, target.query, target.scene, walk, AT_ONCE):
                 configuration = walk.configuration.copy()
                 incumbent.offer(configuration, float(walk.prices[-1]), target.square(m.tip(configuration)))
             elif walk.level[0] < 0:
@@ -126,28 +133,32 @@ class BranchAndBound:
                 walk.level[0] = walk.tried[0] = 0
 
 
-def start(position: Array, seed: Configuration, bound: float) -> Walk:
-    """Returns the beginning of a walk: position (3,) in frame F_0, seed (B,), first threshold."""
+def start(target: Target, seed: Configuration, bound: float) -> Walk:
+    """Returns the beginning of a walk: goal, seed (B,), first threshold."""
     levels = len(seed) + 1
-    points = np.zeros((levels, 2))
-    points[0] = position[:2]
+    points, headings = np.zeros((levels, 2)), np.zeros(levels, dtype=np.int64)
+    points[0] = target.position[:2]
+    headings[0] = parts(target.rotation[1, 0], target.rotation[0, 0])
     tried, level = np.zeros(levels, dtype=np.int64), np.zeros(1, dtype=np.int64)
-    return Walk(points, np.zeros(levels), tried, seed.copy(), level, np.array((bound, np.inf, np.inf)))
+    return Walk(points, headings, np.zeros(levels), tried, seed.copy(), level, np.array((bound, np.inf, np.inf)))
 
 
 @njit(
-    for_scenes(lambda scene: boolean(TREE, MAPS, QUERY, scene, WALK, int64)),
+    for_scenes(lambda scene: boolean(TREE, MAPS, HEADINGS, QUERY, scene, WALK, int64)),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def search(tree: Tree, maps: Maps, query: Query, scene: Scene | None, walk: Walk, nodes: int) -> bool:
+def search(
+    tree: Tree, maps: Maps, to_turn: Headings, query: Query, scene: Scene | None, walk: Walk, nodes: int
+) -> bool:
     """Walks the tree for so many nodes; returns whether a better configuration was found.
 
     Its cost is then that of the last level. The walk goes on from there.
     """
     motions, states, ranked, costs = tree
-    points, prices, tried, configuration, at, bounds = walk
+    points, headings, prices, tried, configuration, at, bounds = walk
+    turns, oriented, per = to_turn.turns, len(to_turn.values) > 0, 1.0 / maps.pixels
     count, most, level, above = len(states), costs.shape[1], at[0], bounds[1]
     threshold, ceiling = bounds[0] * (1 + EPSILON), bounds[2] * (1 - EPSILON)
     while level >= 0:
@@ -163,12 +174,19 @@ def search(tree: Tree, maps: Maps, query: Query, scene: Scene | None, walk: Walk
             level -= 1
             continue
         tried[level] = turn + 1
-        row, child = level * most + j, level + 1
+        row, child, heading = level * most + j, level + 1, 0
+        if oriented:
+            heading = headings[level] - turns[row]
+            value = to_turn.values[child, (heading >> PART_BITS) & (BINS - 1)]
+            if price + maps.unit * value > threshold:
+                if value < UNREACHABLE:
+                    above = min(above, price + maps.unit * value)
+                continue
         c, s = motions[row, 2], motions[row, 3]
         dx, dy = points[level, 0] - motions[row, 0], points[level, 1] - motions[row, 1]
         x, y = c * dx + s * dy, c * dy - s * dx
         if child >= maps.first:
-            u, v = (x - maps.corners[child, 0]) / maps.pixels[child], (y - maps.corners[child, 1]) / maps.pixels[child]
+            u, v = (x - maps.corners[child, 0]) * per[child], (y - maps.corners[child, 1]) * per[child]
             nx, ny = maps.shapes[child, 0], maps.shapes[child, 1]
             if not (0.0 <= u < nx and 0.0 <= v < ny):
                 continue
@@ -184,7 +202,7 @@ def search(tree: Tree, maps: Maps, query: Query, scene: Scene | None, walk: Walk
         nodes -= 1
         prices[child] = price
         if child < count:
-            points[child, 0], points[child, 1], tried[child] = x, y, 0
+            points[child, 0], points[child, 1], headings[child], tried[child] = x, y, heading, 0
             level = child
         else:
             for i in range(count):

@@ -98,13 +98,10 @@ class CostToGo:
             return
         self._key = None  # until it is done
         m, count = self._m, len(self._m.states)
-        positive = costs[costs > 0]
-        dearest = float(costs.max(axis=1).sum())
-        unit = max(float(positive.min()) / STEPS, dearest / (UNREACHABLE - 1)) if len(positive) else 1.0
+        unit, levels = in_levels(costs)
         if self._maps is None or self._maps.radius != radius:
             self._maps = self._layout(radius)
         self._maps = maps = self._maps._replace(unit=unit)
-        levels = (costs / unit + 1e-11).astype(np.int16)  # downwards, but for rounding
         for level in range(count, maps.first - 1, -1):
             map_level(maps, level, m.rotations, m.translations, m.states, levels, self._window)
             yield
@@ -132,6 +129,13 @@ class CostToGo:
         self._window = np.empty(int(sizes.max()), dtype=np.int16)
         corners = boxes[:, (0, 2)] - radius - BORDER * pixels[:, None]
         return Maps(self._first, 1.0, radius, values, offsets, shapes, np.ascontiguousarray(corners), pixels)
+
+
+def in_levels(costs: Array) -> tuple[float, Levels]:
+    """Returns the cost of one level, and costs (B, Kmax) in levels, rounded downwards."""
+    positive, dearest = costs[costs > 0], float(costs.max(axis=1).sum())
+    unit = max(float(positive.min()) / STEPS, dearest / (UNREACHABLE - 1)) if len(positive) else 1.0
+    return unit, (costs / unit + 1e-11).astype(np.int16)
 
 
 @njit("UniTuple(i8, 2)(f8, f8, i8, i8, i8)", cache=True, nogil=True, error_model="numpy")

@@ -1,0 +1,115 @@
+"""Cost to go of the heading: the least cost with which the modules above a level turn the tip to a heading.
+
+The recursion is that of the cost-to-go maps, on the circle. Headings are integers, so that sums of them are exact and
+wrap; a bin's value is a lower bound for all headings of the bin.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import int16, int64, njit, types
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Manipulator
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Levels = NDArray[np.int16]
+
+BINS = 1 << 12
+PART_BITS = 28  # of the parts of a bin, in which headings are counted
+PARTS = 1 << PART_BITS
+CIRCLE = BINS * PARTS
+
+
+class Headings(NamedTuple):
+    """Costs to go of the heading.
+
+    Attributes:
+        turns: of every module's states, in parts of the circle, shape (B * Kmax,).
+        values: levels of cost by level and bin, shape (B + 1, BINS); at least UNREACHABLE where no tip turns. Shape
+            (0, BINS) if any orientation will do.
+    """
+
+    turns: Integers
+    values: Levels
+
+
+HEADINGS = types.NamedTuple((int64[::1], int16[:, ::1]), Headings)  # type: ignore[no-untyped-call]
+
+
+def parts(sine: Array, cosine: Array) -> Integers:
+    """Returns headings in parts of the circle."""
+    return np.asarray(np.rint(np.arctan2(sine, cosine) * (CIRCLE / math.tau)), dtype=np.int64)
+
+
+class HeadingToGo:
+    """The costs to go of the heading of one planar arm, with their memory.
+
+    Args:
+        manipulator: the arm.
+    """
+
+    def __init__(self, manipulator: Manipulator) -> None:
+        self._states = manipulator.states
+        self._turns = parts(manipulator.rotations[:, :, 1, 0], manipulator.rotations[:, :, 0, 0])
+        self._values = np.empty((len(self._states) + 1, BINS), dtype=np.int16)
+        self._key: tuple[Levels, float] | None = None
+
+    def headings(self, levels: Levels, unreachable: int, angle: float) -> Headings:
+        """Returns the costs to go; those before lose meaning.
+
+        Args:
+            levels: costs of every module's states in levels, shape (B, Kmax).
+            unreachable: level of headings to which no tip turns.
+            angle: of the tip's heading from the goal's, at most [rad]; infinite if any orientation will do.
+        """
+        turns = self._turns.ravel()
+        if angle >= math.pi:
+            return Headings(turns, self._values[:0])
+        if self._key is None or self._key[1] != angle or not np.array_equal(self._key[0], levels):
+            # Each of the turns and the goal's heading are rounded by at most half a part.
+            near = int(angle * (CIRCLE / math.tau)) + len(self._states) + 4
+            write_headings(self._turns, self._states, levels, near, unreachable, self._values)
+            self._key = levels.copy(), angle
+        return Headings(turns, self._values)
+
+
+@njit(
+    types.void(int64[:, ::1], int64[::1], int16[:, ::1], int64, int64, int16[:, ::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def write_headings(
+    turns: Integers, states: Integers, levels: Levels, near: int, unreachable: int, values: Levels
+) -> None:
+    """Computes the costs to go from the tip to the base.
+
+    Args:
+        turns: of every module's states, in parts of the circle, shape (B, Kmax).
+        states: K_i, shape (B,).
+        levels: costs of every module's states in levels, shape (B, Kmax).
+        near: greatest difference of headings at the tip, in parts of the circle.
+        unreachable: level of headings to which no tip turns.
+        values: written, shape (B + 1, BINS).
+    """
+    count, nothing = len(states), np.int16(unreachable)
+    single, pair = np.empty(2 * BINS, dtype=np.int16), np.empty(2 * BINS, dtype=np.int16)
+    for k in range(BINS):
+        within = k * PARTS <= near or (k + 1) * PARTS > CIRCLE - near
+        values[count, k] = np.int16(0) if within else nothing
+    for level in range(count - 1, -1, -1):
+        above, own = values[level + 1], values[level]
+        for k in range(2 * BINS):  # twice round, so that no index wraps in the loop below
+            here, before = above[k & (BINS - 1)], above[(k - 1) & (BINS - 1)]
+            single[k], pair[k] = here, min(here, before)
+        own[:] = nothing
+        for j in range(states[level]):
+            # A bin that turns back comes to one bin, or to parts of two.
+            turn, price = turns[level, j] & (CIRCLE - 1), levels[level, j]
+            source = single if turn % PARTS == 0 else pair
+            start = BINS - turn // PARTS
+            for k in range(BINS):
+                own[k] = min(own[k], np.int16(source[start + k] + price))

@@ -1,0 +1,63 @@
+"""Branch and bound alone, without lists: its answers and proofs are those of trying every configuration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.manipulator.locked import lock_actuators
+from controller.manipulator.manipulator import Manipulator
+from controller.obstacles.clearance import Clearance
+from controller.search.branch_and_bound import BranchAndBound
+from controller.search.method import switch_costs
+from controller.search.solution import Incumbent
+from controller.search.solver import Solver
+from controller.workspace import cost_to_go
+from controller.workspace.hull import build_hull
+from tests.arms import every_configuration, paper_arm
+from tests.search.test_certificates import any_arm, lattice_arm, obstacle, pose_on_the_shell, solver_of
+
+FOREVER = 1e9  # [s]
+
+
+def planar_arm(rng: np.random.Generator) -> Manipulator:
+    while True:
+        arm = (lattice_arm, any_arm, lambda rng: paper_arm(4))[rng.integers(3)](rng)
+        if arm.planar:
+            return arm
+
+
+def held_arm(arm: Manipulator, rng: np.random.Generator) -> Manipulator:
+    held = np.where(rng.random(len(arm.actuators)) < 0.2, arm.actuator_states(rng.integers(0, arm.states)), -1)
+    try:
+        return lock_actuators(arm, held.astype(np.int8))
+    except ValueError:
+        return arm  # a module has no such state
+
+
+def check(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float) -> None:
+    arm = solver.manipulator
+    tree, target = BranchAndBound(arm, build_hull(arm)), solver._target(goal, tolerance, turn)
+    costs = switch_costs(arm, previous, solver._weights)
+    incumbent = Incumbent(previous, FOREVER)
+    tree.run(target, previous, costs, incumbent, FOREVER)
+    each = [solver.described(c, goal, previous, tolerance, turn) for c in every_configuration(arm)]
+    least = min((s.cost for s in each if s.within_tolerance), default=np.inf)
+    assert incumbent.proven
+    assert incumbent.cost == pytest.approx(least, rel=1e-9)
+    if least < np.inf:
+        assert solver.described(incumbent.configuration, goal, previous, tolerance, turn).within_tolerance
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_poses_on_their_tolerances(seed, monkeypatch):
+    monkeypatch.setattr(cost_to_go, "PREFIXES", (1.0, 30.0)[seed // 2 % 2])  # maps from the first level on, or later
+    rng = np.random.default_rng(seed)
+    whole = planar_arm(rng)
+    arm = held_arm(whole, rng) if seed % 4 == 0 else whole
+    weights = rng.choice((1.0, 1.5, 0.1, 0.3), len(arm.actuators)) if seed % 3 else None
+    clearance = Clearance(arm, obstacle(arm, rng), 0.01) if seed % 5 == 0 else None
+    solver = solver_of(arm, weights, clearance)
+    for angle in (np.pi / 2, 1e-9, float(rng.uniform(0.01, 3.0)), 3.141592):
+        goal, tolerance, turn = pose_on_the_shell(whole, rng, angle)
+        check(solver, goal, rng.integers(0, arm.states), tolerance, turn)
