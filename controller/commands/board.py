@@ -29,7 +29,7 @@ SOCKET = "Socket of the arm's executor, or its folder; the command checks that n
 def board(
     file: ArmFile,
     name: Annotated[str, typer.Argument(metavar="BOARD", help=BOARD, show_default=False)],
-    action: Annotated[Literal["errors", "reset"], typer.Argument(help=ACTION, show_default=False)],
+    action: Annotated[Literal["errors", "reset"], typer.Argument(metavar="ACTION", help=ACTION, show_default=False)],
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a reset.")] = False,
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     as_json: AsJson = False,

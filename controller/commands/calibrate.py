@@ -24,7 +24,7 @@ def calibrate(
         Path,
         typer.Argument(
             metavar="SAMPLES.csv",
-            help="Columns configuration or actuators, and x,y[,th] or x,y,z[,qx,qy,qz,qw].",
+            help="Measured tips: column configuration or actuators, and x,y[,th] or x,y,z[,qx,qy,qz,qw].",
             show_default=False,
         ),
     ],

@@ -53,9 +53,7 @@ class Travel(NamedTuple):
 
 def exercise(
     arm: ArmName,
-    actuators: Annotated[
-        list[str] | None, typer.Argument(metavar="[ACTUATOR]...", help=ONLY, show_default=False)
-    ] = None,
+    actuators: Annotated[list[str] | None, typer.Argument(metavar="ACTUATOR", help=ONLY, show_default=False)] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,

@@ -26,7 +26,7 @@ UNCONFIGURED = "Only list the boards that have no node id yet."
 
 def node_id(
     channel: Channel,
-    new: Annotated[int | None, typer.Argument(metavar="[NODE]", help=NEW, show_default=False)] = None,
+    new: Annotated[int | None, typer.Argument(metavar="NODE", help=NEW, show_default=False)] = None,
     new_bitrate: Annotated[int | None, typer.Option(help=RATE, show_default=False)] = None,
     board: Annotated[str | None, typer.Option(help=BOARD, show_default=False)] = None,
     list_: Annotated[bool, typer.Option("--list", help=UNCONFIGURED)] = False,

@@ -44,7 +44,7 @@ def record(
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
 ) -> None:
-    """Record what an arm publishes, and the requests to it, as MCAP files until SIGTERM."""
+    """Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM."""
     name = arm_name(arm)
     most, most_kept = parse_size(size, "--size"), None if keep is None else parse_size(keep, "--keep")
     if not 0.0 < minutes < 1e6:

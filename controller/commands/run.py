@@ -17,6 +17,7 @@ from controller.commands.common import ENDPOINT, ArmFile, Failed, ZenohFile, den
 from controller.strict import InputFaults
 
 SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
+KIND = "Kind of the simulated boards; see `simulate --help`."
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
 POLL = 0.2  # [s] between two checks that the executor still runs
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
@@ -25,9 +26,7 @@ SIGNALS = (signal.SIGTERM, signal.SIGINT)
 def run(
     file: ArmFile,
     simulate: Annotated[bool, typer.Option("--simulate", help="Use simulated boards, inside the executor.")] = False,
-    board: Annotated[
-        list[str], typer.Option(help="Kind of the simulated boards; see `simulate --help`.", show_default=False)
-    ] = [],  # noqa: B006  # typer needs a list
+    board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=KIND, show_default=False)] = [],  # noqa: B006  # typer needs a list
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
     zenoh_file: ZenohFile = None,

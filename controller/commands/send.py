@@ -30,7 +30,9 @@ ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y
 
 def send(
     arm: ArmName,
-    file: Annotated[Path | None, typer.Argument(metavar="GOAL.yaml", help="A goal, YAML or JSON.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="GOAL.yaml", help="File of a goal with `waypoints`, YAML or JSON.")
+    ] = None,
     to: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
     configuration: Annotated[
         str | None, typer.Option(help="Configuration to go to: module states, base first.")

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from drivers.simulation.simulation import Simulation
 
 
-BOARD = "Kind of the boards: NAME for all, or BOARD=NAME for one, such as can0/5=guarding-only; repeatable."
+BOARD = "Kind of the boards: KIND for all, or BOARD=KIND for one, such as can0/5=guarding-only; repeatable."
 
 
 def simulate(
     file: ArmFile,
-    board: Annotated[list[str], typer.Option(help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
+    board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
 ) -> None:
     """Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM."""
     from controller.executor.arm import read_arm

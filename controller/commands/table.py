@@ -85,7 +85,7 @@ GROUPS = {
         "record": Entry(
             "record",
             "record",
-            "Record what an arm publishes, and the requests to it, as MCAP files until SIGTERM.",
+            "Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM.",
             "hyperbit record planar16",
         ),
         "replay": Entry(
