@@ -1,4 +1,4 @@
-"""Arms with errors that are known, and what a tracker would measure of them."""
+"""Arms with known errors, and simulated measurements of their tips."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ ARMS = {"trusses": TRUSSES, "joints": JOINTS, "platforms": PLATFORMS, "frames": 
 
 
 def arm_of(folder: Path, modules: list[dict], **more: object) -> Arm:
-    """The arm of a file with these modules, the file being arm.yaml in a folder."""
+    """The arm of a file arm.yaml with these modules, in a folder."""
     file = folder / "arm.yaml"
     file.write_text(yaml.safe_dump({"name": "a", "modules": modules, "tolerance": {"position": 0.002}, **more}))
     return load(file)
 
 
 def erring(arm: Arm, rng: np.random.Generator, *, each: bool = False, size: float = 5e-4, base: float = 0.01) -> Model:
-    """The arm as it really is: every length, angle and coordinate off by `size`, the base by `base`."""
+    """The real arm: all lengths, angles and coordinates have errors of `size`, the base of `base`."""
     description = described(arm, each=each)
     chosen = parameters(description, arm.manipulator.length, len(arm.manipulator.modules))
     steps = rng.normal(size=len(chosen)) * [size if p.part else base for p in chosen]
@@ -61,7 +61,7 @@ def erring(arm: Arm, rng: np.random.Generator, *, each: bool = False, size: floa
 def measured(
     arm: Arm, real: Model, rng: np.random.Generator, count: int, *, oriented: bool = True, noise: float = 1.0
 ) -> Samples:
-    """What a tracker measures of the real arm in `count` random configurations."""
+    """Simulated measurements of the real arm in `count` random configurations."""
     manipulator = arm.manipulator
     configurations = np.column_stack([rng.integers(0, k, count) for k in manipulator.states])
     lines = np.arange(count) + 2

@@ -1,4 +1,4 @@
-"""Arms whose errors are known, recovered from noisy tips as well as these tell."""
+"""Calibration recovers known errors from noisy tips, as far as the samples determine them."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_world_of_a_tracker_may_be_any(tmp_path, angle):
 
 
 def test_what_samples_do_not_determine_stays(tmp_path):
-    """A joint that turns, and its link that turns back: the tips are the same."""
+    """A joint that turns and a link that turns back: the tips are the same."""
     arm, rng = arm_of(tmp_path, ARMS["joints"]), np.random.default_rng(6)
     samples = measured(arm, erring(arm, rng), rng, 80)
     samples.configurations[:, 4] = 1  # the slide is never at its first stop
@@ -139,7 +139,7 @@ def test_samples_of_another_arm_suit_none(tmp_path):
 
 
 def test_a_new_base_alone_is_not_called_better(tmp_path):
-    """A tracker in another frame: the file's modules meet its tips as well as any, once the base is fitted."""
+    """A tracker in another frame: with a fitted base, the file's modules predict its tips as well as any."""
     arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(7)
     samples = measured(arm, erring(arm, rng, size=0.0, base=0.0), rng, 60)
     found = calibrated(arm, replace(samples, tips=frames.planar(20, -30, 1.0) @ samples.tips), each=False)
@@ -166,7 +166,7 @@ def test_folds_keep_measurements_of_one_configuration_together():
 
 
 def test_no_fold_learns_from_the_samples_it_is_judged_by(tmp_path, monkeypatch):
-    """Neither by a start from the fit to all samples, nor by a base or a set of outliers found with all."""
+    """Neither the start nor the base nor the outliers of a fold's fit may depend on the fold."""
     arm, rng = arm_of(tmp_path, TRUSSES), np.random.default_rng(2)
     samples = measured(arm, erring(arm, rng), rng, 60)
     asked, real = [], calibration.fit

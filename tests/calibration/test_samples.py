@@ -1,4 +1,4 @@
-"""Files of measured tips: written and read back, and every fault by its line."""
+"""Files of measured tips: round trip, and faults with their lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def written(manipulator, configurations, tips, columns) -> str:
-    """The CSV of samples."""
+    """The CSV text of samples."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(columns)

@@ -1,4 +1,4 @@
-"""Modules in mid-travel: at the ends they are the states, between them actuators are as long as displacements say."""
+"""Modules in mid-travel: the ends are the states, and the lengths of actuators follow the displacements."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Frames form a group, and read back what they were made of."""
+"""Frames form a group; conversions are inverse to each other."""
 
 import math
 

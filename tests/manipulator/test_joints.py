@@ -1,4 +1,4 @@
-"""Joints of several positions: against what they are in closed form."""
+"""Joints of several positions, against closed forms."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Modules: the truss of section 4, state by state, and modules of listed frames."""
+"""Modules: the states of the truss of section 4, and modules of listed frames."""
 
 import math
 import re

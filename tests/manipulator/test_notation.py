@@ -1,4 +1,4 @@
-"""Configurations written and read."""
+"""Text forms of configurations."""
 
 import numpy as np
 import pytest

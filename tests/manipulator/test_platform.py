@@ -1,4 +1,4 @@
-"""Platforms: every state closes, is the one led to from the middle, or is refused."""
+"""Platforms: each state satisfies its constraints and continues from the middle pose, or is refused."""
 
 import math
 
@@ -37,7 +37,7 @@ def padded(joints: list) -> np.ndarray:
 
 
 def missed(base: list, top: list, lengths: tuple[float, float], module) -> np.ndarray:
-    """By how much each state's legs are not as long as they should be, relative (K, L)."""
+    """Relative errors (K, L) of the lengths of the legs in all states."""
     ends = np.einsum("kab,lb->kla", module.frames[:, :3, :3], padded(top)) + module.frames[:, None, :3, 3]
     found = np.linalg.norm(ends - padded(base), axis=2)
     wanted = np.array(lengths)[module.bits]
@@ -75,7 +75,7 @@ def test_six_legs_of_any_size(below, above, gap, displacement, data):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_pose_is_led_to_from_the_middle_without_a_jump(kind):
-    """The same way in tiny steps, by another solver from the pose before."""
+    """The same continuation in tiny steps, by another solver."""
     base, top, lengths = KINDS[kind]
     module = platform(base, top, lengths)
     below, above, flat = padded(base), padded(top), kind == "flat"

@@ -1,4 +1,4 @@
-"""An independent check of what touches: points close together along every line segment, in plain NumPy."""
+"""An independent collision check in plain NumPy: dense points along each line segment."""
 
 from dataclasses import dataclass
 
@@ -45,7 +45,7 @@ class Box:
 
 @dataclass(frozen=True)
 class HalfPlane:
-    """What lies behind a plane, or a line of the plane."""
+    """A half-space, or a half-plane."""
 
     point: tuple[float, ...]
     normal: tuple[float, ...]
@@ -88,10 +88,10 @@ def along(lines: np.ndarray, parts: int = PARTS) -> np.ndarray:
 
 
 def step(lines: np.ndarray) -> float:
-    """By how much the nearest of these points may be farther than the nearest of all."""
+    """Greatest difference between the distance of the nearest dense point and the true distance."""
     return float(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).max()) / PARTS / 2
 
 
 def nearest(lines: np.ndarray, obstacles: list[Shape], parts: int = PARTS) -> float:
-    """The least signed distance of these points from any obstacle."""
+    """The least signed distance of points from any obstacle."""
     return min((float(obstacle.signed(along(lines, parts)).min()) for obstacle in obstacles), default=np.inf)

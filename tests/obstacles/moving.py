@@ -1,4 +1,4 @@
-"""Arms on the move, in plain NumPy: modules by geometry of their own, actuators that go on and finish as they like."""
+"""An independent model of moving arms in plain NumPy; each actuator starts and ends at its own time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Moves = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A module, and where it brings the frame above (n, 4, 4) and its lines (n, L, 2, 3) at displacements (n, A)."""
+    """A module, with its frames (n, 4, 4) and lines (n, L, 2, 3) at displacements (n, A)."""
 
     module: Module
     moves: Moves
@@ -35,7 +35,7 @@ def turned(angle: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def corner(p: np.ndarray, q: np.ndarray, from_p: np.ndarray, from_q: np.ndarray) -> np.ndarray:
-    """The point left of p -> q, complex numbers, by the law of cosines."""
+    """The apex to the left of p -> q, complex numbers, by the law of cosines."""
     side = abs(q - p)
     cosine = (side**2 + from_p**2 - from_q**2) / (2 * side * from_p)
     return p + from_p * np.exp(1j * (np.angle(q - p) + np.arccos(cosine)))
@@ -76,7 +76,7 @@ def hinge(first: float, second: float, length: float) -> Part:
 
 
 def pair(first: np.ndarray, second: np.ndarray) -> Part:
-    """A module of two listed frames, between which it goes straight on and turns about one axis."""
+    """A module of two listed frames; in mid-travel it translates linearly and turns about one axis."""
     both = Slerp([0, 1], Rotation.from_matrix([first[:3, :3], second[:3, :3]]))
 
     def moves(displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +125,7 @@ def arm(parts: Sequence[Part], base: np.ndarray | None = None) -> Manipulator:
 
 
 def motion(rng: np.random.Generator, before: np.ndarray, after: np.ndarray, samples: int) -> np.ndarray:
-    """Displacements (samples, A) of one way from states to others: each actuator begins and ends when it likes."""
+    """Displacements (samples, A) of one transition; each actuator starts and ends at its own time."""
     begin, end = np.sort(rng.random((2, len(before))), axis=0)
     end = np.maximum(end, begin + 0.01)
     times = np.sort(rng.random(samples))[:, None]
@@ -149,7 +149,7 @@ def placed(parts: Sequence[Part], base: np.ndarray, displacements: np.ndarray) -
 def room(
     parts: Sequence[Part], base: np.ndarray, obstacles: list[Shape], displacements: np.ndarray, points: int, pairs: bool
 ) -> tuple[float, float]:
-    """Least signed distance of modules from obstacles, and of those that are not neighbours from each other."""
+    """Least signed distance of modules from obstacles, and of modules from modules that are no neighbours."""
     lines = placed(parts, base, displacements)
     every = np.concatenate([own.reshape(-1, 2, 3) for own in lines])
     apart = np.inf

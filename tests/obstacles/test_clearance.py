@@ -1,4 +1,4 @@
-"""What touches, compared with points close together along every line segment."""
+"""Collision checks of configurations, against dense points along each line segment."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What actuators may touch while they switch, compared with motions of an arm reckoned independently."""
+"""Collision checks of transitions, against motions of an independent model."""
 
 from itertools import product
 
@@ -70,7 +70,7 @@ def test_rates_bound_what_mid_strokes_do(module, seed):
 
 
 def steepest(module: Module, fixed: np.ndarray, moving: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Greatest rates (k, 3) at 100 random displacements and at all ends, by differences of one in a million."""
+    """Greatest rates (k, 3) at 100 random displacements and at all ends, by finite differences."""
     ends = np.array(list(product((0.0, 1.0), repeat=len(moving))))
     at = np.tile(fixed, (100 + len(ends), 1))
     at[:, moving] = np.concatenate([rng.random((100, len(moving))), ends])
@@ -107,7 +107,7 @@ def test_proven_rates_are_above_the_steepest_slope(module, seed):
 
 
 def test_samples_would_miss_what_the_bounds_do_not():
-    """Why bounds are closed forms: near a flat triangle the slope between samples is far above theirs."""
+    """Sampled bounds fail near a flat triangle, where the rate between samples is far above that at the samples."""
     fixed, moving = np.zeros(3), np.array([0])
     steep = steepest(FLAT, fixed, moving, np.random.default_rng(0))
     assert (Displacements(FLAT).rates(fixed, moving) >= steep).all()
@@ -174,7 +174,7 @@ def test_where_nobody_knows_the_module_is_not_clear():
 
 
 def test_most_stages_among_few_regions_are_shown_to_be_clear():
-    """So that bounds which are merely safe, but too wide to be of use, are noticed."""
+    """The bounds must also be tight enough to be useful."""
     manipulator, rng = paper_arm(16), np.random.default_rng(0)
     clearance = Clearance(manipulator, sphere("disc", (1.5, 2.0), 0.3), 0.02)
     sweep, shown, fine = Sweep(clearance), 0, 0

@@ -1,4 +1,4 @@
-"""Certificates are true: arms whose tips lie exactly on the tolerance, or one float beside it, tried whole."""
+"""Certificates against brute force, with tips exactly on the tolerance or one float beside it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: Cl
 def check(
     solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float = np.inf, whole: bool = True
 ) -> Solution:
-    """Solves a goal and compares the certificate with all configurations, each accepted or not by the solver itself.
+    """Solves a goal and compares the certificate with brute force over all configurations.
 
     With `whole` the lists hold every configuration, so that the answer is proven.
     """
@@ -102,7 +102,7 @@ def any_arm(rng: np.random.Generator) -> Manipulator:
 
 
 def on_the_shell(arm: Manipulator, rng: np.random.Generator, base: float) -> tuple[np.ndarray, float]:
-    """A position, and its distance from the tip of some configuration as floats have it, or one float beside."""
+    """A position, and its distance from the tip of a configuration in floating point, or one float beside it."""
     tip = arm.tip(rng.integers(0, arm.states))[: arm.dimension, 3]
     goal = tip.copy()
     goal[rng.integers(arm.dimension)] += base * rng.choice((-1.0, 1.0))
@@ -157,7 +157,7 @@ def test_locked_actuators(seed):
 
 @pytest.fixture(params=[(2, 6, 3, 1), (6, 40, 1000, 1), (12, 30, 8, 100)], ids=str)
 def small_lists(request, monkeypatch):
-    """Lists that leave much out, so that proofs go through every stage: layers, look-ups, and a second band."""
+    """Short lists, so that proofs need all stages: layers, look-ups, and a second band."""
     near, wide, quarter, layer = request.param
     monkeypatch.setattr(minimum_switch, "NEAR", near)
     monkeypatch.setattr(minimum_switch, "WIDE", wide)
@@ -191,7 +191,7 @@ def obstacle(arm: Manipulator, rng: np.random.Generator) -> Obstacles:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_obstacles_touched_exactly(seed):
-    """The distance from an obstacle is at times exactly the radius of the bodies."""
+    """Some bodies are exactly one radius away from an obstacle."""
     rng = np.random.default_rng(seed)
     arm = (lattice_arm, any_arm)[seed % 2](rng)
     crossing = bool(rng.random() < 0.3)

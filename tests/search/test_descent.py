@@ -1,4 +1,4 @@
-"""The measure of reachability, and the descent by it."""
+"""The measure of reachability, and the descent of POP and IPOP."""
 
 import numpy as np
 import pytest
@@ -95,7 +95,7 @@ def test_each_module_takes_the_branch_that_the_two_criteria_order_first(name, se
 
 
 def test_similarity_counts_modules_that_do_not_remain_and_the_base_most(manipulator):
-    """As printed: "the weighted number of modules that remain in the same state as in the previous configuration"."""
+    """The paper: "the weighted number of modules that remain in the same state as in the previous configuration"."""
     previous = np.random.default_rng(0).integers(0, 8, 16)
     costs = stage_costs("ipop-previous", manipulator, previous)
     weights = np.linspace(2, 1, 16)
@@ -106,7 +106,7 @@ def test_similarity_counts_modules_that_do_not_remain_and_the_base_most(manipula
 
 
 def test_contraction_counts_modules_that_are_not_fully_contracted(manipulator):
-    """As printed: "the weighted number of modules that are fully contracted (i.e. binary state 0)"."""
+    """The paper: "the weighted number of modules that are fully contracted (i.e. binary state 0)"."""
     costs = stage_costs("ipop-contracted", manipulator, np.zeros(16, dtype=int))
     assert costs[0].tolist() == [0, 2, 2, 2, 2, 2, 2, 2]
     assert costs[15].tolist() == [0, 1, 1, 1, 1, 1, 1, 1]

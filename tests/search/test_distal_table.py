@@ -1,4 +1,4 @@
-"""The exact table of the last modules against trying every configuration."""
+"""The distal table against brute force."""
 
 import math
 
@@ -33,7 +33,7 @@ tolerances = st.sampled_from([0.0, 0.05, 0.3, 10.0])
 
 @st.composite
 def searches(draw):
-    """An arm, a goal for it (at times far away), stage_costs and a tolerance."""
+    """An arm, a goal (sometimes far away), stage costs and a tolerance."""
     manipulator = draw(arms)
     goal = np.array([draw(coordinates) for _ in range(manipulator.dimension)] + [0.0])[:3]
     goal *= draw(st.sampled_from([1.0, 1.0, 3.0, 100.0]))
@@ -43,7 +43,7 @@ def searches(draw):
 
 
 def run_finish(manipulator, goal, stage_costs, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0, most=math.inf):
-    """Returns the square missed, whether it is within, and the configuration that `finish` gives."""
+    """Returns squared error, whether it is within the tolerance, and configuration of `finish`."""
     t = build_distal_table(manipulator)
     configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
     square, within = finish(
@@ -60,19 +60,19 @@ def run_finish(manipulator, goal, stage_costs, tolerance, rotation=NO_TURN, limi
 
 
 def run_nearest(manipulator, goal, stage_costs, best_cost, best_square):
-    """Returns row, cost and squared distance that `nearest` gives without tolerance."""
+    """Returns row, cost and squared distance of `nearest` without tolerance."""
     t = build_distal_table(manipulator)
     anyhow = Wanted(NO_TURN, 0.0, math.inf, 0.0)
     return nearest(goal, anyhow, best_cost, best_square, t, stage_costs, manipulator.states, None)
 
 
 def total_cost(stage_costs, configurations):
-    """Sum of stage_costs of configurations (n, B)."""
+    """Stage costs of configurations (n, B)."""
     return stage_costs[np.arange(len(stage_costs)), configurations].sum(axis=1)
 
 
 def check_finish(manipulator, goal, stage_costs, tolerance):
-    """Holds `finish` to the best of all configurations."""
+    """Compares `finish` with the best of all configurations."""
     square, within, configuration = run_finish(manipulator, goal, stage_costs, tolerance)
     error = math.sqrt(square)
     every = every_configuration(manipulator)

@@ -1,4 +1,4 @@
-"""The hull of all tips, and the nearest configuration where none is within the tolerance."""
+"""The hull of all tips, and the nearest configuration if none is within the tolerance."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_a_goal_surely_out_of_reach_is_told_so(arm, densities):
 
 @pytest.mark.parametrize(("arm", "most"), [(paper_arm(6), 1.0), (spatial_arm(6), 1.01)], ids=["planar", "spatial"])
 def test_what_cannot_be_reached_is_approached_as_near_as_brute_force_knows(arm, most):
-    """Exactly, or but for a hundredth where the arm has more configurations than are looked through at once."""
+    """The nearest configuration exactly, or within 1 % for arms with more configurations than one search lists."""
     solver = Solver(arm, map_densities(arm, 0.02, 200_000))
     tips = arm.tips(every_configuration(arm))[:, :3, 3]
     low, high = tips.min(axis=0) - 0.3, tips.max(axis=0) + 0.3
@@ -47,7 +47,7 @@ def test_what_cannot_be_reached_is_approached_as_near_as_brute_force_knows(arm, 
 
 
 def test_the_papers_arm_comes_as_near_as_its_hull_allows(solver):
-    """Where the workspace is convex no configuration comes nearer than the hull."""
+    """For a convex workspace no configuration is nearer than the hull."""
     hull = Hull(solver.manipulator)
     for angle in np.linspace(0.8, 2.3, 16):
         goal = 6.0 * np.array([np.cos(angle), np.sin(angle), 0.0])

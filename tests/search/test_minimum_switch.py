@@ -1,4 +1,4 @@
-"""Fewest switches, held to brute force on arms whose every configuration can be tried."""
+"""Minimum switch against brute force, on arms with few configurations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def costs_of(arm: Manipulator, previous: np.ndarray, weights: np.ndarray) -> np.
 
 
 def brute_force(arm, goal, previous, tolerance, weights) -> tuple[float, float]:
-    """The least cost within the tolerance, taken narrowly and widely; infinite where there is none."""
+    """The least cost within a slightly smaller and a slightly larger tolerance; infinite if there is none."""
     away = np.linalg.norm(arm.tips(every_configuration(arm))[:, :3, 3] - goal, axis=1)
     costs = costs_of(arm, previous, weights)
     return tuple(float(costs[away <= tolerance + slack].min(initial=np.inf)) for slack in (-SURE, SURE))
@@ -59,7 +59,7 @@ def test_brute_force_agrees(arm, seed, tolerance, weighted):
 
 
 def all_tips(arm: Manipulator) -> np.ndarray:
-    """All tips (n, 3), in the order of the mixed-radix number that the states write, first module most significant."""
+    """All tips (n, 3), in mixed-radix order of the states, first module most significant."""
     points = np.zeros((1, 3))
     for i in reversed(range(len(arm.states))):
         k = arm.states[i]
@@ -107,7 +107,7 @@ def test_goals_in_sequence_are_met_proven_and_cheaper_than_ipop(arm, densities):
 
 
 def test_what_was_expected_changes_nothing_but_the_time(arm, densities):
-    """Whether from this configuration or another, whole or interrupted, for this tolerance or another."""
+    """Preparation from this or another configuration, complete or interrupted, for this or another tolerance."""
     plain, expecting = (Solver(arm.manipulator, densities) for _ in range(2))
     rng = np.random.default_rng(5)
     previous = np.zeros(16, dtype=np.int64)
@@ -131,7 +131,7 @@ def test_no_time_at_all_still_gives_ipops_answer_or_better(arm, densities):
 
 
 def test_heavy_actuators_rest(arm, densities):
-    """With the lower half's switches dear, less of them than with all alike."""
+    """If switches of the lower half cost more, there are fewer of them than with equal weights."""
     weights = np.where(np.arange(48) < 24, 10.0, 1.0)
     previous = np.zeros(16, dtype=np.int64)
     rng = np.random.default_rng(8)

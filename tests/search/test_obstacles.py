@@ -1,4 +1,4 @@
-"""Searches among obstacles, held to brute force on arms whose every configuration can be tried."""
+"""Searches among obstacles against brute force, on arms with few configurations."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def any_scene(arm: Manipulator, rng: np.random.Generator) -> list[Shape]:
 
 
 def clearances(arm: Manipulator, parts: list[Shape], radius: float, touch: bool) -> list[Clearance]:
-    """As it is asked for, narrower and wider."""
+    """The clearance as given, slightly smaller, and slightly larger."""
     return [Clearance(arm, obstacles_of(parts), max(radius + s, 0), self_collision=touch) for s in (0.0, -SURE, SURE)]
 
 
@@ -63,7 +63,7 @@ def check_clear(arm: Manipulator, configuration: np.ndarray, parts: list[Shape],
 
 
 def cheapest(arm, every, goal, costs, tolerance, turn, loose, strict) -> tuple[float, float]:
-    """The least cost of clear configurations within the tolerances, taken narrowly and widely."""
+    """The least cost of clear configurations within slightly smaller and slightly larger tolerances."""
     tips = arm.tips(every)
     away = np.linalg.norm(tips[:, :3, 3] - goal[:3, 3], axis=1)
     angles = np.array([angle_between(tip, goal) for tip in tips]) if turn < np.inf else np.zeros(len(tips))
@@ -155,7 +155,7 @@ def test_candidates_are_the_cheapest_that_are_clear(arm):
 
 
 def test_what_was_noted_of_other_regions_is_forgotten():
-    """The same solver's memory, the same configuration before: only the obstacles change, and come back."""
+    """The same memory and previous configuration: only the obstacles change, and change back."""
     arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
     plain, goal = solver_of(arm), arm.tip([0, 3, 0, 5, 0, 0])[:2, 3]
     there = plain.solve(goal, previous, 0.01)

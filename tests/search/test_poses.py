@@ -1,4 +1,4 @@
-"""Goals with orientation, held to brute force on arms whose every configuration can be tried."""
+"""Goals with orientation against brute force, on arms with few configurations."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def missed(arm: Manipulator, configurations: np.ndarray, goal: Frame) -> tuple[n
 
 
 def near(arm: Manipulator, rng: np.random.Generator, tolerance: float, turn: float) -> Frame:
-    """A pose near a random configuration's, within the tolerances or a little beyond."""
+    """A pose near the tip of a random configuration, within the tolerances or slightly outside."""
     axis = (0, 0, 1) if arm.planar else rng.normal(size=3)
     goal = arm.tip(rng.integers(0, arm.states)) @ turned(axis, turn * rng.uniform(-1.2, 1.2))
     goal[:3, 3] += rng.normal(0, tolerance / 2, 3) * (1, 1, not arm.planar)
@@ -69,7 +69,7 @@ def test_brute_force_agrees(arm, seed, tolerance, turn, weighted):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("arm", [paper_arm(5), spatial_arm(5)], ids=["planar", "spatial"])
 def test_every_method_comes_to_a_pose_that_the_table_holds(arm, method):
-    """All modules stand in the table or are tried over it, so that only what is compared there decides."""
+    """All modules are in the distal table or enumerated below it, so that only its comparison decides."""
     solver, rng = solver_of(arm), np.random.default_rng(2)
     previous = rng.integers(0, arm.states)
     for goal in arm.tips(rng.integers(0, arm.states, (20, 5))):

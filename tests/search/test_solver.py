@@ -1,4 +1,4 @@
-"""The methods of section 3.2 on the arm of section 4 and on arms of every other kind."""
+"""The methods of section 3.2 on the arm of section 4 and on arms of other types."""
 
 import numpy as np
 import pytest

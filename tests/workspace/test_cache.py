@@ -1,4 +1,4 @@
-"""Densities on disk: served again, and never trusted when damaged or foreign."""
+"""The cache of densities: files are reused, but never if damaged or of another arm."""
 
 import io
 import logging
@@ -19,14 +19,14 @@ KEY = key(ARM, PIXEL, LEVEL_PIXELS)
 
 @pytest.fixture
 def path(tmp_path):
-    """The file of ARM's densities, just written."""
+    """A new cache file of ARM's densities."""
     load_or_map(ARM, PIXEL, LEVEL_PIXELS, tmp_path)
     (path,) = tmp_path.iterdir()
     return path
 
 
 def levels_mapped(directory) -> int:
-    """Loads ARM's densities, holds them to those mapped afresh, and returns how many levels had to be mapped."""
+    """Loads ARM's densities, compares them with new ones, and returns the number of levels mapped."""
     done: list[int] = []
     found = load_or_map(ARM, PIXEL, LEVEL_PIXELS, directory, done.append)
     for name, expected in vars(map_densities(ARM, PIXEL, LEVEL_PIXELS)).items():
@@ -68,14 +68,14 @@ def test_no_flipped_byte_goes_unnoticed(tmp_path, caplog):
 
 
 def without_values() -> bytes:
-    """An archive of the right key that lacks an array."""
+    """An archive with the right key but without one array."""
     buffer = io.BytesIO()
     np.savez(buffer, key=np.array(KEY), offsets=np.zeros(3))
     return buffer.getvalue()
 
 
 def bare_array() -> bytes:
-    """An array that is no archive."""
+    """An array instead of an archive."""
     buffer = io.BytesIO()
     np.save(buffer, np.zeros(3))
     return buffer.getvalue()

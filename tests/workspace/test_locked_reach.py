@@ -1,4 +1,4 @@
-"""Reach with locked actuators, against arms that are mapped or enumerated by themselves."""
+"""Reach with locked actuators, against separate mappings and enumeration."""
 
 import math
 
@@ -33,7 +33,7 @@ def test_one_lock_tries_every_actuator_in_both_states(arm):
 
 
 def test_each_choice_is_reckoned_as_an_arm_of_its_own(arm):
-    """Against pixels with tips of every configuration: the mapping is exact but for its pixels."""
+    """Against pixels with the tips of all configurations: only the pixels limit the accuracy."""
     found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), 1, TOLERANCE, 5)
     for one in (found.free, *found.choices[::5]):
         reduced = lock_actuators(arm, one.locked)

@@ -1,4 +1,4 @@
-"""The Mapping Algorithm against the enumeration of every configuration of short arms."""
+"""The Mapping Algorithm against enumeration of short arms."""
 
 import math
 
@@ -46,7 +46,7 @@ def reachable(densities: Densities, level: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def error_bound(manipulator: Manipulator, densities: Densities, level: int) -> float:
-    """How far a point can be from the centre of the pixel that counts it.
+    """Greatest distance of a point from the centre of its pixel.
 
     Each module moves a point to the centroid of its new pixel, at most a diagonal away; the centre is half of one away
     from that. Rigid motions keep what has gone wrong before as it was.

@@ -1,4 +1,4 @@
-"""Orientations at a point, against every configuration of short arms."""
+"""Orientations at a point, against enumeration of short arms."""
 
 import math
 
@@ -64,7 +64,7 @@ def test_draws_count_what_enumeration_counts(kind, seed, monkeypatch):
 
 
 def test_draws_are_not_lost_where_densities_miss_a_state(monkeypatch):
-    """Densities of an arm that has fewer states: what they call unreachable is found, and counted right."""
+    """With the densities of an arm with fewer states, configurations that they exclude are still found and counted."""
     monkeypatch.setattr(module, "ENUMERATED", 8)
     arm = paper_arm(4)
     point = arm.tip(np.array([7, 7, 7, 7]))[:2, 3]
