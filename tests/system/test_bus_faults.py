@@ -74,7 +74,7 @@ def test_error_passive_is_told_and_the_arm_goes_on(interface: Interface, client:
     interface.tell(CONTROLLER, PASSIVE, tx_errors=130, rx_errors=7)
     state = client.wait_fault("bus-passive", passive)
     assert state["mode"] == "ready"
-    assert "130 errors" in state["faults"][0]["message"]
+    assert "130 transmit" in state["faults"][0]["message"]
 
     def diagnosed() -> bool:
         buses = [it["buses"][0] for it in client.heard["diagnostics"] if it["buses"]]
