@@ -36,11 +36,11 @@ def animate(
     Args:
         path: file to write.
         manipulator: the arm.
-        densities: of its intermediate workspaces; a spatial arm is drawn without.
+        densities: of its intermediate workspaces; ignored for a spatial arm.
         states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
         pauses: indices of the states at which the animation pauses.
         panel: title, targets and waypoints.
-        obstacles: that the arm keeps out of.
+        obstacles: obstacles to draw.
 
     Raises:
         OSError: the file cannot be written.
@@ -117,7 +117,7 @@ def widen(axes: Any, bodies: list[Array], dimension: int) -> None:
 
 
 def moving(axes: Any, manipulator: Manipulator) -> tuple[Any, Any]:
-    """Adds what moves to axes: the arm's lines, and the tips so far."""
+    """Adds the moving parts to axes: the arm's lines and the path of the tip."""
     from matplotlib.collections import LineCollection
     from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 

@@ -1,4 +1,4 @@
-"""The experiment of section 4: three targets in order, from the contracted arm, by each of the three methods."""
+"""The experiment of section 4: three targets in order, from the contracted arm, with each of three methods."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,17 +23,17 @@ TITLES: dict[PaperMethod, str] = {
 
 @dataclass(frozen=True)
 class Row:
-    """What one method reached for one target.
+    """Result of one method for one target.
 
     Attributes:
         method: the algorithm.
-        target: position asked for.
-        configuration: as notation writes it, base first.
+        target: position of the target.
+        configuration: text form, base first.
         x: position of the tip; `y` likewise.
         y: see x.
         theta: orientation of the tip [rad].
         error: distance of the tip from the target.
-        switches: actuators that differ from the configuration before.
+        switches: actuators that differ from the previous configuration.
     """
 
     method: PaperMethod
@@ -47,7 +47,7 @@ class Row:
 
 
 def experiment(arm: Arm, densities: Densities) -> list[Row]:
-    """Returns nine rows, as Figure 6 lists them."""
+    """Returns nine rows, in the order of Figure 6."""
     solver, rows = Solver(arm.manipulator, densities), []
     for method in PAPER_METHODS:
         previous = np.zeros(len(arm.manipulator.modules), dtype=np.int64)
@@ -70,7 +70,7 @@ def experiment(arm: Arm, densities: Densities) -> list[Row]:
 
 
 def save(path: Path, arm: Arm, densities: Densities, rows: list[Row]) -> None:
-    """Writes Figure 5 (a) to (c), one panel beside the other."""
+    """Writes Figure 5 (a) to (c) as three panels side by side."""
     panels = []
     for method in PAPER_METHODS:
         own = [row for row in rows if row.method == method]

@@ -82,7 +82,7 @@ def cut(corners: Array, point: Array, normal: Array) -> Array:
 
 
 def across(low: Array, high: Array, point: Array, normal: Array) -> Array:
-    """Returns the polygon (n, 3) in which a plane cuts a box."""
+    """Returns the intersection of a plane and a box, a polygon (n, 3)."""
     sides = np.linalg.svd(normal[None])[2][1:]
     middle = (low + high) / 2
     middle = middle - ((middle - point) @ normal) * normal

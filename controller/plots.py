@@ -1,4 +1,4 @@
-"""Pictures of arms over the point density of their workspace, as the paper's Figure 5 shows them."""
+"""Pictures of arms over the point density of their workspace, in the style of the paper's Figure 5."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """What one picture shows.
+    """The content of one picture.
 
     Attributes:
-        title: above it.
-        configurations: each drawn as its truss, under its name in the legend.
+        title: title above the picture.
+        configurations: configurations to draw, by their names in the legend.
         targets: drawn as black crosses, shape (n, 2) or (n, 3).
         curve: waypoints drawn as a dotted line, shape (n, 2) or (n, 3).
     """
@@ -58,10 +58,10 @@ def save(
     Args:
         path: file to write.
         manipulator: the arm.
-        densities: of its intermediate workspaces; a spatial arm is drawn without.
+        densities: of its intermediate workspaces; ignored for a spatial arm.
         panels: from left to right.
         unit: of length, for the axes.
-        obstacles: that the arm keeps out of.
+        obstacles: obstacles to draw.
 
     Raises:
         OSError: the file cannot be written.
@@ -196,14 +196,14 @@ def draw_goals(axes: Any, panel: Panel, dimension: int) -> tuple[NDArray[np.floa
 
 
 def add_legend(axes: Any) -> None:
-    """Puts the legend below the axes, where it covers nothing."""
+    """Adds the legend below the axes."""
     count = len(axes.get_legend_handles_labels()[1])
     if count:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=count if count <= 4 else 3, frameon=False)
 
 
 def styled(panel: Panel) -> Iterator[tuple[str, Configuration, str, float]]:
-    """Yields name, configuration, colour and line width, the first widest: modules that coincide show both colours."""
+    """Yields name, configuration, colour and line width; widths decrease, so that coinciding modules stay visible."""
     last = len(panel.configurations) - 1
     for k, ((name, configuration), colour) in enumerate(
         zip(panel.configurations.items(), cycle(COLOURS), strict=False)
@@ -217,7 +217,7 @@ def points(given: ArrayLike, dimension: int) -> NDArray[np.float64]:
 
 
 def bounds(parts: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns the least and greatest corner of a box around all points, with a margin and no side without width."""
+    """Returns the lower and upper corner of a box around all points, with a margin and sides above 0."""
     everything = np.concatenate(parts)
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.04 * (high - low).max() or 1.0

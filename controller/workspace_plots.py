@@ -1,4 +1,4 @@
-"""Pictures of an arm's workspace: densities of positions and of orientations, and what locked actuators leave of it."""
+"""Pictures of an arm's workspace: densities of positions and orientations, and the reach with locked actuators."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Field(NamedTuple):
     """Numbers of configurations within the tolerance of goals, in pixels parallel to the axes of the base.
 
     Attributes:
-        title: above its pictures.
+        title: title above its pictures.
         counts: log10 of the numbers, minus infinity where there are none, shape (z, y, x).
         reference: centre of the first pixel in the base frame, x, y, z.
         pixel: side of the pixels.
@@ -187,7 +187,7 @@ def draw_counts(
 
 
 def add_key(figure: Any, every: list[Any], fields: list[Field]) -> None:
-    """Adds the legend below the pictures: what marks, the line and the colour mean."""
+    """Adds the legend below the pictures."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -215,9 +215,9 @@ def draw_angles(axes: Any, found: Orientations) -> None:
 
 
 def draw_rotations(figure: Any, found: Orientations) -> None:
-    """Draws the density of a spatial arm's orientations: where the tip's z axis points, and the turn about it.
+    """Draws the density of a spatial arm's orientations: direction of the tip's z axis, and rotation about it.
 
-    Directions are drawn by Lambert's azimuthal projection, which keeps areas: the z axis of the world in the middle.
+    Directions are drawn in Lambert's azimuthal equal-area projection, centred at the z axis of the world.
     """
     figure.suptitle("orientations at the point")
     axes = figure.add_subplot(1, 3, 1, projection="polar")
@@ -247,7 +247,7 @@ def angles_of(rotations: Array) -> Array:
 
 
 def twists(rotations: Array) -> Array:
-    """Returns how far rotations (n, 3, 3) turn about their own z axis (n,), by swing and twist."""
+    """Returns the twist angles (n,) of rotations (n, 3, 3) about their own z axis."""
     qz, qw = rotations[:, 1, 0] - rotations[:, 0, 1], 1 + np.trace(rotations, axis1=1, axis2=2)
     return np.asarray(2 * np.arctan2(qz, qw) + math.pi) % (2 * math.pi) - math.pi
 
