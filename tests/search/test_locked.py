@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.manipulator.test_held import locked_arms
 
 from controller.manipulator.locked import lock_actuators, transferred
 from controller.motion.lookahead import LookAhead
@@ -15,6 +14,7 @@ from controller.search.method import METHODS
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
+from tests.manipulator.test_locked import locked_arms
 from tests.search.test_minimum_switch import brute_force, solver_of
 
 
