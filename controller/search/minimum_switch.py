@@ -34,6 +34,7 @@ WIDE = 1 << 16  # for what the near lists leave out, if the incumbent costs not 
 LADDER = (NEAR, WIDE, 1 << 18)  # rows of lists around the incumbent
 GRID = {2: 256, 3: 32}  # near pairs are looked for within the points' extent over so many
 EASY = 1.5  # times what the near lists leave out: four lists prove what costs less sooner than maps are made
+REST, REST_FOUND = 0.5, 0.2  # parts of the time that branch and bound leaves at first; the second with an incumbent
 BEAMS = (32, 128, 512)  # widths, the next if there is time
 FAR = 1.0, 1.2  # times what the near lists leave out in both halves: beam searches precede a proof of what costs more
 
@@ -171,7 +172,7 @@ class MinimumSwitch:
         incumbent.offer(configuration, cost, square)
 
     def _branch_and_bound(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Searches the tree for what is better, in half of the time that is left; to the end if that was not enough."""
+        """Searches the tree, the first time in a part of the time that is left, then to the end."""
         tree = self._tree
         if tree is None or problem.hopeless or incumbent.late:
             return
@@ -180,7 +181,8 @@ class MinimumSwitch:
             self._four_lists(problem, incumbent)
         left = incumbent.remaining()
         if not incumbent.proven and left > waiting:
-            until = incumbent.until - (0.0 if tree.begun else left / 2)
+            rest = 0.0 if tree.begun else REST_FOUND if incumbent.cost < np.inf else REST
+            until = incumbent.until - rest * left
             tree.run(problem.target, problem.seed, problem.costs, incumbent, until)
 
     def _four_lists(self, problem: Problem, incumbent: Incumbent) -> None:
