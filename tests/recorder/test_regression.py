@@ -120,7 +120,7 @@ ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
         ({}, Played({"accepted": False, "message": "out of reach"}, {}), "differs", "then, now: out of reach"),
         ({}, Played(DONE, {}, there=False), "skipped", "does not reach its start 00"),
         ({"accepted": False, "result": None}, Played({"accepted": False}, {}), "equal", ""),
-        ({"accepted": False, "result": None}, Played(DONE, {}), "differs", "it was refused then, and is accepted now"),
+        ({"accepted": False, "result": None}, Played(DONE, {}), "unproven", "it was refused then, and is accepted now"),
         ({"result": {**DONE, "status": "canceled"}}, Played(DONE, {}), "skipped", "it ended as canceled"),
         ({"result": None}, Played(DONE, {}), "skipped", "the recording ends before its result"),
         ({"start": None}, Played(DONE, {}), "skipped", "the configuration before it is unknown"),
@@ -138,7 +138,9 @@ def test_a_goal_is_compared_with_its_recording(
 
 def test_a_search_without_end_has_no_excuse() -> None:
     played = Played({**DONE, "certificate": "bound"}, {0: "12"})
-    assert compared(played, ONCE, anytime=False).outcome == "differs"  # type: ignore[arg-type]
+    refused = ONCE._replace(accepted=False, result=None)
+    for goal in (ONCE, refused):
+        assert compared(played, goal, anytime=False).outcome == "differs"  # type: ignore[arg-type]
 
 
 def test_a_stamp_is_as_far_ahead_as_it_was() -> None:
