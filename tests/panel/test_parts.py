@@ -183,5 +183,5 @@ def test_addresses_of_this_computer() -> None:
 def test_run_gives_the_page_its_endpoint(tmp_path: Path) -> None:
     assert reachable("tcp/0.0.0.0:7447") == reachable("tcp/[::]:7447") == "tcp/127.0.0.1:7447"
     assert reachable("tcp/192.168.1.2:7448") == "tcp/192.168.1.2:7448"
-    with pytest.raises(InputFaults, match="start the page by itself"):
+    with pytest.raises(InputFaults, match="start the page separately"):
         run(tmp_path / "arm.yaml", zenoh_file=tmp_path / "zenoh.json5", panel=True)
