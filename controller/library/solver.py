@@ -176,7 +176,7 @@ class Solver:
         """Returns the first collision of a configuration (B,), such as "module 7 is in disc 'pillar'", or None.
 
         Raises:
-            ConfigurationError: it is none of this arm, or a locked actuator is in another state.
+            ConfigurationError: the arm has no such configuration, or a locked actuator is in another state.
         """
         clearance = self._search.clearance
         return None if clearance is None else clearance.where(self.arm._to_reduced(configuration))

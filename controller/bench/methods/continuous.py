@@ -40,7 +40,7 @@ class Problem:
 def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
     """Returns the tables of an arm."""
     if any(module.actuators != ("left", "diagonal", "right") for module in manipulator.modules):
-        raise ValueError("only truss modules have lengths to be continuous in")
+        raise ValueError("this method supports truss modules only")
     bodies = np.array([module.body[[0, -1], :, :, :2] for module in manipulator.modules])
     lengths = np.linalg.norm(bodies[..., 1, :] - bodies[..., 0, :], axis=-1)
     return Problem(
