@@ -61,7 +61,7 @@ def prepare(tests: Sequence[str]) -> None:
     parts: list[Callable[[], None]] = []
     if any(not path.startswith(ALONE) for path in tests):
         parts.append(warm)
-    sources = [HERE / "robot.sh", HERE / "compile.py", *installed()]
+    sources = [HERE / "robot.sh", *installed()]
     if any(path.startswith(ALONE) for path in tests) and older(FOLDER / "robot.installed", sources):
         parts.append(install)
     with ThreadPoolExecutor() as pool:  # each compiles on one processor
