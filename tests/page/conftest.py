@@ -138,6 +138,22 @@ def driver() -> Iterator[Any]:
     browser.quit()
 
 
+def acted(act: Callable[[], None]) -> bool:
+    """Acts on an element; returns whether it could: the page may draw it anew, hide it or cover it at that moment."""
+    from selenium.common import exceptions
+
+    passing = (
+        exceptions.StaleElementReferenceException,
+        exceptions.ElementNotInteractableException,
+        exceptions.ElementClickInterceptedException,
+    )
+    try:
+        act()
+    except passing:
+        return False
+    return True
+
+
 class Shown:
     """The page that the browser shows."""
 
@@ -179,21 +195,24 @@ class Shown:
 
     def press(self, css: str) -> None:
         """Clicks on an element."""
-        from selenium.common import exceptions
 
-        def pressed() -> bool:
-            try:
-                self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
-                self.one(css).click()
-            except (
-                exceptions.StaleElementReferenceException,  # the page drew it anew meanwhile
-                exceptions.ElementNotInteractableException,  # it is not shown yet
-                exceptions.ElementClickInterceptedException,  # a notice is before it
-            ):
-                return False
-            return True
+        def press() -> None:
+            self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
+            self.one(css).click()
 
-        eventually(pressed)
+        eventually(lambda: acted(press))
+
+    def type(self, css: str, text: str) -> None:
+        """Types a text into a field, in place of what it has."""
+        from selenium.webdriver.common.keys import Keys
+
+        def put() -> None:
+            field = self.one(css)
+            field.clear()
+            field.send_keys(text, Keys.TAB)
+
+        value = "return document.querySelector(arguments[0])?.value"
+        eventually(lambda: acted(put) and self.run(value, css) == text, lambda: css)
 
     def hold(self, css: str, seconds: float = 1.5) -> None:
         """Presses an element with the mouse and holds it."""
@@ -205,8 +224,9 @@ class Shown:
     def picture(self, name: str) -> None:
         """Keeps a picture of what is shown, in the folder that PICTURES names, if it does."""
         if folder := os.environ.get("PICTURES"):
-            shown = Image.open(BytesIO(self.driver.get_screenshot_as_png())).convert("RGB")
-            shown.quantize(256, dither=Image.Dither.NONE).save(Path(folder) / name, optimize=True)
+            Image.open(BytesIO(self.driver.get_screenshot_as_png())).convert("RGB").save(
+                Path(folder) / name, optimize=True
+            )
 
     def ready(self) -> None:
         """Waits until the arm is shown and ready, after a stop or a fault of a test before, too."""
