@@ -90,7 +90,7 @@ def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: 
     link = build_frame(group.link, f"{path}.link", faults)
     if isinstance(group, RevoluteSettings):
         twice = [a for k, a in enumerate(group.angles) if a in group.angles[:k]]
-        faults += [f"{path}.angles: {angle:g} stands twice" for angle in twice]
+        faults += [f"{path}.angles: {angle:g} occurs twice" for angle in twice]
     else:
         falling = [(a, b) for a, b in pairwise(group.lengths) if a >= b]
         faults += [f"{path}.lengths: {b:g} after {a:g}, but each must be greater than the last" for a, b in falling]

@@ -48,7 +48,7 @@ def build_loader() -> type["yaml.SafeLoader"]:
             seen: set[str] = set()
             for key, _ in node.value:
                 if str(key.value) in seen:
-                    raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} stands twice", key.start_mark)
+                    raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} occurs twice", key.start_mark)
                 seen.add(str(key.value))
             return super().construct_mapping(node, deep)
 
@@ -131,7 +131,7 @@ def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
         inner = inner.rstrip("`") if inner else ""
         faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)})")
     except UnicodeEncodeError:  # a lone surrogate, which JSON and YAML can contain
-        faults.append(f"{path.lstrip('.') or 'file'}: half a surrogate pair is no text (given: {shown(value)})")
+        faults.append(f"{path.lstrip('.') or 'file'}: a lone surrogate is no text (given: {shown(value)})")
 
 
 def union_member(value: Any, kind: Any) -> Any:

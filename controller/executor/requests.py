@@ -198,7 +198,7 @@ class Requests:
         if mode == "ready":
             self._modes.hold_measured(now)
         self._modes.new_epoch()
-        text = f"{self._locked.sentence()}{', from the reset on' if waits else ''}"
+        text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
         self._answer(client, message.request, True, text)
 
     def _answer(self, client: Client, request: int, accepted: bool, message: str) -> None:

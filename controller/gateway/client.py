@@ -86,7 +86,8 @@ class Client:
             if late:
                 break
         if self.alive():
-            raise Unanswered(f"the daemon of arm {self._arm!r} took no {key} of ours: not allowed, or sent too often")
+            why = "this client may lack the right, or send too often"
+            raise Unanswered(f"the daemon of arm {self._arm!r} did not accept this {key}: {why}")
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key} within {timeout:g} s")
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
@@ -149,7 +150,7 @@ class Client:
                 if kind == "feedback":
                     on_feedback(message)
         except queue.Empty:
-            raise Unanswered(f"no word of {key} {name} from arm {self._arm!r} for {silence:g} s") from None
+            raise Unanswered(f"no message on {key} {name} from arm {self._arm!r} for {silence:g} s") from None
         finally:
             self._on_renewal.remove(move)
             subscribers[0].undeclare()  # type: ignore[no-untyped-call]

@@ -25,7 +25,7 @@ def plain(value: object) -> Any:
     """Converts NumPy's numbers and arrays to Python's."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no JSON")
+    raise TypeError(f"{type(value).__name__} cannot be encoded as JSON")
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

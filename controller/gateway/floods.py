@@ -16,7 +16,7 @@ from controller.planning.messages import Payload, refused
 
 MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
 PAUSE_EVERY, PAUSE = 10, 0.002  # number of further refusals for each pause, and its length [s]
-BRIEFLY = "the goal is malformed; why is not said, as too many bad requests come"
+BRIEFLY = "the goal is malformed; no details are given while many bad requests arrive"
 
 _decode = msgspec.json.Decoder(GoalMessage).decode
 

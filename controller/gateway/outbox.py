@@ -143,7 +143,7 @@ class Outbox:
             try:
                 data = encode(payload)
             except Exception:
-                log.exception("a payload has no JSON: %r", payload)
+                log.exception("a payload cannot be encoded as JSON: %r", payload)
                 data = encode(without_json(payload))
             try:
                 if isinstance(target, str):

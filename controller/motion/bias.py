@@ -128,10 +128,11 @@ class TipBias:
             Refusal: the sample is older than the last one, or farther than FARTHEST clamps.
         """
         if time <= self._estimate.time:
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {self._estimate.time - time:.3f} s before the last one taken")
+            early = self._estimate.time - time
+            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {early:.3f} s before the last accepted one")
         far, most = float(np.linalg.norm(difference)), FARTHEST * self._tracker.clamp
         if far > most:
-            raise refusal(f"position: {far:.4g} from the computed tip, at most {most:.4g} is taken, twice the clamp")
+            raise refusal(f"position: {far:.4g} from the computed tip, at most {most:.4g} is accepted, twice the clamp")
         if time - self._estimate.time > self._tracker.hold:
             self._estimate.start(self._none, self._tracker.clamp, time)
         if self._estimate.fits(difference, time):

@@ -32,7 +32,7 @@ def destination(
     from controller.manipulator.notation import parse_configuration
 
     if manipulator is None:
-        raise Refusal(INVALID_GOAL, f"{where}: only positions are taken here")
+        raise Refusal(INVALID_GOAL, f"{where}: only positions are accepted here")
     try:
         configuration = parse_configuration(manipulator, text)
     except ValueError as error:

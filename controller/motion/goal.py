@@ -104,7 +104,7 @@ def parse_strictly(payload: bytes) -> GoalMessage:
     if not isinstance(value, dict):
         raise refusal("goal: an object with `waypoints` is needed")
     if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_POINTS:
-        raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_POINTS} are taken")
+        raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_POINTS} are accepted")
     try:
         message = msgspec.convert(value, GoalMessage)
     except (
@@ -126,11 +126,11 @@ def check_destinations(message: GoalMessage) -> None:
         where = f"waypoints[{k}]"
         if waypoint.configuration is None:
             if waypoint.position is None:
-                raise refusal(f"{where}.position: required, but missing; a `configuration` may stand in its place")
+                raise refusal(f"{where}.position: required, but missing; a `configuration` may replace it")
             continue
         for name, given in (("position", waypoint.position), ("orientation", waypoint.orientation)):
             if given is not None:
-                raise refusal(f"{where}.{name}: the configuration decides it, leave out one of them")
+                raise refusal(f"{where}.{name}: a configuration already determines it, leave out one of them")
         if message.path_tolerance is not None:
             raise refusal(f"{where}.configuration: lines are followed by position only, leave out path_tolerance")
 
@@ -142,7 +142,7 @@ def check_size(size: int) -> None:
         Refusal: the payload is too large.
     """
     if size > MOST_BYTES:
-        raise refusal(f"goal of {size} bytes, at most {MOST_BYTES} are taken")
+        raise refusal(f"goal of {size} bytes, at most {MOST_BYTES} are accepted")
 
 
 def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -155,7 +155,7 @@ def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(fields) < len(pairs):
         seen: set[str] = set()
         twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"{twice!r} stands twice in one object")
+        raise ValueError(f"{twice!r} occurs twice in one object")
     return fields
 
 
@@ -248,6 +248,6 @@ def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: 
     ahead = max(stamp - now if stamp else 0.0, 0.0) + float(times[-1])
     if ahead > FARTHEST_AHEAD:
         raise refusal(
-            f"stamp: the trajectory would end {ahead:.3g} s from now, at most {FARTHEST_AHEAD:g} s are taken;"
+            f"stamp: the trajectory would end {ahead:.3g} s from now, at most {FARTHEST_AHEAD:g} s are accepted;"
             " stamps are UNIX seconds"
         )

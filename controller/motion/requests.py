@@ -48,7 +48,7 @@ def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
     if unknown := [label for label in message.actuators if label not in indices]:
         shown = unknown[0] if len(unknown[0]) <= 60 else unknown[0][:57] + "..."
         known = f"{actuators[0]} to {actuators[-1]}"
-        raise refusal(f"actuators: {shown!r} is none of this arm's, which are {known}")
+        raise refusal(f"actuators: {shown!r} is no actuator of this arm; they are {known}")
     return {indices[label]: STATES.index(state) for label, state in message.actuators.items()}
 
 

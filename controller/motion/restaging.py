@@ -63,7 +63,7 @@ def module_step(codes: States, code: States, wanted: States, most: int) -> State
     while not (layer & near).any():
         layer = ~seen & ((codes[:, None] != codes[layer]).sum(axis=2) <= most).any(axis=1)
         if not layer.any():
-            raise ValueError(f"no way from {code.tolist()} to {wanted.tolist()} with {most} actuators at once")
+            raise ValueError(f"no path from {code.tolist()} to {wanted.tolist()} with {most} actuators at once")
         seen = seen | layer
     options = codes[layer & near]
     return np.asarray(options[np.argmin((options != wanted).sum(axis=1))])

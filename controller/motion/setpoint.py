@@ -77,7 +77,7 @@ def parse(payload: bytes, kind: type[S], name: str, most: int = MOST_BYTES) -> S
         Refusal: too large, not UTF-8, not JSON, or not a message of this kind.
     """
     if len(payload) > most:
-        raise refusal(f"{name} of {len(payload)} bytes, at most {most} are taken")
+        raise refusal(f"{name} of {len(payload)} bytes, at most {most} are accepted")
     try:
         value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:

@@ -176,13 +176,13 @@ class GoalTracker:
     def _ordered(self, stamp: float, arrival: float) -> float:
         """Returns a stamp that passed the checks, and stores it as the last one."""
         if not stamp <= arrival + self._tracking.slack:
-            ahead = f"{stamp - arrival:.3f} s in the future, at most {self._tracking.slack:g} s are taken"
+            ahead = f"{stamp - arrival:.3f} s in the future, at most {self._tracking.slack:g} s are accepted"
             raise refusal(f"stamp: {ahead}; stamps are UNIX seconds")
         if stamp < arrival - self._tracking.validity:
-            age = f"{arrival - stamp:.3f} s old on arrival, at most {self._tracking.validity:g} s are taken"
+            age = f"{arrival - stamp:.3f} s old on arrival, at most {self._tracking.validity:g} s are accepted"
             raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {age}")
         if stamp <= self._stamp:
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {self._stamp - stamp:.3f} s before the last one taken")
+            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {self._stamp - stamp:.3f} s before the last accepted one")
         self._stamp = stamp
         return stamp
 

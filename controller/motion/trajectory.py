@@ -151,7 +151,7 @@ def along(
         raise Refusal(
             INVALID_GOAL,
             f"path_tolerance: {path_tolerance:g} takes {fewest.sum() + 1:.6g} points along lines of {lengths.sum():.3g}"
-            f" in all, at most {MOST_POINTS} are taken; {upwards(least):g} would do",
+            f" in all, at most {MOST_POINTS} are accepted; {upwards(least):g} would do",
         )
     needed = pace.shortest * fewest
     if (durations < needed - 1e-9).any():

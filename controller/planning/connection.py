@@ -81,4 +81,4 @@ class Connection:
                 self._socket.send(data, FLAGS)
                 return
         self.shut()
-        raise NotConnected("the executor does not read what it is sent")
+        raise NotConnected("the executor does not read its messages")

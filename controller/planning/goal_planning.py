@@ -148,7 +148,7 @@ class GoalPlanning:
             raise Refusal(
                 codes.INVALID_GOAL,
                 f"the plan has {sum(counts)} stages, {max(counts)} to one point; at most {MOST_PROGRAM_STAGES} and"
-                f" {most} are taken: send fewer waypoints",
+                f" {most} are accepted: send fewer waypoints",
             )
 
 

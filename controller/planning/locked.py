@@ -76,7 +76,8 @@ class LockedActuators:
         """
         labels = self._manipulator.actuators
         if request.actuator not in labels:
-            return f"actuator: {request.actuator[:40]!r} is none of this arm's, which are {labels[0]} to {labels[-1]}"
+            known = f"{labels[0]} to {labels[-1]}"
+            return f"actuator: {request.actuator[:40]!r} is no actuator of this arm; they are {known}"
         k = labels.index(request.actuator)
         if request.state is not None and sensed[k] and measured[k] not in (-1, request.state):
             return f"state: the end-stop of {request.actuator} reads {STATES[measured[k]]}"

@@ -192,7 +192,7 @@ class JogReport:
         if not apart.any():
             return Outcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
         names = ", ".join(labels[k] for k in np.array(self._chosen)[apart])
-        message = f"not measured where they were sent: {names}"
+        message = f"not measured in the requested state: {names}"
         return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
 
     def where(self, measured: Measured, travels: Sequence[Travel] = ()) -> Payload:

@@ -68,7 +68,7 @@ class Requests:
             return
         sentence = self._locked.sentence(with_request(self._monitor.manipulator, self._locked.states, request))
         waits = state.snapshot.mode in ("fault", "stopped")
-        message = f"{sentence}{', from the reset on' if waits else ''}"
+        message = f"{sentence}{', after a reset' if waits else ''}"
         actuator = self._monitor.manipulator.actuators.index(request.actuator)
         to = -1 if request.state is None else request.state
 

@@ -74,7 +74,7 @@ class ProgramSender:
             try:
                 self._goals.offer(goal)
             except NotConnected as error:
-                raise Refusal(INVALID_GOAL, f"the executor cannot take it: {error}") from None
+                raise Refusal(INVALID_GOAL, f"the executor cannot accept it: {error}") from None
             if self._taken(goal):
                 return goal
             self._monitor.wait_newer(state)

@@ -87,9 +87,10 @@ class TipBiasWorker:
         state, (mode, _) = self._monitor.state, self._monitor.mode()
         age = self._wall() - stamp
         if age > VALIDITY:
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {age:.3f} s old on arrival, at most {VALIDITY:g} s are taken")
+            late = f"{age:.3f} s old on arrival, at most {VALIDITY:g} s are accepted"
+            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {late}")
         if age < -SLACK:
-            ahead = f"{-age:.3f} s in the future, at most {SLACK:g} s are taken"
+            ahead = f"{-age:.3f} s in the future, at most {SLACK:g} s are accepted"
             raise Refusal(INVALID_GOAL, f"stamp: {ahead}; stamps are UNIX seconds")
         measured_at = self._monitor.clock() - max(age, 0.0)
         configuration = None if state is None else state.configuration

@@ -138,7 +138,7 @@ T = TypeVar("T")
 
 def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
     if len(data) > MOST_BYTES:
-        raise Malformed(f"the message has {len(data)} bytes, at most {MOST_BYTES} are taken")
+        raise Malformed(f"the message has {len(data)} bytes, at most {MOST_BYTES} are accepted")
     try:
         return decoder.decode(data)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:

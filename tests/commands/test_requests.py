@@ -57,7 +57,7 @@ def test_a_refused_change_ends_with_1_and_earlier_changes_remain(hyperbit, endpo
     words = ("degrade", "planar16", "--connect", endpoint)
     code, out, err = hyperbit(*words, "5.left=contracted", "5.middle=contracted", "7.right=contracted")
     assert (code, out) == (1, "locked: 5.left (contracted)\n")
-    assert err == "refused (code -1): actuator: '5.middle' is none of this arm's, which are 1.left to 16.right\n"
+    assert err == "refused (code -1): actuator: '5.middle' is no actuator of this arm; they are 1.left to 16.right\n"
     code, out, err = hyperbit(*words, "7.right=extended", "--json")
     assert (code, json.loads(out)["accepted"]) == (1, False)
     assert err == "refused (code -1): state: the end-stop of 7.right reads contracted\n"

@@ -48,7 +48,7 @@ def test_the_last_try_is_in_a_new_session(gateway: Gateway) -> None:
 
 def test_tries_are_bounded(gateway: Gateway) -> None:
     session = Deaf(gateway.other(), 1000)
-    with pytest.raises(Unanswered, match="took no stop of ours"):
+    with pytest.raises(Unanswered, match="did not accept this stop"):
         Client(session, ARM).request("stop", timeout=PATIENCE)
     assert session.gets == TRIES
 
@@ -91,7 +91,7 @@ def test_a_goal_that_is_asked_again_runs_once_and_is_heard_to_its_end(gateway: G
 
 
 def test_a_goal_without_a_word_is_given_up(gateway: Gateway) -> None:
-    with pytest.raises(Unanswered, match="no word of goal x"):
+    with pytest.raises(Unanswered, match="no message on goal x"):
         gateway.client().run({"id": "x", "waypoints": []}, silence=0.2)
 
 

@@ -19,5 +19,5 @@ def unreadable(request: str, most: int = MOST_BYTES) -> list[tuple[bytes, str]]:
         (b"", f"{request} is not JSON"),
         (b"\xff", f"{request} is not UTF-8: byte 0 is 0xff"),
         (b"[" * 5000, f"{request} is not JSON"),
-        (bytes(most + 1), f"{request} of {most + 1} bytes, at most {most} are taken"),
+        (bytes(most + 1), f"{request} of {most + 1} bytes, at most {most} are accepted"),
     ]

@@ -68,7 +68,7 @@ def test_no_correction_is_longer_than_the_clamp_and_what_is_far_is_refused():
     fed(bias, np.array([0.012, 0.009]), np.random.default_rng(3), 50)
     assert_allclose(bias.at(3.0), [0.008, 0.006], atol=1e-4)
     assert np.linalg.norm(bias.at(3.0)) <= 0.01 * (1 + 1e-12)
-    with pytest.raises(Refusal, match=r"position: 0.021 from the computed tip, at most 0.02 is taken"):
+    with pytest.raises(Refusal, match=r"position: 0.021 from the computed tip, at most 0.02 is accepted"):
         bias.measure(np.array([0.021, 0.0]), 4.0)
 
 
@@ -86,7 +86,7 @@ def test_it_holds_for_so_long_and_is_then_none():
 def test_samples_out_of_order_are_refused():
     bias = TipBias(2, TRACKER)
     bias.measure(np.zeros(2), 1.0)
-    with pytest.raises(Refusal, match="before the last one taken"):
+    with pytest.raises(Refusal, match="before the last accepted one"):
         bias.measure(np.zeros(2), 0.9)
 
 

@@ -22,7 +22,7 @@ anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalar
         (b'{"actuator": "1.left", "state": true}', "state: Expected `int | null`, got `bool`"),
         (b'{"actuator": 1, "state": 0}', "actuator: Expected `str`, got `int`"),
         (b'{"actuator": "1.left", "state": 0, "now": 1}', "now: unknown field; known are actuator, state"),
-        (b'{"actuator": "a", "actuator": "b", "state": 0}', "degrade is not JSON: 'actuator' stands twice"),
+        (b'{"actuator": "a", "actuator": "b", "state": 0}', "degrade is not JSON: 'actuator' occurs twice"),
         (b"[]", "degrade: an object with `actuator` and `state` is needed"),
         *unreadable("degrade"),
     ],

@@ -31,8 +31,16 @@ def scheduled(manipulator: Manipulator | None, *waypoints: dict[str, Any], **fie
     ("waypoint", "fields", "sentence"),
     [
         ({}, {}, r"waypoints\[0\]\.position: required, but missing; a `configuration` may"),
-        ({"configuration": FIRST, "position": [0.5, 2.9]}, {}, r"waypoints\[0\]\.position: the configuration decides"),
-        ({"configuration": FIRST, "orientation": 0.1}, {}, r"waypoints\[0\]\.orientation: the configuration decides"),
+        (
+            {"configuration": FIRST, "position": [0.5, 2.9]},
+            {},
+            r"waypoints\[0\]\.position: a configuration already determines",
+        ),
+        (
+            {"configuration": FIRST, "orientation": 0.1},
+            {},
+            r"waypoints\[0\]\.orientation: a configuration already determines",
+        ),
         ({"configuration": FIRST}, {"path_tolerance": 0.1}, r"waypoints\[0\]\.configuration: lines are followed by"),
         ({"configuration": "46"}, {}, r"waypoints\[0\]\.configuration: .* has 2 modules, the arm has 16"),
         ({"configuration": "9" * 16}, {}, r"waypoints\[0\]\.configuration: .* module 1 has states 0 to 7, not 9"),
@@ -49,7 +57,7 @@ def test_an_invalid_waypoint_is_refused_by_field(
 
 
 def test_a_planner_without_the_arm_refuses_configurations() -> None:
-    with pytest.raises(Refusal, match=r"waypoints\[0\]\.configuration: only positions are taken here"):
+    with pytest.raises(Refusal, match=r"waypoints\[0\]\.configuration: only positions are accepted here"):
         scheduled(None, {"configuration": FIRST})
 
 

@@ -36,5 +36,5 @@ def test_what_has_its_last_state_already_stays():
 def test_a_module_goes_round_the_codes_it_does_not_have():
     codes = np.array([[0, 0], [0, 1], [1, 0], [1, 1]], dtype=np.uint8)
     assert module_step(codes[:3], codes[1], codes[2], 1).tolist() == [0, 0]
-    with pytest.raises(ValueError, match=r"no way from \[0, 0\] to \[1, 1\] with 1 actuators at once"):
+    with pytest.raises(ValueError, match=r"no path from \[0, 0\] to \[1, 1\] with 1 actuators at once"):
         module_step(codes[[0, 3]], codes[0], codes[3], 1)

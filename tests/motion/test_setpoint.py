@@ -36,9 +36,9 @@ REFUSED = {
     "orientation": (setpoint(orientation=0.1), "orientation: unknown field"),
     "unknown in the tolerance": (setpoint(tolerance={"angle": 1}), r"tolerance\.angle: unknown field; known are"),
     "five unknown": (setpoint(a=1, b=1, c=1, d=1, e=1), r"a: unknown.*; c: unknown.*\(and 2 more faults\)"),
-    "field twice": (b'{"position": [1, 2], "position": [3, 4]}', "setpoint is not JSON: 'position' stands twice"),
+    "field twice": (b'{"position": [1, 2], "position": [3, 4]}', "setpoint is not JSON: 'position' occurs twice"),
     "field with no UTF-8": (b'{"\\ud800": 1}', r"\\ud800: unknown field"),
-    "number with no UTF-8": (b'{"position": [1, "\\ud800"]}', r"position\[1\]: half a surrogate pair is no text"),
+    "number with no UTF-8": (b'{"position": [1, "\\ud800"]}', r"position\[1\]: a lone surrogate is no text"),
     "long field": (setpoint(**{"x" * 5_000: 1}), r"^x{1000}\.\.\.$"),
     "text for a number": (setpoint(position=["1", 2]), r"position\[0\]: Expected `float`, got `str` \(given: '1'\)"),
     "truth for a number": (setpoint(position=[1, True]), r"position\[1\]: Expected `float`, got `bool`"),
@@ -60,7 +60,7 @@ REFUSED = {
     "one coordinate": (setpoint(position=[1]), "position: Expected `array` of length >= 2"),
     "four coordinates": (setpoint(position=[1, 2, 3, 4]), "position: Expected `array` of length <= 3"),
     "spatial": (setpoint(position=[1, 2, 3]), "position: 3 coordinates, this arm's goals have 2"),
-    "too large": (setpoint(x="x" * MOST_BYTES), r"setpoint of 100\d\d bytes, at most 10000 are taken"),
+    "too large": (setpoint(x="x" * MOST_BYTES), r"setpoint of 100\d\d bytes, at most 10000 are accepted"),
     "deeply nested": (b"[" * 5_000 + b"]" * 5_000, "setpoint is not JSON: maximum recursion depth"),
 }  # fmt: skip
 

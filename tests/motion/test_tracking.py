@@ -160,11 +160,11 @@ def refused(tracker: GoalTracker, stamp: float | None, arrival: float, position:
 def test_stamps_out_of_order_stale_or_from_the_future_are_refused_with_by_how_much():
     tracker = GoalTracker(2)
     tracker.measure((0.5, 2.9), NOW, NOW)
-    assert refused(tracker, NOW - 0.05, NOW) == (OLD_HEADER_TIMESTAMP, "stamp: 0.050 s before the last one taken")
-    assert refused(tracker, NOW, NOW + 0.01) == (OLD_HEADER_TIMESTAMP, "stamp: 0.000 s before the last one taken")
-    assert refused(tracker, NOW - 3, NOW)[1] == "stamp: 3.000 s old on arrival, at most 0.2 s are taken"
+    assert refused(tracker, NOW - 0.05, NOW) == (OLD_HEADER_TIMESTAMP, "stamp: 0.050 s before the last accepted one")
+    assert refused(tracker, NOW, NOW + 0.01) == (OLD_HEADER_TIMESTAMP, "stamp: 0.000 s before the last accepted one")
+    assert refused(tracker, NOW - 3, NOW)[1] == "stamp: 3.000 s old on arrival, at most 0.2 s are accepted"
     code, sentence = refused(tracker, NOW + 0.1, NOW)
-    assert (code, sentence[:57]) == (INVALID_GOAL, "stamp: 0.100 s in the future, at most 0.02 s are taken; s")
+    assert (code, sentence[:60]) == (INVALID_GOAL, "stamp: 0.100 s in the future, at most 0.02 s are accepted; s")
     assert tracker.measure((0.5, 2.9), NOW + 0.01, NOW + 0.15)
     assert tracker.outliers == 0
 

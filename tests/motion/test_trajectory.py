@@ -100,7 +100,7 @@ def test_a_line_too_fast_is_refused_naming_the_pair_and_a_time_that_does(length,
 @pytest.mark.parametrize("path", [1e-9, 1e-5, 1.9e-4])
 def test_too_many_points_are_refused_naming_a_tolerance_that_does(path):
     times, positions = np.array([0.0, 9e4]), np.array([(0.0, 0.0), (1.0, 0.0)])
-    with pytest.raises(Refusal, match=rf"^path_tolerance: {path:g} takes .* at most {MOST_POINTS} are taken") as caught:
+    with pytest.raises(Refusal, match=rf"^path_tolerance: {path:g} takes .* at most {MOST_POINTS} are acc") as caught:
         along(times, positions, 0.002, path, PACE)
     enough = float(re.search(r"; (\S+) would do", str(caught.value))[1])
     assert MOST_POINTS * 0.9 < len(along(times, positions, 0.002, enough, PACE).times) <= MOST_POINTS

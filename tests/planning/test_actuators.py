@@ -75,7 +75,7 @@ def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk, monke
 @pytest.mark.parametrize(
     ("actuator", "state", "words"),
     [
-        ("9.left", 0, "actuator: '9.left' is none of this arm's, which are 1.left to 4.right"),
+        ("9.left", 0, "actuator: '9.left' is no actuator of this arm; they are 1.left to 4.right"),
         ("1.left", 1, "state: the end-stop of 1.left reads contracted"),
     ],
 )
@@ -118,7 +118,7 @@ def test_single_actuators_are_switched(desk: Desk) -> None:
     desk.executor.accept(program)
     reply = desk.inbox.next("reply")
     desk.executor.end(program)
-    assert desk.inbox.next("result")["message"] == "not measured where they were sent: 1.left"
+    assert desk.inbox.next("result")["message"] == "not measured in the requested state: 1.left"
 
 
 def test_locked_actuators_and_those_that_would_touch_are_not_switched(desk: Desk) -> None:
