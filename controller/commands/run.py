@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import signal
 import sys
@@ -21,6 +22,8 @@ KIND = "Kind of the simulated boards; see `simulate --help`."
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
 POLL = 0.2  # [s] between two checks that the executor still runs
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
+M_MMAP_THRESHOLD = -3  # of glibc's malloc.h
+LARGE = 1 << 17  # [bytes]
 
 
 def run(
@@ -43,6 +46,7 @@ def run(
     if panel and zenoh_file is not None:
         raise InputFaults(Path("run"), ["with --zenoh start the page separately: hyperbit panel --zenoh FILE"])
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
+    return_large_blocks()
 
     from controller.actuators import ending_time, read_wired
     from controller.gateway.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
@@ -64,6 +68,16 @@ def run(
             page = [sys.executable, "-m", "controller.cli", "panel", "--connect", reachable(listen)]
             stack.callback(end_child, start_child(page))
         serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
+
+
+def return_large_blocks() -> None:
+    """Has the C library return each large block of memory to the system when it is freed.
+
+    glibc does so at first, but once it has freed a block of some size it keeps all smaller ones, up to 32 MiB: plans of
+    whole trajectories left 30 MiB in the daemon. Other C libraries are left as they are.
+    """
+    if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
+        mallopt(M_MMAP_THRESHOLD, LARGE)
 
 
 def reachable(listen: str) -> str:
