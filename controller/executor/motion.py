@@ -19,7 +19,7 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
-TOUCHES = "the planned motion would collide: "
+NOT_CLEAR = "the next stage cannot begin: "
 
 
 class Motion:
@@ -259,8 +259,8 @@ class Motion:
         touched = self._begin(index, execution.state(execution.taken), states, execution.strict, now)
         if touched is None:
             return None
-        self.end("aborted", f"{TOUCHES}{touched}; the arm holds")
-        return f"holding; {execution.program.name} was aborted: {TOUCHES}{touched}"
+        self.end("aborted", f"{NOT_CLEAR}{touched}; the arm holds")
+        return f"holding; {execution.program.name} was aborted: {NOT_CLEAR}{touched}"
 
     def _pursue(self, stream: SetpointStream, now: float) -> str | None:
         """Begins the due stage of a stream; returns a sentence if the stream has stopped."""

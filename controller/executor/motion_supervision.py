@@ -141,13 +141,13 @@ class MotionSupervision:
         contracted = self._kinds.ends_contracted & ~ends.contracted
         return merged(self._commanded, extended, contracted)
 
-    def _left_behind(self, ends: Ends) -> int:
+    def _at_other_end(self, ends: Ends) -> int:
         """Returns the mask of the actuators whose end-stop at the other end still reads 1."""
         return merged(self._commanded, ends.contracted, ends.extended)
 
     def _late(self, ends: Ends) -> int:
         """Returns the mask of the actuators whose end-stops contradict the commanded state."""
-        return self._awaited(ends) | self._left_behind(ends)
+        return self._awaited(ends) | self._at_other_end(ends)
 
     def _contradicted(self, both: int, now: float) -> int:
         """Returns the mask of the actuators whose end-stops both read 1 again after their boards were asked."""
@@ -187,7 +187,7 @@ class MotionSupervision:
 
     def _count_missed(self, mask: int, ends: Ends, clock: float, now: float) -> None:
         """Counts commands that are reversed after the travel time although the end-stop has not changed."""
-        missed = (self._confirms & self._awaited(ends)) | self._left_behind(ends)
+        missed = (self._confirms & self._awaited(ends)) | self._at_other_end(ends)
         for k in indices(mask & self._pending & missed & ~self._reported):
             if clock - self._switched_at[k] >= self._travel(k):
                 self._missed[k] += 1
@@ -213,7 +213,7 @@ class MotionSupervision:
     def _reads(self, k: int, ends: Ends) -> str:
         """Returns in words what the end-stops of a late actuator read."""
         should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
-        if self._left_behind(ends) >> k & 1:
+        if self._at_other_end(ends) >> k & 1:
             return f"its end-stop still reads {other}"
         if self._kinds.ends_extended & self._kinds.ends_contracted & 1 << k:
             return f"it has left its {other} end, and neither end-stop reads"
@@ -225,14 +225,14 @@ class MotionSupervision:
         if self._missed[k] >= MOST_MISSED:
             text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
         else:
-            text = f"actuator {place} was to be {should} within {limit:g} s; {self._reads(k, ends)}"
+            text = f"actuator {place} did not become {should} within {limit:g} s; {self._reads(k, ends)}"
         return Finding(k, Fault("stuck", place, text))
 
     def _stray(self, k: int, ends: Ends) -> Finding:
         should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
         place = self._places[k]
-        reads = f"reads {other}" if self._left_behind(ends) >> k & 1 else f"does not read {should} any more"
-        text = f"actuator {place} moved without a command: its end-stop {reads}; it should be {should}"
+        reads = f"reads {other}" if self._at_other_end(ends) >> k & 1 else f"does not read {should} any more"
+        text = f"actuator {place} moved without a command: its end-stop {reads}; check it, then reset"
         return Finding(k, Fault("unexpected-motion", place, text))
 
     def _broken(self, k: int) -> Finding:

@@ -194,7 +194,8 @@ class Board:
             self._fault("board-rebooted", "it has restarted, its outputs are unknown: check its supply, then reset")
         elif self._ready and state is not State.OPERATIONAL:
             self.ready = False
-            self._fault("board-stopped", f"it left the state operational without a command; it is {state.words} now")
+            what = f"it left the state operational without a command and is {state.words} now"
+            self._fault("board-stopped", f"{what}: read its errors, then reset")
         return True
 
     def _receive_emergency(self, code: int) -> None:
@@ -203,7 +204,7 @@ class Board:
             return
         self.emergency = code
         if self._ready:  # before, it may be old: the boot reads 1001h
-            self._fault("emergency", f"it reports {cia301.emergency_words(code)}")
+            self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 
     def _take_inputs(self, inputs: int) -> None:
         changed = inputs ^ self._inputs

@@ -70,7 +70,7 @@ def on_master_lost(board: BoardLayout) -> Need:
 
 def polarity(board: BoardLayout) -> list[Need]:
     """Polarity, 6202h: the board inverts no output. A write would switch the outputs."""
-    advice = "the board inverts outputs; write this while nothing can move, for it switches them"
+    advice = "the board inverts outputs. Write this while nothing can move: the write switches outputs"
     return [
         Need(0x6202, sub, 0, 1, "polarity of the outputs", mask=_byte(board.output_bits, sub), fixed=advice)
         for sub in subs_of(board.output_bits)

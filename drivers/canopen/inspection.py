@@ -109,10 +109,10 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     if not register:
         return 0, "", False
     lost = False
-    text = f"error register 1001h sub 0 holds {register:02X}h; 00h is needed"
+    text = f"error register 1001h sub 0 is {register:02X}h; 00h is needed"
     history = yield from objects.find(it.name, 0x1003, 1, 4)
     if history:
-        text += f"; 1003h sub 1 holds {history:08X}h, {cia301.emergency_words(history & 0xFFFF)}"
+        text += f"; 1003h sub 1 is {history:08X}h, {cia301.emergency_words(history & 0xFFFF)}"
         lost = history & 0xFFFF == MASTER_LOST and not register & ~_COMMUNICATION
     if board is not None and board.emergency is not None:
         text += f"; it reported {cia301.emergency_words(board.emergency)}"
@@ -143,7 +143,7 @@ def _check_type(it: Inspection, kind: int) -> Reading:
     settings = it.layout.settings
     if settings.object == OUTPUTS and kind & 0xFFFF != _PROFILE:
         text = (
-            f"board {it.name} holds {kind:08X}h in 1000h sub 0 (device type), not the profile 0191h of CiA 401 with"
+            f"board {it.name} has {kind:08X}h in 1000h sub 0 (device type), not the profile 0191h of CiA 401 with"
             " outputs in 6200h: is the node id right? A board with outputs in an object of its maker needs `object` in"
             " the arm's file"
         )
@@ -159,9 +159,9 @@ def _check_type(it: Inspection, kind: int) -> Reading:
         if not count or count < subs[-1]:
             has = "no" if not count else f"{count} bytes of"
             text = f"board {it.name} has {has} {what} in {base:04X}h; sub {subs[-1]} is needed, the wiring uses it"
-            raise BoardError(Fault("wrong-device", it.name, f"{text} (1000h sub 0 holds {kind:08X}h)"))
+            raise BoardError(Fault("wrong-device", it.name, f"{text} (1000h sub 0 is {kind:08X}h)"))
         if base in (OUTPUTS, INPUTS) and kind & 0xFFFF == _PROFILE and not kind & flag:
-            it.warn(f"1000h sub 0 holds {kind:08X}h, without the bit of digital {what}, but {base:04X}h is there")
+            it.warn(f"1000h sub 0 is {kind:08X}h, without the bit of digital {what}, but {base:04X}h is there")
 
 
 def _supervision(it: Inspection, timing: Timing) -> Reading:

@@ -146,10 +146,10 @@ def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | 
 
 
 def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, None]:
-    """Writes the needed value into an object that holds another one, and reads it back.
+    """Writes the needed value into an object with another value, and reads it back.
 
     Raises:
-        BoardError: the board refuses, does not answer, or holds another value afterwards.
+        BoardError: the board refuses, does not answer, or has another value afterwards.
     """
     value = need.corrected(present)
     abort = yield from write(board, need, value)
@@ -157,13 +157,13 @@ def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, Non
         raise refused(board, need, present, abort)
     confirmed = yield from read(board, need.index, need.sub, need.size, fresh=True)
     if not need.met(confirmed):
-        text = f"board {board} holds {need.words(confirmed)} in {need.place} after {need.words(value)} was written"
+        text = f"board {board} has {need.words(confirmed)} in {need.place} after {need.words(value)} was written"
         raise BoardError(Fault("sdo-refused", board, f"{text}: does another program write to it?"))
 
 
 def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
     """Returns the error of a board that refuses a value."""
-    text = f"board {board} holds {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
+    text = f"board {board} has {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
     return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
 
@@ -179,6 +179,6 @@ def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
         raise BoardError(Fault("wrong-device", board, text))
     if present is not None and need.fixed is not None and not need.met(present):
         needed = need.words(need.corrected(present))
-        text = f"board {board} holds {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
+        text = f"board {board} has {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
         raise BoardError(Fault("wrong-device", board, text))
     return present

@@ -108,7 +108,7 @@ def usable(board: BoardLayout, wanted: Pdo, present: PdoState) -> str | None:
     number = pdo_words(present.parameters)
     needed = carried_bits([wanted], base) & (board.input_bits if base == INPUTS else board.output_bits)
     if not present.valid:
-        return f"{number} is disabled ({present.parameters:04X}h sub 1 holds {present.cob_id:08X}h)"
+        return f"{number} is disabled ({present.parameters:04X}h sub 1 is {present.cob_id:08X}h)"
     identifiers = [(0x180 if base == INPUTS else 0x200) + 0x100 * i + board.node for i in range(4)]
     if present.cob_id & 0x3FFF_FFFF not in (wanted.cob_id, *identifiers):
         has = f"the COB-ID {present.cob_id:08X}h in {present.parameters:04X}h sub 1"

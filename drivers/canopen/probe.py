@@ -185,7 +185,7 @@ def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
         return
     need = Need(present.parameters + 0x200, 0, present.entries)
     if (abort := (yield from objects.write(it.name, need, present.entries))) == objects.READ_ONLY:
-        text = f"board {it.name}: {why}; it refuses to be mapped anew: {objects.abort_words(abort)}"
+        text = f"board {it.name}: {why}; it refuses another mapping: {objects.abort_words(abort)}"
         raise BoardError(Fault("sdo-refused", it.name, text))
 
 

@@ -136,10 +136,10 @@ class Verification:
     def _not_switched(self, station: Station, bits: int, should: int) -> None:
         board = station.board
         sub = subs_of(bits ^ should)[0]
-        holds, wanted = (number >> 8 * (sub - 1) & 0xFF for number in (bits, should))
+        found, wanted = (number >> 8 * (sub - 1) & 0xFF for number in (bits, should))
         place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"
         text = (
-            f"board {board.name} holds {holds:02X}h in {place}; {wanted:02X}h was switched: it does not follow RPDO and"
+            f"board {board.name} has {found:02X}h in {place}; {wanted:02X}h was switched: it does not follow RPDO and"
             " SYNC, or another program writes to it; reset configures it again"
         )
         if station.index in self.blocking:
@@ -156,7 +156,7 @@ class Verification:
                 return
         if board.ready:
             text = (
-                f"board {board.name} holds {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
+                f"board {board.name} has {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
                 " and was there: another program writes to it, or it has restarted; reset configures it again"
             )
             board.fail(Fault("board-changed", board.name, text))
@@ -171,9 +171,10 @@ class Verification:
                 return
             yield Wait(lambda: False, 4 * _PAUSE)
         history = yield Transfer(0x1003, 1)
-        text = f"error register 1001h sub 0 holds {register:02X}h"
+        text = f"error register 1001h sub 0 is {register:02X}h"
         if history.data:
             code = int.from_bytes(history.data[:2], "little")
             text += f"; 1003h sub 1 tells {cia301.emergency_words(code)}"
         if board.ready:
-            board.report(Fault("board-error", board.name, f"board {board.name} reports an error: {text}"))
+            text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
+            board.report(Fault("board-error", board.name, text))

@@ -52,7 +52,7 @@ def test_a_stage_that_is_not_clear_ends_the_program(rig: Rig) -> None:
     partly_switched(rig)
     rig.send(Clearance(rig.last(Question).question, "module 1 touches the floor"))
     assert rig.last(Ended).status == "aborted"
-    assert rig.last(Ended).message == "the planned motion would collide: module 1 touches the floor; the arm holds"
+    assert rig.last(Ended).message == "the next stage cannot begin: module 1 touches the floor; the arm holds"
     assert (rig.mode, rig.switched) == ("ready", [A])
 
 

@@ -26,7 +26,7 @@ def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(
     rig.go(4 * PERIOD)
     assert (rig.mode, rig.results) == ("fault", [(1, "aborted")])
     assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
-    assert "was to be extended within 0.08 s; its end-stop does not read extended" in rig.last(Ended).message
+    assert "did not become extended within 0.08 s; its end-stop does not read extended" in rig.last(Ended).message
     assert {board for board, _ in rig.master.questions} == {0}
 
 
@@ -167,7 +167,7 @@ def test_a_retraction_that_sticks_is_found_by_the_end_stop_that_it_does_not_leav
     rig.run(0)
     rig.go(0.2)
     assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
-    assert rig.reason.endswith("was to be contracted within 0.08 s; its end-stop still reads extended")
+    assert rig.reason.endswith("did not become contracted within 0.08 s; its end-stop still reads extended")
 
 
 def test_a_retraction_takes_its_travel_time_though_its_end_stop_has_opened(rig: Rig) -> None:

@@ -47,7 +47,7 @@ def test_a_device_of_another_profile_is_refused():
     world.boot()
     [fault] = world.master.boot_faults
     assert (fault.code, fault.source) == ("wrong-device", "can0/5")
-    assert "holds 00020192h in 1000h sub 0 (device type), not the profile 0191h" in fault.message
+    assert "has 00020192h in 1000h sub 0 (device type), not the profile 0191h" in fault.message
 
 
 @pytest.mark.parametrize(("device_type", "what"), [(0x00010191, "outputs"), (0x00020191, "inputs")])

@@ -167,7 +167,10 @@ def test_a_storm_of_emergencies_is_one_fault():
         world.say(0x085, code.to_bytes(2, "little") + bytes(6))
     world.run(0.1)
     assert world.master.status().boards[0].emergency == "current at the output side (23FFh)"
-    assert [fault.message for fault in world.faults] == ["board can0/5: it reports current at the output side (2300h)"]
+    (fault,) = world.faults
+    assert fault.message == (
+        "board can0/5: it reports current at the output side (2300h): remove the cause, then reset"
+    )
 
 
 @pytest.mark.parametrize("data", [b"", b"\x03\x03", bytes(8)])

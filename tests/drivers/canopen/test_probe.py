@@ -57,7 +57,7 @@ def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     assert (good.board, good.ok) == ("can0/5", True)
     assert good.text.startswith("device type 00030191h, error register 00h; to be written: 1016h sub 1 (heartbeat of")
     assert (other.board, other.ok) == ("can0/9", True)
-    assert "1000h sub 0 holds 00020191h, without the bit of digital inputs" in other.text
+    assert "1000h sub 0 is 00020191h, without the bit of digital inputs" in other.text
     held = world.boards["can0", 5].objects
     assert all(held.number(*place) == fresh.number(*place) for place in held._values)
     assert not any(cob_id < 0x580 for cob_id, _ in world.frames())
@@ -68,7 +68,7 @@ def test_an_error_register_is_told():
     world.boards["can0", 5].objects.put(0x1001, 0, 0x81)
     [answer] = asked(world)
     assert not answer.ok
-    assert "error register 1001h sub 0 holds 81h; 00h is needed" in answer.text
+    assert "error register 1001h sub 0 is 81h; 00h is needed" in answer.text
 
 
 def test_silent_boards_are_asked_in_parallel():

@@ -83,7 +83,7 @@ def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another
     )
     assert fault.code == "sdo-refused"
     assert fault.message == (
-        "board can0/5 holds 0000h in 1017h sub 0 (period of its heartbeat); 0258h is needed, which it refuses:"
+        "board can0/5 has 0000h in 1017h sub 0 (period of its heartbeat); 0258h is needed, which it refuses:"
         " value out of range (abort 06090030h)"
     )
 
@@ -127,7 +127,7 @@ def test_what_was_written_is_read_back():
     assert line.requests == ["2f 06 62 01 fd 00 00 00", "40 06 62 01 00 00 00 00"]
     line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfe\0\0\0"])
     fault = line.run(objects.ensure("can0/5", need, 0xFE))
-    assert "holds FEh in 6206h sub 1 (error mode) after FDh was written" in fault.message
+    assert "has FEh in 6206h sub 1 (error mode) after FDh was written" in fault.message
 
 
 def test_a_late_confirmation_of_a_repeated_write_does_not_hide_a_refusal():

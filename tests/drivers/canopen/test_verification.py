@@ -34,7 +34,7 @@ def test_a_first_commit_that_a_board_does_not_follow_fails():
     assert world.codes() == ["not-switched"]
     failed = world.master.commit_failed
     assert failed == world.faults[0].message
-    assert "can0/5 holds 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC" in failed
+    assert "can0/5 has 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC" in failed
     assert world.measured() == [-1, 1]
     world.up()  # a reset configures the board again
     assert world.measured() == [0, 1]
@@ -71,7 +71,7 @@ def test_another_program_that_changes_a_board_is_noticed(index, sub, value, size
     sdo(world, index, sub, value, size)
     assert world.until(lambda: world.codes()) < 10
     assert world.codes() == ["board-changed"]
-    assert f"can0/5 holds {value:0{2 * size}X}h in {index:04X}h sub {sub}" in world.faults[0].message
+    assert f"can0/5 has {value:0{2 * size}X}h in {index:04X}h sub {sub}" in world.faults[0].message
     world.up()
     world.run(5)
     assert world.codes() == ["board-changed"]
@@ -82,7 +82,7 @@ def test_an_error_of_which_no_emergency_was_heard_is_noticed():
     world.boards["can0", 5].objects.put(0x1001, 0, 0x09)
     world.until(lambda: world.codes())
     assert world.codes() == ["board-error"]
-    assert "1001h sub 0 holds 09h" in world.faults[0].message
+    assert "1001h sub 0 is 09h" in world.faults[0].message
 
 
 def test_reading_back_takes_little_of_the_bus():

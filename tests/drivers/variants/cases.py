@@ -18,7 +18,7 @@ class Case(NamedTuple):
 
     Attributes:
         variant: its name.
-        refused: what the sentence of the refusal holds; empty: the board boots and switches.
+        refused: words of the refusal's sentence; empty: the board boots and switches.
         warned: what the warnings hold, one each.
         options: of the wiring.
         label: of these options.
@@ -67,12 +67,12 @@ CASES = (
     Case(
         "no-output-bit",
         warned=(
-            "1000h sub 0 holds 00000191h, without the bit of digital outputs",
-            "1000h sub 0 holds 00000191h, without the bit of digital inputs",
+            "1000h sub 0 is 00000191h, without the bit of digital outputs",
+            "1000h sub 0 is 00000191h, without the bit of digital inputs",
         ),
     ),
     Case("all-bits"),
-    Case("maker-object", ("holds 00000000h in 1000h sub 0 (device type), not the profile 0191h", "needs `object`")),
+    Case("maker-object", ("has 00000000h in 1000h sub 0 (device type), not the profile 0191h", "needs `object`")),
     Case(
         "maker-object",
         ("no error mode for its maker's object", "set boards.error_state"),
@@ -93,7 +93,7 @@ CASES = (
     Case("canopennode", _NO_MODE),
     Case("canopennode", (), (_NO_BEHAVIOUR, "(error_state) its outputs hold"), _HOLD, "hold"),
     Case("canopennode", _NO_BEHAVIOUR_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
-    Case("deaf-error-mode", ("holds FFh in 6206h sub 1 (error mode) after FCh was written",)),
+    Case("deaf-error-mode", ("has FFh in 6206h sub 1 (error mode) after FCh was written",)),
     Case("hidden-error-state"),
     Case("hidden-error-state", options=_CONTRACT, label="contract"),
     Case("resets-outputs"),
@@ -102,16 +102,16 @@ CASES = (
     Case("foreign-sync"),
     Case("sync-counter"),
     Case("sync-period"),
-    Case("inverted-outputs", ("holds FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
+    Case("inverted-outputs", ("has FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
     Case("masked-inputs"),
     Case(
         "standing-error",
-        ("error register 1001h sub 0 holds 80h; 00h is needed", "1003h sub 1 holds 0000FF00h", "FF00h"),
+        ("error register 1001h sub 0 is 80h; 00h is needed", "1003h sub 1 is 0000FF00h", "FF00h"),
     ),
-    Case("generic-error", ("error register 1001h sub 0 holds 01h; 00h is needed", "1003h sub 1 holds 00001000h")),
+    Case("generic-error", ("error register 1001h sub 0 is 01h; 00h is needed", "1003h sub 1 is 00001000h")),
     Case(
         "blocking-error",
-        (IN_VAIN, "error register 1001h sub 0 holds 01h; 00h is needed", "1003h sub 1 holds 00005000h"),
+        (IN_VAIN, "error register 1001h sub 0 is 01h; 00h is needed", "1003h sub 1 is 00005000h"),
     ),
 )
 UNSEEN_WITHOUT_WRITING = frozenset({"no-sync"})  # `check --bus` tries no other value than those held and needed
