@@ -197,7 +197,7 @@ def test_a_phone_has_all_of_it(page: Page) -> None:
 
 
 def test_a_spatial_arm_is_drawn_and_commanded(page: Page) -> None:
-    shown = page("mixed")
+    shown = page("mixed", dark=True)
     canvas = shown.one(".stage canvas")
     assert shown.run("return document.querySelector('.stage canvas').getContext('webgl2') !== null")
     blank = len(canvas.screenshot_as_png)
@@ -206,6 +206,13 @@ def test_a_spatial_arm_is_drawn_and_commanded(page: Page) -> None:
     type_goal(shown, 0.0, 0.0, 0.0)
     shown.says("#goal .plan", "out of reach")
     assert home
+    densest = shown.driver.execute_async_script("""
+        const most = (points) => points.reduce((best, point) => (point[3] > best[3] ? point : best));
+        fetch('/arms/mixed/density').then((answer) => answer.json()).then((points) => arguments[0](most(points)));""")
+    type_goal(shown, *(round(x, 4) for x in densest[:3]))
+    shown.says("#goal .plan", "switches", "certificate")
+    shown.press("[data-mode=turn]")
+    shown.picture("panel-space.png")
     shown.press("#actuators .cell")
     shown.hold("#jog")
     eventually(lambda: "succeeded" in shown.text("#goals li"))
