@@ -131,7 +131,7 @@ def test_locked_actuators_and_those_that_would_touch_are_not_switched(desk: Desk
     jog(desk, m4_left="extended")
     assert "would collide" in desk.inbox.next("reply")["message"]
     jog(desk, m4_middle="extended")
-    assert "'4.middle' is none of this arm's" in desk.inbox.next("reply")["message"]
+    assert "'4.middle' is no actuator of this arm" in desk.inbox.next("reply")["message"]
 
 
 JOINT = {"type": "transforms", "states": [{"position": [0.1, 0.05 * k]} for k in range(3)], "count": 2}

@@ -86,4 +86,4 @@ def test_the_executors_questions_are_answered(desk: Desk) -> None:
     desk.executor.send(Question(2, home, b))
     answer = desk.executor.expect(Clearance)
     assert answer.question == 2
-    assert "is in disc 'd0'" in (answer.collision or "")
+    assert "is in disc 'd0'" in (answer.touched or "")
