@@ -93,8 +93,8 @@ def test_an_operator_commands(seen: Seen, client: Observer, guard: Guard, boards
     eventually(lambda: ("measured_tip", b"a tip") in seen.all)
     guard.session().put(f"{PREFIX}/setpoint", b"a set-point")
     eventually(lambda: ("setpoint", b"a set-point") in seen.all)
-    assert "none of this arm's" in client.ask("degrade", actuator="17.left", state=None)["message"]
-    assert "none of this arm's" in client.ask("jog", actuators={"17.left": "extended"})["message"]
+    assert "is no actuator of this arm" in client.ask("degrade", actuator="17.left", state=None)["message"]
+    assert "is no actuator of this arm" in client.ask("jog", actuators={"17.left": "extended"})["message"]
     assert client.ask("obstacles", regions=[])["accepted"]
     assert client.ask("stop")["accepted"]
     client.wait_now("stopped")
