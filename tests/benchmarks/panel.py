@@ -1,47 +1,39 @@
 """The cost of the page: a stop from it against the command's own request, and the planner with 20 pages open.
 
-python -m tests.benchmarks.panel [--stops 30] [--seconds 20]
+python -m tests.benchmarks.panel [--stops 30] [--seconds 20] [--json PATH]
 
-A stop's time ends when a client of its own hears the state `stopped`; its beginning is the request's first byte.
+Stops interrupt a goal of 48 switches, one at a time (`inrush: 1`), so that SYNCs follow each other closely. A stop's
+time begins with the request's first byte. It ends with the goal's last SYNC on the bus, 0 if none came after the
+request, and, as the operator sees it, when a client of its own hears the state `stopped`. Boards, executor, planner and
+panel are processes of their own; all read the same clock.
 """
 
 import argparse
 import json
 import os
-import queue
+import random
 import re
-import socket
 import statistics
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
 
-import zenoh
+import httpx2
+import numpy as np
+from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
 
-from controller.gateway import session
-from controller.gateway.client import Client
 from controller.panel.access import digest_of
-from tests.keys import DEPLOY
+from tests.benchmarks.chain.parts import Parts, report
+from tests.system.observer import Observer
 from tests.waiting import PATIENCE, eventually
 
 PAGES, ARM = 20, "planar16"
-
-
-def started(closing: ExitStack, folder: Path, *words: str) -> subprocess.Popen[bytes]:
-    """Runs a command of hyperbit until the measurement ends."""
-    environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder)}
-    log = closing.enter_context((folder / f"{words[0]}.log").open("w"))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "controller.cli", *words], stdout=log, stderr=log, env=environment
-    )
-    closing.callback(process.wait, PATIENCE)
-    closing.callback(process.terminate)
-    return process
+BETWEEN = 0.05, 0.3  # [s] from the acceptance of a goal to its stop
+WITHIN = 20.0  # bar: [ms] between the medians
 
 
 def page(closing: ExitStack, url: str, cookie: str) -> ClientConnection:
@@ -59,84 +51,100 @@ def page(closing: ExitStack, url: str, cookie: str) -> ClientConnection:
     return socket
 
 
-def processor_time(process: subprocess.Popen[bytes]) -> float:
+def processor_time(process: subprocess.Popen[str]) -> float:
     """Processor time of a process so far [s]."""
     fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def serve(closing: ExitStack, parts: Parts) -> tuple[str, str]:
+    """Runs the panel until the end; returns its address and the cookie of an operator."""
+    people, log = parts.folder / "people.yaml", parts.folder / "panel.log"
+    people.write_text(f"people: [{{name: a, role: operator, token: {digest_of('t')}}}]")
+    words = ["panel", "--connect", parts.endpoint, "--listen", "127.0.0.1:0", "--people", str(people)]
+    out = closing.enter_context(log.open("w"))
+    environment = {**os.environ, "STATE_DIRECTORY": str(parts.folder)}
+    panel = subprocess.Popen([sys.executable, "-m", "controller.cli", *words], stdout=out, stderr=out, env=environment)
+    closing.callback(panel.wait, PATIENCE)
+    closing.callback(panel.terminate)
+    url = eventually(lambda: re.findall(r"http://\S+", log.read_text()))[0]
+    answer = httpx2.post(f"{url}session", json={"token": "t"}, headers={"origin": url.rstrip("/")})
+    return url, answer.headers["set-cookie"].partition(";")[0]
+
+
+def stop_often(client: Observer, live: ClientConnection, count: int) -> dict[str, list[tuple[float, float]]]:
+    """Stops goals, by the page and by the command in turn; returns when each stop was sent and heard [s]."""
+    spans: dict[str, list[tuple[float, float]]] = {"page": [], "command": []}
+    drawn = random.Random(16)
+    client.reset()
+    for k in range(2 * count):
+        kind = ("page", "command")[k % 2]
+        goal = {"waypoints": [{"configuration": ("7", "0")[(k + k // 2) % 2] * 16}]}
+        eventually(lambda goal=goal, k=k: client.send("goal", id=f"{k} {time.monotonic()}", **goal)["accepted"])
+        time.sleep(drawn.uniform(*BETWEEN))
+        before, began, at = len(client.heard["state"]), time.monotonic(), time.time()
+        if kind == "page":
+            live.send(json.dumps({"do": "stop", "n": k}))
+        else:
+            client.ask("stop")
+        client.wait_for("stopped", after=before)
+        stopped = next(k for k, state in enumerate(client.heard["state"]) if k >= before and state["mode"] == "stopped")
+        spans[kind].append((began, began + client.times["state"][stopped] - at))
+        client.reset()
+    return spans
+
+
 def main() -> None:
+    """Measures, prints, writes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stops", type=int, default=30)
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--json", type=Path)
     wanted = parser.parse_args()
-    with ExitStack() as closing:
-        folder = Path(closing.enter_context(tempfile.TemporaryDirectory()))
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        (folder / "people.yaml").write_text(f"people: [{{name: a, role: operator, token: {digest_of('t')}}}]")
-        ledger = str(folder / "ledger.sqlite")
-        words = ("run", str(DEPLOY / f"{ARM}.yaml"), "--simulate", "--listen", endpoint, "--ledger", ledger)
-        planner = started(closing, folder, *words)
-        started(
-            closing,
-            folder,
-            "panel",
-            "--connect",
-            endpoint,
-            "--listen",
-            "127.0.0.1:0",
-            "--people",
-            str(folder / "people.yaml"),
-        )
-        log = folder / "panel.log"
-        url = eventually(lambda: re.findall(r"http://\S+", log.read_text()))[0]
-        import httpx2
-
-        answer = httpx2.post(f"{url}session", json={"token": "t"}, headers={"origin": url.rstrip("/")})
-        cookie = answer.headers["set-cookie"].partition(";")[0]
-
-        def opened() -> zenoh.Session:
-            try:
-                return zenoh.open(session.configuration("client", connect=endpoint))
-            except zenoh.ZError:
-                return None  # type: ignore[return-value]  # the planner is not there yet
-
-        own = closing.enter_context(eventually(opened, every=0.5))
-        client, modes = Client(own, ARM), queue.SimpleQueue[str]()
-        client.subscribe("state", lambda state: modes.put(state["mode"]))
-
-        def until(mode: str) -> float:
-            while modes.get(timeout=PATIENCE) != mode:
-                pass
-            return time.perf_counter()
-
-        until("ready")
+    shares: dict[str, list[float]] = {}
+    with Parts(real_time=True, travel_time=0.01, inrush=1) as parts, ExitStack() as closing:
+        url, cookie = serve(closing, parts)
+        client = parts.client()
         live = page(closing, url, cookie)
         time.sleep(1.0)
-        times: dict[str, list[float]] = {"page": [], "command": []}
-        for k in range(2 * wanted.stops):
-            kind = ("page", "command")[k % 2]
-            began = time.perf_counter()
-            if kind == "page":
-                live.send(json.dumps({"do": "stop", "n": k}))
-            else:
-                client.request("stop")
-            times[kind].append(until("stopped") - began)
-            client.request("reset")
-            until("ready")
-        for kind, seconds in times.items():
-            low, middle, high = (1e3 * q for q in statistics.quantiles(seconds, n=4))
-            print(f"stop by {kind}: median {middle:.1f} ms, quartiles {low:.1f} and {high:.1f}, {len(seconds)} stops")
+        spans = stop_often(client, live, wanted.stops)
         for count in (0, PAGES, 0, PAGES):
             with ExitStack() as pages:
                 for _ in range(count):
                     page(pages, url, cookie)
                 time.sleep(2.0)
-                before = processor_time(planner)
+                before = processor_time(parts.processes["planner"])
                 time.sleep(wanted.seconds)
-                share = (processor_time(planner) - before) / wanted.seconds
-            print(f"planner with {count + 1} pages: {100 * share:.1f} % of a processor")
+                share = (processor_time(parts.processes["planner"]) - before) / wanted.seconds
+            shares.setdefault(f"{count + 1} pages", []).append(round(100 * share, 2))
+        real_time = client.diagnosed()["real_time"]
+    syncs = parts.record("syncs")["at"]
+    to_last = {kind: [last(syncs, *span) for span in own] for kind, own in spans.items()}
+    medians = {kind: 1e3 * statistics.median(times) for kind, times in to_last.items()}
+    difference = medians["page"] - medians["command"]
+    figures = {
+        "each row": "quartiles, maximum",
+        "SYNCs of the goals apart [ms]": round(1e3 * float(np.median(np.diff(syncs))), 2),
+        "to the last SYNC [ms]": {kind: quartiles(times) for kind, times in to_last.items()},
+        "no SYNC after the request": {kind: sum(time == 0.0 for time in times) for kind, times in to_last.items()},
+        "until stopped is heard [ms]": {kind: quartiles([b - a for a, b in own]) for kind, own in spans.items()},
+        "difference of the medians to the last SYNC [ms]": round(difference, 2),
+        "stops of each kind": wanted.stops,
+        "processor of the planner [%]": shares,
+        "real_time": real_time,
+    }
+    report(figures, {f"medians within {WITHIN:g} ms": abs(difference) <= WITHIN}, wanted.json)
+
+
+def last(syncs: NDArray[np.float64], began: float, heard: float) -> float:
+    """Returns the time from a stop to the last SYNC before the state was heard [s]; 0 if none came after the stop."""
+    k = int(np.searchsorted(syncs, heard)) - 1
+    return max(float(syncs[k]) - began, 0.0) if k >= 0 else 0.0
+
+
+def quartiles(seconds: list[float]) -> list[float]:
+    """Returns the quartiles and the maximum of times [s] in milliseconds."""
+    return [round(1e3 * q, 2) for q in (*statistics.quantiles(seconds, n=4), max(seconds))]
 
 
 if __name__ == "__main__":

@@ -37,6 +37,7 @@ class Parts:
         file: of the arm.
         name: of the arm.
         endpoint: of the planner.
+        processes: the parts by their module's name.
 
     Args:
         real_time: whether the arm's file asks for it.
@@ -47,7 +48,7 @@ class Parts:
     def __init__(self, *, real_time: bool = False, simulate: bool = False, **fields: Any) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="hb"))
         self._simulate, self._closing = simulate, ExitStack()
-        self._processes: list[subprocess.Popen[str]] = []
+        self.processes: dict[str, subprocess.Popen[str]] = {}
         (self.folder / "can").mkdir()
         document = yaml.safe_load(PAPER_ARM.read_text()) | fields
         document["buses"] = [{"name": "can0", "interface": "virtual", "channel": str(self.folder / "can")}]
@@ -74,7 +75,7 @@ class Parts:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._closing.close()
-        for process in reversed(self._processes):
+        for process in reversed(self.processes.values()):
             process.send_signal(signal.SIGTERM)
             try:
                 process.wait(ENDING)
@@ -82,7 +83,7 @@ class Parts:
                 process.kill()
                 process.wait()
         self._kept = {path.stem: records.read(path) for path in self.folder.glob("*.npz")}
-        if error is None and all(process.returncode == 0 for process in self._processes):
+        if error is None and all(process.returncode == 0 for process in self.processes.values()):
             shutil.rmtree(self.folder)
         else:
             print(f"the logs are in {self.folder}", file=sys.stderr)
@@ -101,12 +102,12 @@ class Parts:
                 stderr=log,
                 text=True,
             )
-        self._processes.append(process)
+        self.processes[module] = process
         return process.stdout.readline().strip() if process.stdout else ""
 
     def _check(self) -> None:
         """Checks that all processes run."""
-        for process in self._processes:
+        for process in self.processes.values():
             assert process.poll() is None, f"process {process.args} has ended with {process.returncode}"
 
     def session(self) -> zenoh.Session:
