@@ -37,8 +37,8 @@ def held_arm(arm: Manipulator, rng: np.random.Generator) -> Manipulator:
 
 def check(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: float, turn: float) -> None:
     arm = solver.manipulator
-    tree, target = BranchAndBound(arm, build_hull(arm)), solver._target(goal, tolerance, turn)
-    costs = switch_costs(arm, previous, solver._weights)
+    tree, target = BranchAndBound(arm, build_hull(arm)), solver.target(goal, tolerance, turn)
+    costs = switch_costs(arm, previous, solver.weights)
     incumbent = Incumbent(previous, FOREVER)
     tree.run(target, previous, costs, incumbent, FOREVER)
     each = [solver.described(c, goal, previous, tolerance, turn) for c in every_configuration(arm)]
