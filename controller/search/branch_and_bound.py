@@ -1,10 +1,9 @@
-"""Branch and bound: the tree of configurations, module by module, pruned by cost-to-go maps.
+"""Branch and bound: a depth-first search of the configuration tree, pruned by cost-to-go maps. For planar arms.
 
-A node fixes the modules up to a level; what it costs at least is its own cost plus the map's value of the goal, seen
-from its frame. The tree is searched in depth, up to a threshold that rises from one proven bound to the next (Korf
-1985, "Depth-first iterative-deepening: an optimal admissible tree search"): each threshold that is searched whole is a
-lower bound. For planar arms. Poses have two lower bounds, the cost to go of the position and that of the heading; the
-greater counts.
+A node decides the modules up to a level. Its lower bound is its cost plus the cost to go of the goal in its frame. The
+search is iterative deepening (Korf 1985, "Depth-first iterative-deepening: an optimal admissible tree search"): nodes
+with a lower bound above a threshold are passed over. A complete search of the tree proves the threshold; the next one
+is the least lower bound passed over. Poses have two costs to go, of position and heading; the greater counts.
 """
 
 import math
@@ -27,18 +26,18 @@ from controller.workspace.hull import Hull
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-AT_ONCE = 1 << 14  # nodes between two looks at the clock
-RISE = 4  # levels of a map, half a switch of the least cost: thresholds rise by that at least
+AT_ONCE = 1 << 14  # nodes between two checks of the deadline
+RISE = 4  # least rise of a threshold in levels of the maps: half the least cost of a switch
 
 
 class Tree(NamedTuple):
     """The configuration tree of a planar arm.
 
     Attributes:
-        motions: frames of every module's states as rows, see frame_rows, shape (B * Kmax, 4).
+        motions: frames of all states as rows, see frame_rows, shape (B * Kmax, 4).
         states: K_i, shape (B,).
-        ranked: each module's states, the cheapest first, shape (B * Kmax,).
-        costs: of every module's states, shape (B, Kmax).
+        ranked: states of each module, cheapest first, shape (B * Kmax,).
+        costs: cost of each module's states, shape (B, Kmax).
     """
 
     motions: Array
@@ -48,16 +47,16 @@ class Tree(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Where a search stands, so that it can be interrupted.
+    """The state of an interrupted search.
 
     Attributes:
-        points: the goal seen from the frame of each level's node, shape (B + 1, 2).
-        headings: of the goal seen from there, in parts of the circle, shape (B + 1,).
+        points: position of the goal in the frame of each level's node, shape (B + 1, 2).
+        headings: heading of the goal in this frame, in parts of the circle, shape (B + 1,).
         prices: cost of each level's node, shape (B + 1,).
-        tried: number of its children that were tried, shape (B + 1,).
-        configuration: of the current path, or found, shape (B,).
-        level: of the current node, shape (1,); -1 if the tree was searched whole.
-        bounds: threshold, least bound above it of a node that was passed over, cost to be bettered, shape (3,).
+        tried: number of children of each level's node that were tried, shape (B + 1,).
+        configuration: configuration of the current path, or the one found, shape (B,).
+        level: level of the current node, shape (1,); -1 after a complete search.
+        bounds: threshold, least lower bound passed over, cost of the incumbent, shape (3,).
     """
 
     points: Array
@@ -74,11 +73,11 @@ WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1)
 
 
 class BranchAndBound:
-    """The search of one planar arm, with its maps.
+    """Branch and bound for one planar arm, with its maps.
 
     Args:
         manipulator: the arm.
-        hull: of its tips.
+        hull: hull of its tips.
     """
 
     def __init__(self, manipulator: Manipulator, hull: Hull) -> None:
@@ -89,11 +88,11 @@ class BranchAndBound:
 
     @property
     def begun(self) -> bool:
-        """Whether the search has begun with the current goal."""
+        """Whether a search of the current goal has started."""
         return self._walk is not None
 
     def claim(self) -> None:
-        """Has the system hand out memory now, and notes how long maps take."""
+        """Touches the memory, so that no search waits for page faults, and measures the time for maps."""
         costs = np.ones(self._m.bits.shape[:2])
         self.maps.maps(costs, search_radius(self._m, 1e-3 * self._m.length))
         began = time.perf_counter()
@@ -101,17 +100,17 @@ class BranchAndBound:
         self._map_time = time.perf_counter() - began
 
     def map_time(self, target: Target, costs: Array) -> float:
-        """Returns about how long the maps for a goal take [s]; 0 if they are there."""
+        """Returns the approximate time for the maps of a goal [s]; 0 if they are ready."""
         return 0.0 if self.maps.ready(costs, target.radius) else self._map_time
 
     def begin(self) -> None:
-        """Forgets the goal before."""
+        """Starts a new goal."""
         self._walk = None
 
     def run(self, target: Target, seed: Configuration, costs: Array, incumbent: Incumbent, until: float) -> None:
-        """Raises the bound until the incumbent is proven, or until `time.perf_counter()` says `until`.
+        """Searches until the incumbent is proven, or until a time by `time.perf_counter()`.
 
-        Goes on where it was interrupted, if it has begun with this goal.
+        A second call for the same goal continues the search.
         """
         m, maps = self._m, self.maps.maps(costs, target.radius)
         padded = np.where(np.arange(costs.shape[1]) < m.states[:, None], costs, np.inf)
@@ -128,13 +127,13 @@ class BranchAndBound:
                 incumbent.offer(configuration, float(walk.prices[-1]), target.square(m.tip(configuration)))
             elif walk.level[0] < 0:
                 incumbent.prove(min(walk.bounds[1], incumbent.cost))
-                # Weights that are all different would make many thresholds, so each rises by a part of a switch.
+                # Different weights give many lower bounds, so each threshold rises by at least part of a switch.
                 walk.bounds[:2] = max(incumbent.bound, walk.bounds[0] + RISE * maps.unit), np.inf
                 walk.level[0] = walk.tried[0] = 0
 
 
 def start(target: Target, seed: Configuration, bound: float) -> Walk:
-    """Returns the beginning of a walk: goal, seed (B,), first threshold."""
+    """Returns the start of a search: goal, seed (B,) and first threshold."""
     levels = len(seed) + 1
     points, headings = np.zeros((levels, 2)), np.zeros(levels, dtype=np.int64)
     points[0] = target.position[:2]
@@ -152,9 +151,9 @@ def start(target: Target, seed: Configuration, bound: float) -> Walk:
 def search(
     tree: Tree, maps: Maps, to_turn: Headings, query: Query, scene: Scene | None, walk: Walk, nodes: int
 ) -> bool:
-    """Walks the tree for so many nodes; returns whether a better configuration was found.
+    """Searches a number of nodes; returns whether it found a configuration better than the incumbent.
 
-    Its cost is then that of the last level. The walk goes on from there.
+    `walk` then has the configuration, and its cost at the last level. The next call continues from there.
     """
     motions, states, ranked, costs = tree
     points, headings, prices, tried, configuration, at, bounds = walk
@@ -168,7 +167,7 @@ def search(
             continue
         j = ranked[level * most + turn]
         price = prices[level] + costs[level, j]
-        if price > threshold or price >= ceiling:  # and so do the states that follow
+        if price > threshold or price >= ceiling:  # the following states cost more
             if price < ceiling:
                 above = min(above, price)
             level -= 1

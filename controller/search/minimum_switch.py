@@ -1,8 +1,8 @@
-"""Fewest switches: the cheapest configuration within the tolerances, and a proof that no cheaper one exists.
+"""Minimum switch: the cheapest configuration within the tolerances, with a proof that no cheaper one exists.
 
-The stages, each of which improves the incumbent and what is proven of it: two lists, matched in the middle; IPOP's
-answer, if the lists yield no proof; branch and bound for planar arms, and four lists, which find
-or exclude what two lists leave out; beam searches, and two lists around the incumbent, while time is left.
+The stages improve the incumbent and its lower bound: two lists, matched in the middle; IPOP, if the lists yield no
+configuration; branch and bound, for planar arms; four lists, which find or exclude what two lists leave out; beam
+searches, and two lists around the incumbent, until the deadline.
 """
 
 import math
@@ -29,42 +29,42 @@ from controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
 
-NEAR = 1 << 14  # rows of a half, for a beginning
-WIDE = 1 << 16  # for what the near lists leave out, if the incumbent costs not much more
-LADDER = (NEAR, WIDE, 1 << 18)  # rows of lists around the incumbent
-GRID = {2: 256, 3: 32}  # near pairs are looked for within the points' extent over so many
-EASY = 1.5  # times what the near lists leave out: four lists prove what costs less sooner than maps are made
-REST, REST_FOUND = 0.5, 0.2  # parts of the time that branch and bound leaves at first; the second with an incumbent
-BEAMS = (32, 128, 512)  # widths, the next if there is time
-FAR = 1.0, 1.2  # times what the near lists leave out in both halves: beam searches precede a proof of what costs more
+NEAR = 1 << 14  # rows of a half in the near lists
+WIDE = 1 << 16  # rows of a half to extend a proof, if the incumbent costs little more than the near lists
+LADDER = (NEAR, WIDE, 1 << 18)  # rows of a half in lists around the incumbent
+GRID = {2: 256, 3: 32}  # extent of the points over the greatest distance of a pair, by dimension
+EASY = 1.5  # below this multiple of the unexplored cost, four lists give a proof sooner than new maps
+REST, REST_FOUND = 0.5, 0.2  # share of the time that the first run of branch and bound leaves: without, with incumbent
+BEAMS = (32, 128, 512)  # widths of beam searches, in order
+FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam searches precede the proof
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A goal and where it is asked for from.
+    """A goal and the costs of configurations.
 
     Attributes:
         target: the goal.
-        seed: the configuration that costs nothing, shape (B,).
-        costs: of every state of every module, at least 0, shape (B, Kmax).
-        patience: `time.perf_counter()` up to which to search if nothing is within the tolerances before.
-        hopeless: whether it is known that nothing is.
+        seed: the configuration of cost 0, shape (B,).
+        costs: cost of each module's states, at least 0, shape (B, Kmax).
+        patience: deadline, by `time.perf_counter()`, if no configuration within the tolerances is found before.
+        unreachable: whether the goal is known to be unreachable.
     """
 
     target: Target
     seed: Configuration
     costs: Array
     patience: float
-    hopeless: bool = False
+    unreachable: bool = False
 
 
 class MinimumSwitch:
-    """The search of one manipulator, with the memory for its tables.
+    """The minimum-switch search of one manipulator, with its memory.
 
     Args:
         manipulator: the arm.
-        hull: of its tips.
-        paths: of its densities.
+        hull: hull of its tips.
+        paths: POP, IPOP and beam search of this arm.
     """
 
     def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths) -> None:
@@ -77,9 +77,9 @@ class MinimumSwitch:
         self._proof: Proof | None = None
 
     def claim(self) -> None:
-        """Has the system hand out memory now, not in the middle of a search with a deadline.
+        """Touches the memory, so that no search waits for page faults.
 
-        Only searches that take long list more than the first rung of LADDER; they have the time to wait for memory.
+        Only long searches list more than the first step of LADDER; they can wait for their memory.
         """
         self._near.claim()
         self._wide.claim(LADDER[0])
@@ -89,7 +89,7 @@ class MinimumSwitch:
             self._tree.claim()
 
     def expect(self, seed: Configuration, costs: Array, tolerance: float) -> Iterator[None]:
-        """Lists and sorts, step by step, what the search of a position begins with; repeating it costs nothing."""
+        """Prepares the lists and maps of a position search step by step. A repeated call returns at once."""
         radius = search_radius(self._m, tolerance)
         self._near.list(seed, costs, costs)
         yield
@@ -103,7 +103,7 @@ class MinimumSwitch:
                 yield
 
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Runs the stages until the incumbent is proven or its time is over."""
+        """Runs the stages until the incumbent is proven or the deadline passes."""
         stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
             self._two_lists,
             self._outside,
@@ -134,7 +134,7 @@ class MinimumSwitch:
             self._nearest.improve(problem.target, incumbent)
 
     def repair(self, target: Target, incumbent: Incumbent) -> None:
-        """Offers a configuration within the tolerances near the incumbent's, or else the nearest found."""
+        """Offers a configuration within the tolerances near the incumbent, otherwise the nearest found."""
         free = np.zeros(self._m.bits.shape[:2])
         problem = Problem(target, incumbent.configuration, free, incumbent.until)
         self._nearest.improve(target, incumbent)
@@ -143,8 +143,8 @@ class MinimumSwitch:
                 self._wander(problem, incumbent, most)
 
     def _two_lists(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Matches the halves near the seed."""
-        if problem.hopeless:
+        """Matches the two lists near the seed."""
+        if problem.unreachable:
             incumbent.prove(np.inf)
         elif not incumbent.late:
             self._near.list(problem.seed, problem.costs, problem.costs)
@@ -160,7 +160,7 @@ class MinimumSwitch:
             incumbent.prove(np.inf)
 
     def _ipop(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Offers IPOP's answer if nothing better is known."""
+        """Offers the configuration of IPOP if the incumbent has none within the tolerances."""
         if incumbent.cost < np.inf:
             return
         target, modules = problem.target, np.arange(len(problem.seed))
@@ -172,9 +172,9 @@ class MinimumSwitch:
         incumbent.offer(configuration, cost, square)
 
     def _branch_and_bound(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Searches the tree, the first time in a part of the time that is left, then to the end."""
+        """Runs branch and bound for a part of the remaining time; a second call runs it until the deadline."""
         tree = self._tree
-        if tree is None or problem.hopeless or incumbent.late:
+        if tree is None or problem.unreachable or incumbent.late:
             return
         waiting = tree.map_time(problem.target, problem.costs)
         if waiting > 0.0 and incumbent.cost <= EASY * min(self._near.lower.unexplored, self._near.upper.unexplored):
@@ -186,9 +186,9 @@ class MinimumSwitch:
             tree.run(problem.target, problem.seed, problem.costs, incumbent, until)
 
     def _four_lists(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Proves what the two lists leave out to be no better, or finds it.
+        """Runs the proof by four lists.
 
-        Lists more if the proof has come to what the near lists leave out in both halves.
+        If the proof reaches the pairs that the near lists leave out in both halves, longer lists extend it.
         """
         proof, near, wide = self._proof, self._near, self._wide
         if proof is None or incumbent.over:
@@ -205,7 +205,7 @@ class MinimumSwitch:
             proof.run(incumbent)
 
     def _far(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Improves an incumbent that costs too much for a quick proof, by beam searches and halves around it."""
+        """Improves an incumbent that costs too much for a quick proof: beam searches, and two lists around it."""
         if incumbent.late:
             return
         for width, share in zip(BEAMS, FAR, strict=False):
@@ -215,20 +215,20 @@ class MinimumSwitch:
                 self._wander(problem, incumbent, NEAR)
 
     def _approach(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Brings the tip nearer: what is near is near to what is within the tolerances, too."""
+        """Brings the tip nearer to the goal, as a start for lists around the incumbent."""
         if incumbent.cost == np.inf:
             self._release()
             self._nearest.improve(problem.target, incumbent)
 
     def _around(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Matches halves around the incumbent; longer lists while nothing is within the tolerances."""
+        """Matches two lists around the incumbent; longer lists until a configuration is within the tolerances."""
         for most in LADDER:
             self._wander(problem, incumbent, most)
             if incumbent.cost < np.inf or not problem.target.hard:
                 break
 
     def _beams(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Offers what wider beam searches find, and halves around it."""
+        """Runs wider beam searches, each followed by two lists around the incumbent."""
         seconds = 0.0
         for width in BEAMS[1:]:
             if incumbent.proven or incumbent.remaining() < seconds:
@@ -239,19 +239,19 @@ class MinimumSwitch:
             self._wander(problem, incumbent, NEAR)
 
     def _release(self) -> None:
-        """Ends a proof that goes by the wide lists, which are about to be overwritten."""
+        """Ends a proof that uses the wide lists before they are overwritten."""
         if self._proof is not None and self._proof.rest > self._near.lower.unexplored + self._near.upper.unexplored:
             self._proof = None
 
     def _list(self, seed: Configuration, distances: Array, costs: Array, most: int) -> None:
-        """Lists the wide halves, and notes how long a row takes, with room."""
+        """Lists the wide halves, and estimates the time for a row, with a margin."""
         began = time.perf_counter()
         self._wide.list(seed, distances, costs, most)
         count = len(self._wide.lower.costs) + len(self._wide.upper.costs)
         self._row_time = 4.0 * (time.perf_counter() - began) / count
 
     def _wander(self, problem: Problem, incumbent: Incumbent, most: int) -> None:
-        """Matches halves around the incumbent again and again, until it is the best near itself."""
+        """Matches two lists around the incumbent repeatedly, until this does not improve it."""
         self._release()
         while incumbent.remaining() > most * self._row_time:
             seed, cost = incumbent.configuration, incumbent.cost
@@ -262,11 +262,11 @@ class MinimumSwitch:
 
 
 class Nearest:
-    """Brings the tip nearer from a configuration on, by changes of few actuators at a time.
+    """Local search for the nearest tip, by changes of few actuators at a time.
 
     Args:
         manipulator: the arm.
-        two: memory that may be overwritten.
+        two: two lists that may be overwritten.
     """
 
     def __init__(self, manipulator: Manipulator, two: TwoList) -> None:
@@ -275,11 +275,11 @@ class Nearest:
         self._rows = room(rows(manipulator, 0, len(manipulator.modules), NEAR), self._motions.shape[1])
 
     def claim(self) -> None:
-        """Has the system hand out all memory now, not in the middle of a search with a deadline."""
+        """Touches all memory, so that no search waits for page faults."""
         self._rows.claim()
 
     def improve(self, target: Target, incumbent: Incumbent) -> None:
-        """Offers nearer configurations to an incumbent of infinite cost until its time is over, nearly."""
+        """Offers nearer configurations to an incumbent of infinite cost until its deadline is near."""
         seconds = 0.0
         while incumbent.remaining() > 1.5 * seconds:
             began, before = time.perf_counter(), incumbent.square
@@ -290,7 +290,7 @@ class Nearest:
                 break
 
     def _change(self, target: Target, incumbent: Incumbent) -> None:
-        """Offers the nearest of all that differ in few actuators, wherever they are."""
+        """Offers the nearest of all configurations that differ in few actuators of any module."""
         seed = incumbent.configuration
         away = distances(self._m, seed)
         count = len(self._m.modules)
@@ -306,7 +306,7 @@ class Nearest:
                 return
 
     def _pair(self, target: Target, incumbent: Incumbent) -> None:
-        """Offers the nearest of all that differ in few actuators of either half, if it is very near."""
+        """Offers the nearest of all configurations that differ in few actuators of each half, if it is very near."""
         two, size = self._two, self._m.dimension
         two.list(incumbent.configuration, distances(self._m, incumbent.configuration), self._free, NEAR)
         extent = float(np.ptp(two.upper.frames[:, :size], axis=0).max())

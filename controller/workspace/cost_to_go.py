@@ -1,9 +1,9 @@
 """Cost-to-go maps of a planar arm: the least cost with which the modules above a level bring the tip to a point.
 
-They obey the recursion of the workspaces (section 3.1.1) with minimum and sum in place of sum and product, a min-plus
-Mapping Algorithm: where a configuration of module i carries frame F_i to frame F_{i-1}, the map of level i - 1 is the
-least of the state's cost plus the map of level i, over all states. Every rounding is downwards, so that a map's value
-is a lower bound for all points of its pixel.
+The maps are a min-plus Mapping Algorithm: the recursion of the workspaces (section 3.1.1), with minimum and sum in
+place of sum and product. A configuration of module i maps frame F_i to frame F_{i-1}. The map of level i - 1 is the
+minimum over all states of the state's cost plus the map of level i. All rounding is downwards, so the value of a pixel
+is a lower bound for all its points.
 """
 
 from collections.abc import Iterator
@@ -20,32 +20,32 @@ Integers = NDArray[np.int64]
 Levels = NDArray[np.int16]
 Boxes = NDArray[np.float64]
 
-UNREACHABLE = 9999  # level of pixels where no tip comes
-STEPS = 8  # levels to the least cost of a switch: serves equal weights exactly and others well
-LENGTHS = 200.0  # pixels in the arm's length, at the base
-HALFWAY = 2.0  # times finer in the middle of the arm, and finer still towards the tip, where few switches are left
-PREFIXES = 512.0  # configurations of the first modules that are all tried: their maps would be large and prune little
-MOST_LOOKUPS = 3.2e6  # of all levels; pixels grow where they do not suffice
-BORDER = 2  # pixels around the tips
-FRACTION = 16  # bits of a pixel's coordinate after the point
-# The pixel of a level must cover what the next level's window of 3 x 3 pixels covers: half its diagonal is at most a
-# pixel there, and 0.0128 of a pixel are left for rounding, see MOST_SIDE.
+UNREACHABLE = 9999  # level of pixels without a tip
+STEPS = 8  # levels of the least cost of a switch: exact for equal weights, nearly exact for others
+LENGTHS = 200.0  # pixels along the arm's length, at the base
+HALFWAY = 2.0  # how many times finer the pixels are in the middle of the arm; they are finest at the tip
+PREFIXES = 512.0  # configurations of the first modules, which have no maps: these would be large and prune little
+MOST_LOOKUPS = 3.2e6  # look-ups of all levels; pixels grow until they are fewer
+BORDER = 2  # pixels of the border around all tips
+FRACTION = 16  # fractional bits of a pixel's coordinate
+# A pixel, moved to the next level, must lie within a window of 3 x 3 pixels: half its diagonal is at most one pixel
+# there, less 0.0128 of a pixel for rounding, see MOST_SIDE.
 RATIO = 0.7163
-MOST_SIDE = 800  # pixels; each adds at most 2 ** -FRACTION to a coordinate's rounding
+MOST_SIDE = 800  # most pixels along a side; each adds at most 2 ** -FRACTION to the rounding error of a coordinate
 
 
 class Maps(NamedTuple):
     """Cost-to-go maps of levels `first` to B.
 
     Attributes:
-        first: the lowest level with a map.
-        unit: cost of one level.
-        radius: of the tip's distance from a point.
-        values: levels of all pixels, level after level, x slowest; at least UNREACHABLE where no tip comes.
-        offsets: where each level begins in `values`, shape (B + 1,).
-        shapes: pixels along x and y, shape (B + 1, 2).
-        corners: least coordinates of each level's box, shape (B + 1, 2).
-        pixels: sides, shape (B + 1,).
+        first: lowest level with a map.
+        unit: cost of one level of `values`.
+        radius: greatest distance of the tip from a point.
+        values: cost of each pixel in units, level by level, x slowest; at least UNREACHABLE for pixels without a tip.
+        offsets: first pixel of each level in `values`, shape (B + 1,).
+        shapes: number of pixels along x and y, shape (B + 1, 2).
+        corners: least corner of each level's box, shape (B + 1, 2).
+        pixels: side of the pixels of each level, shape (B + 1,).
     """
 
     first: int
@@ -64,17 +64,17 @@ MAPS = types.NamedTuple(  # type: ignore[no-untyped-call]
 
 
 class CostToGo:
-    """The cost-to-go maps of one planar arm, with their memory.
+    """Computes the cost-to-go maps of one planar arm; holds their memory.
 
     Args:
         manipulator: the arm.
-        boxes: least and greatest x, least and greatest y of all tips in frames F_0 to F_B, shape (B + 1, 4).
+        boxes: least and greatest x and y of all tips in frames F_0 to F_B, shape (B + 1, 4), see Hull.
     """
 
     def __init__(self, manipulator: Manipulator, boxes: Boxes) -> None:
         self._m, self._boxes = manipulator, boxes
-        reaches = np.linalg.norm(manipulator.translations, axis=2).max(axis=1)
-        self._reaches = np.append(np.cumsum(reaches[::-1])[::-1], 0.0)
+        extents = np.linalg.norm(manipulator.translations, axis=2).max(axis=1)
+        self._extents = np.append(np.cumsum(extents[::-1])[::-1], 0.0)
         products = np.cumprod(manipulator.states.astype(float))
         self._first = min(int(np.searchsorted(products, PREFIXES, side="right")), len(products))
         self._key: tuple[Array, float] | None = None
@@ -82,18 +82,18 @@ class CostToGo:
         self._window = np.empty(0, dtype=np.int16)
 
     def maps(self, costs: Array, radius: float) -> Maps:
-        """Returns the maps for the costs of each module's states (B, Kmax), and a radius; those before lose meaning."""
+        """Returns the maps for costs (B, Kmax) of the states and a radius. Earlier maps become invalid."""
         for _ in self.steps(costs, radius):
             pass
         assert self._maps is not None
         return self._maps
 
     def ready(self, costs: Array, radius: float) -> bool:
-        """Returns whether the maps are known already."""
+        """Returns whether the maps are ready."""
         return self._key is not None and self._key[1] == radius and np.array_equal(self._key[0], costs)
 
     def steps(self, costs: Array, radius: float) -> Iterator[None]:
-        """Computes the maps level by level; does nothing if they are known already."""
+        """Computes the maps level by level; returns at once if they are ready."""
         if self.ready(costs, radius):
             return
         self._key = None  # until it is done
@@ -108,13 +108,13 @@ class CostToGo:
         self._key = (costs.copy(), radius)
 
     def _layout(self, radius: float) -> Maps:
-        """Returns maps without values."""
+        """Returns maps with memory for the values."""
         count, boxes = len(self._m.states), self._boxes
-        scale, length = 1.0, max(float(self._reaches[0]), radius)
+        scale, length = 1.0, max(float(self._extents[0]), radius)
         widths = np.stack((boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]), axis=1) + 2 * radius
         while True:
             base = scale * length / LENGTHS
-            pixels = np.minimum(base, base / HALFWAY * (2 * self._reaches / length) ** 1.5)
+            pixels = np.minimum(base, base / HALFWAY * (2 * self._extents / length) ** 1.5)
             pixels = np.maximum(pixels, np.maximum(radius, widths.max(axis=1) / (MOST_SIDE - 2 * BORDER - 2)))
             for level in range(1, count + 1):
                 pixels[level] = max(pixels[level], pixels[level - 1] * RATIO)
@@ -132,7 +132,7 @@ class CostToGo:
 
 
 def in_levels(costs: Array) -> tuple[float, Levels]:
-    """Returns the cost of one level, and costs (B, Kmax) in levels, rounded downwards."""
+    """Returns the unit of cost, and costs (B, Kmax) in units, rounded downwards."""
     positive, dearest = costs[costs > 0], float(costs.max(axis=1).sum())
     unit = max(float(positive.min()) / STEPS, dearest / (UNREACHABLE - 1)) if len(positive) else 1.0
     return unit, (costs / unit + 1e-11).astype(np.int16)
@@ -140,7 +140,7 @@ def in_levels(costs: Array) -> tuple[float, Levels]:
 
 @njit("UniTuple(i8, 2)(f8, f8, i8, i8, i8)", cache=True, nogil=True, error_model="numpy")
 def inside(start: float, step: float, size: int, low: int, high: int) -> tuple[int, int]:
-    """Returns which of v = low..high-1 have 0 <= start + v * step < size << FRACTION, as a range."""
+    """Returns the range of v = low..high-1 with 0 <= start + v * step < size << FRACTION."""
     top = float(size << FRACTION) - 1.0
     if step == 0.0:
         return (low, high) if 0.0 <= start <= top else (0, 0)
@@ -152,7 +152,7 @@ def inside(start: float, step: float, size: int, low: int, high: int) -> tuple[i
 
 @njit(types.void(int16[::1], int64, int64, int16[::1]), cache=True, nogil=True)
 def write_window(values: Levels, nx: int, ny: int, window: Levels) -> None:
-    """Writes the least value of each pixel and its neighbours; UNREACHABLE along the edge, where no tip comes."""
+    """Writes the least value of each pixel and its eight neighbours; UNREACHABLE along the edge."""
     before, nothing = np.empty(ny, dtype=np.int16), np.int16(UNREACHABLE)
     for u in range(nx):
         row, own = window[u * ny : u * ny + ny], values[u * ny : u * ny + ny]

@@ -1,7 +1,7 @@
 """Cost to go of the heading: the least cost with which the modules above a level turn the tip to a heading.
 
-The recursion is that of the cost-to-go maps, on the circle. Headings are integers, so that sums of them are exact and
-wrap; a bin's value is a lower bound for all headings of the bin.
+The recursion is that of the cost-to-go maps, on the circle. Headings are integers, so their sums are exact and wrap
+around. The value of a bin is a lower bound for all its headings.
 """
 
 import math
@@ -18,18 +18,18 @@ Integers = NDArray[np.int64]
 Levels = NDArray[np.int16]
 
 BINS = 1 << 12
-PART_BITS = 28  # of the parts of a bin, in which headings are counted
+PART_BITS = 28  # bits of the parts of a bin; headings are counted in parts
 PARTS = 1 << PART_BITS
 CIRCLE = BINS * PARTS
 
 
 class Headings(NamedTuple):
-    """Costs to go of the heading.
+    """The costs to go of the heading.
 
     Attributes:
-        turns: of every module's states, in parts of the circle, shape (B * Kmax,).
-        values: levels of cost by level and bin, shape (B + 1, BINS); at least UNREACHABLE where no tip turns. Shape
-            (0, BINS) if any orientation will do.
+        turns: rotation of each state in parts of the circle, shape (B * Kmax,).
+        values: cost by level and bin, shape (B + 1, BINS), in units of the maps; at least UNREACHABLE if no tip has the
+            heading. Shape (0, BINS) without orientation.
     """
 
     turns: Integers
@@ -45,7 +45,7 @@ def parts(sine: Array, cosine: Array) -> Integers:
 
 
 class HeadingToGo:
-    """The costs to go of the heading of one planar arm, with their memory.
+    """Computes the costs to go of the heading of one planar arm; holds their memory.
 
     Args:
         manipulator: the arm.
@@ -58,18 +58,18 @@ class HeadingToGo:
         self._key: tuple[Levels, float] | None = None
 
     def headings(self, levels: Levels, unreachable: int, angle: float) -> Headings:
-        """Returns the costs to go; those before lose meaning.
+        """Returns the costs to go. Earlier ones become invalid.
 
         Args:
-            levels: costs of every module's states in levels, shape (B, Kmax).
-            unreachable: level of headings to which no tip turns.
-            angle: of the tip's heading from the goal's, at most [rad]; infinite if any orientation will do.
+            levels: cost of each module's states in units, shape (B, Kmax).
+            unreachable: value of headings that no tip has.
+            angle: greatest angle between the headings of tip and goal [rad]; infinite without orientation.
         """
         turns = self._turns.ravel()
         if angle >= math.pi:
             return Headings(turns, self._values[:0])
         if self._key is None or self._key[1] != angle or not np.array_equal(self._key[0], levels):
-            # Each of the turns and the goal's heading are rounded by at most half a part.
+            # Each rotation and the goal's heading are rounded by at most half a part.
             near = int(angle * (CIRCLE / math.tau)) + len(self._states) + 4
             write_headings(self._turns, self._states, levels, near, unreachable, self._values)
             self._key = levels.copy(), angle
@@ -88,11 +88,11 @@ def write_headings(
     """Computes the costs to go from the tip to the base.
 
     Args:
-        turns: of every module's states, in parts of the circle, shape (B, Kmax).
+        turns: rotation of each state in parts of the circle, shape (B, Kmax).
         states: K_i, shape (B,).
-        levels: costs of every module's states in levels, shape (B, Kmax).
+        levels: cost of each module's states in units, shape (B, Kmax).
         near: greatest difference of headings at the tip, in parts of the circle.
-        unreachable: level of headings to which no tip turns.
+        unreachable: value of headings that no tip has.
         values: written, shape (B + 1, BINS).
     """
     count, nothing = len(states), np.int16(unreachable)
@@ -102,12 +102,12 @@ def write_headings(
         values[count, k] = np.int16(0) if within else nothing
     for level in range(count - 1, -1, -1):
         above, own = values[level + 1], values[level]
-        for k in range(2 * BINS):  # twice round, so that no index wraps in the loop below
+        for k in range(2 * BINS):  # two circles, so that no index wraps in the loop below
             here, before = above[k & (BINS - 1)], above[(k - 1) & (BINS - 1)]
             single[k], pair[k] = here, min(here, before)
         own[:] = nothing
         for j in range(states[level]):
-            # A bin that turns back comes to one bin, or to parts of two.
+            # A bin, turned back, covers one bin or parts of two.
             turn, price = turns[level, j] & (CIRCLE - 1), levels[level, j]
             source = single if turn % PARTS == 0 else pair
             start = BINS - turn // PARTS
