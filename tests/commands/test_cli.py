@@ -18,7 +18,7 @@ from controller import cli
 from controller.commands import requests
 from controller.commands.common import arm_name
 from controller.commands.table import GROUPS
-from controller.manipulator import held
+from controller.manipulator import locked
 from controller.strict import InputFaults
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
@@ -168,4 +168,4 @@ def test_a_file_without_a_name_is_unusable_input(tmp_path, text, fault):
 
 
 def test_states_have_the_names_of_the_arm():
-    assert requests.STATES == held.STATES
+    assert requests.STATES == locked.STATES
