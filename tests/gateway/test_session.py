@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -79,9 +80,15 @@ def test_a_client_that_stood_still_hears_the_results_of_that_time(gateway: Gatew
         assert client.stdout
         assert client.stdout.readline() == "ready\n"
         gateway.reached()
-        client.send_signal(signal.SIGSTOP)
-        time.sleep(STANDSTILL)
-        gateway.outbox.publish("result", {"status": "succeeded"})
-        client.send_signal(signal.SIGCONT)
-        assert json.loads(client.stdout.readline()) == {"status": "succeeded"}
+        for attempt in count():
+            began = time.monotonic()
+            client.send_signal(signal.SIGSTOP)
+            time.sleep(STANDSTILL)
+            gateway.outbox.publish("result", {"status": "succeeded", "attempt": attempt})
+            client.send_signal(signal.SIGCONT)
+            if time.monotonic() - began < session.LEASE / 2:  # a busy machine may make it longer than sessions last
+                break
+            gateway.reached()
+        while json.loads(client.stdout.readline())["attempt"] < attempt:
+            pass
         client.communicate()
