@@ -95,7 +95,7 @@ def test_actuators_that_are_stuck_leave_their_modules_fewer_states(read):
     assert arm.locked.tolist() == [-1, 1, -1, -1, -1, 0]
     assert (arm.manipulator.states.tolist(), arm.reduced.states.tolist()) == ([8, 8], [4, 4])
     assert set(arm.reduced.modules[0].bits[:, 1]) == {1}
-    assert read(document()).left.states.tolist() == [8, 8]
+    assert read(document()).reduced.states.tolist() == [8, 8]
 
 
 def test_regions_are_those_of_the_file_and_others_beside_them(read):
