@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 import zenoh
@@ -14,6 +15,7 @@ import zenoh
 from controller.config import Arm
 from controller.gateway import session
 from controller.gateway.client import Client
+from controller.recorder import player
 from controller.recorder.folder import Folder
 from controller.recorder.player import Player, Timeline
 from controller.recorder.reader import RecordingReader
@@ -81,7 +83,9 @@ def played(
 ) -> list[tuple[float, str, dict[str, Any]]]:
     sessions, timeline = Sessions(), Timeline(past.begin / 1e9, past.end / 1e9, speed)
     timeline.change({"at": timeline.begin + begin})
-    Player(past, sessions, "replay", timeline).play(lambda: False, stay=False, clock=sessions.clock(step))  # type: ignore[arg-type]
+    replay = Player(past, sessions, "replay", timeline)  # type: ignore[arg-type]
+    with mock.patch.object(player, "LONGEST_WAIT", 0.0):  # the clock goes on without it
+        replay.play(lambda: False, stay=False, clock=sessions.clock(step))
     return sessions.put_at
 
 
