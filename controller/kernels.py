@@ -80,7 +80,9 @@ def fork(module: str) -> int:
         return child
     status = 1
     try:
-        importlib.import_module(module)
+        imported = importlib.import_module(module)
+        for variant in getattr(imported, "KERNEL_VARIANTS", ()):  # of a kernel that is made when it is needed
+            imported.kernel(*variant)
         status = 0
     finally:
         if status:

@@ -7,6 +7,7 @@ cell walk for positions and poses, compiled for each case.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,6 +88,7 @@ def chord(a: Array, i: int, b: Array, j: int) -> float:
     return total
 
 
+@cache
 def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
 
@@ -218,11 +220,15 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     return match
 
 
-KERNELS: dict[tuple[bool, bool], Any] = {
-    (planar, posed): kernel(planar, posed) for planar in (True, False) for posed in (False, True)
-}
+KERNEL_VARIANTS = [(planar, posed) for planar in (True, False) for posed in (False, True)]
+
+
+def load(planar: bool) -> None:
+    """Loads the kernels for planar or for spatial arms; each takes memory. A match without it loads its own."""
+    for posed in (False, True):
+        kernel(planar, posed)
 
 
 def match(outer: Side, inner: Side, index: Index, *rest: Any) -> None:
     """Calls the kernel for these sides, for positions or poses by the index."""
-    KERNELS[outer.frames.shape[1] == 4, index.rotation_scale > 0.0](outer, inner, index, *rest)
+    kernel(outer.frames.shape[1] == 4, index.rotation_scale > 0.0)(outer, inner, index, *rest)

@@ -18,7 +18,7 @@ from controller.obstacles.scene import collides
 from controller.search.branch_and_bound import BranchAndBound
 from controller.search.four_list import FourList, Proof
 from controller.search.frame_rows import motions
-from controller.search.matching import put
+from controller.search.matching import load, put
 from controller.search.method import distances
 from controller.search.paths import Paths
 from controller.search.segment import Sets, build_segment, room
@@ -68,6 +68,7 @@ class MinimumSwitch:
     """
 
     def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths) -> None:
+        load(manipulator.planar)
         self._m, self._hull, self._paths = manipulator, hull, paths
         self._near, self._wide = TwoList(manipulator, NEAR), TwoList(manipulator, LADDER[-1])
         self._four = FourList(manipulator, self._near.cut)

@@ -8,4 +8,6 @@ import drivers
 
 for package in (controller, drivers):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-        importlib.import_module(module.name)
+        imported = importlib.import_module(module.name)
+        for variant in getattr(imported, "KERNEL_VARIANTS", ()):
+            imported.kernel(*variant)
