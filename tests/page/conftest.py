@@ -202,6 +202,17 @@ class Shown:
 
         eventually(lambda: acted(press))
 
+    def press_named(self, css: str, name: str) -> None:
+        """Clicks on the element of a CSS selector whose text begins with a name."""
+        script = (
+            "return [...document.querySelectorAll(arguments[0])].find((it) => it.textContent.startsWith(arguments[1]))"
+        )
+
+        def press() -> None:
+            eventually(lambda: self.run(script, css, name), lambda: name).click()
+
+        eventually(lambda: acted(press))
+
     def type(self, css: str, text: str) -> None:
         """Types a text into a field, in place of what it has."""
         from selenium.webdriver.common.keys import Keys

@@ -116,12 +116,10 @@ def test_an_actuator_is_jogged_while_a_button_is_held_and_locked(page: Page) -> 
     shown.hold("#jog")
     shown.says("#actuators .detail", f"commanded {to}, measured {to}")
     assert "succeeded" in finished(shown)
-    lock = """return [...document.querySelectorAll('#actuators .buttons button')]
-        .find((button) => button.textContent.startsWith(arguments[0]))"""
-    shown.run(lock, f"Lock {to}").click()
+    shown.press_named("#actuators .buttons button", f"Lock {to}")
     shown.says("#actuators .detail", f"locked {to}")
     eventually(lambda: "ready" in shown.text("#mode"))
-    shown.run(lock, "Unlock").click()
+    shown.press_named("#actuators .buttons button", "Unlock")
     eventually(lambda: "locked" not in shown.text("#actuators .detail"))
     shown.says("#mode", "ready")
 

@@ -8,7 +8,9 @@ const WORDS = ["contracted", "extended"];
 export function showActuators(connection, notify) {
   const card = document.getElementById("actuators");
   const grid = el("div", { class: "grid", role: "listbox", "aria-label": "Actuators", tabIndex: 0 });
-  const detail = el("div", { class: "detail" });
+  const sentence = el("p");
+  const buttons = el("div", { class: "buttons" });
+  const detail = el("div", { class: "detail" }, sentence, buttons);
   card.append(
     el("p", { class: "hint" }, "■ extended, □ contracted, ≠ measured differs, ? unknown, L locked"),
     grid,
@@ -18,6 +20,7 @@ export function showActuators(connection, notify) {
   let cells = [];
   let chosen = null;
   let shown = "";
+  let offered = "";
 
   connection.on("arm", (arm) => {
     if (String(arm.actuators) === String(labels)) return;
@@ -56,28 +59,32 @@ export function showActuators(connection, notify) {
     const count = chosen === null ? 0 : connection.latest.diagnostics?.counts?.[chosen];
     const viewer = connection.latest.you?.role !== "operator";
     const now = JSON.stringify([state.commanded, state.measured, state.degraded, chosen, count, viewer]);
-    if (now === shown) return;
-    shown = now;
-    labels.forEach((label, k) => paint(cells[k], label, state.commanded?.[k], state.measured[k], locked.has(label), k === chosen));
-    if (chosen !== null && !detail.querySelector(".holding")) {
-      fill(detail, ...about(labels[chosen], state.commanded?.[chosen], state.measured[chosen], locked.get(labels[chosen]), count, viewer));
+    if (now !== shown) {
+      shown = now;
+      labels.forEach((label, k) => paint(cells[k], label, state.commanded?.[k], state.measured[k], locked.has(label), k === chosen));
+      if (chosen !== null) tell(labels[chosen], state.commanded?.[chosen], state.measured[chosen], locked.get(labels[chosen]), count);
     }
+    if (chosen !== null) offer(labels[chosen], state.commanded?.[chosen] === 1 ? 0 : 1, locked.get(labels[chosen]), viewer);
   }
 
-  function about(label, commanded, measured, lock, count, viewer) {
+  function tell(label, commanded, measured, lock, count) {
     const words = (state) => WORDS[state] ?? "unknown";
-    const to = commanded === 1 ? 0 : 1;
+    fill(sentence, el("b", {}, label), `: commanded ${words(commanded)}, measured ${words(measured)}`,
+      lock === undefined ? "" : `, locked ${words(lock)}`, count === undefined ? "" : `; ${count} switches`);
+  }
+
+  // Draws the buttons anew only if they change: a button that is replaced between press and release is not clicked.
+  function offer(label, to, lock, viewer) {
+    const now = JSON.stringify([label, to, lock, viewer]);
+    if (now === offered || buttons.querySelector(".holding")) return;
+    offered = now;
     const ask = (request, what) => async () => notify(await connection.ask(request), what);
     const jog = el("button", { type: "button", id: "jog" }, `Hold to ${to ? "extend" : "contract"}`);
     onHold(jog, ask({ do: "jog", actuator: label, state: WORDS[to] }, `Jog ${label}`));
     const locks = [0, 1].map((state) =>
       el("button", { type: "button", onclick: ask({ do: "lock", actuator: label, state }, `Lock ${label}`) }, `Lock ${WORDS[state]}`));
     const unlock = el("button", { type: "button", onclick: ask({ do: "lock", actuator: label, state: null }, `Unlock ${label}`) }, "Unlock");
-    return [
-      el("p", {}, el("b", {}, label), `: commanded ${words(commanded)}, measured ${words(measured)}`,
-        lock === undefined ? "" : `, locked ${words(lock)}`, count === undefined ? "" : `; ${count} switches`),
-      viewer ? null : el("div", { class: "buttons" }, jog, ...(lock === undefined ? locks : [unlock])),
-    ];
+    fill(buttons, ...(viewer ? [] : [jog, ...(lock === undefined ? locks : [unlock])]));
   }
 }
 
