@@ -33,8 +33,7 @@ vm-test: $(VENV)/installed
 	$(BIN)/python -m tests.vm.boot $(ARGS)
 
 # The operator's page in Debian's Chromium: apt-get install chromium chromium-driver
-page-test: $(VENV)/kernels $(VENV)/installed
-	$(BIN)/pip install --quiet --editable '.[dev,page]'
+page-test: $(VENV)/kernels $(VENV)/page
 	$(BIN)/pytest tests/page $(ARGS)
 
 check: $(VENV)/installed
@@ -80,6 +79,11 @@ $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controlle
 # The developers' tools.
 $(VENV)/installed: $(VENV)/program
 	$(BIN)/pip install --quiet --editable '.[dev]'
+	touch $@
+
+# And what drives the browser.
+$(VENV)/page: $(VENV)/installed
+	$(BIN)/pip install --quiet --editable '.[dev,page]'
 	touch $@
 
 clean:
