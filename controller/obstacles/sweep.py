@@ -47,7 +47,7 @@ class Sweep:
         self._owners = np.repeat(np.arange(len(counts)), counts)
         self._flags = 1 << (np.arange(len(self._owners)) - self._starts[self._owners])
         self._states = [states_of(module.bits) for module in arm.modules]
-        self._strokes = [displacements_of(module) for module in arm.modules]
+        self._displacements = [displacements_of(module) for module in arm.modules]
 
     @property
     def proven(self) -> bool:
@@ -109,7 +109,7 @@ class Sweep:
         modules = np.unique(owners)
         for i in modules:
             here = states[self._starts[i] : self._starts[i + 1]].astype(float)
-            rates[owners == i] = self._strokes[i].rates(here, actuators[owners == i] - self._starts[i])
+            rates[owners == i] = self._displacements[i].rates(here, actuators[owners == i] - self._starts[i])
             if not np.isfinite(rates[owners == i]).all():
                 return Collision(int(i))
         chain, boxes = self._chain(states), BOXES
@@ -147,7 +147,7 @@ class Sweep:
         displacements = np.tile(states.astype(float), (n, 1))
         displacements[:, actuators] = middles
         for i in modules:
-            frames, body = self._strokes[i].at(displacements[:, self._starts[i] : self._starts[i + 1]])
+            frames, body = self._displacements[i].at(displacements[:, self._starts[i] : self._starts[i + 1]])
             r[:, i + 1], b[:, i + 1], bodies[:, i, : body.shape[1]] = frames[:, :3, :3], frames[:, :3, 3], body
             around[:, i] = balls(body)
         return r, b, bodies, around

@@ -140,9 +140,11 @@ def measured(run: Run, count: int, minutes: float) -> Tally:
             tally.stages += len(stages)
             tally.staged += len(stages) > (1 if run.inrush is None else -(-found.switches // run.inrush))
             rows = [before, *stages]
-            strokes = np.concatenate([motion(rng, a, b, SAMPLES) for a, b in pairwise(rows) for _ in range(MOTIONS)])
-            strokes = np.concatenate([strokes, stages])
-            away, apart = room(run.parts, np.eye(4), around, strokes, POINTS, run.pairs)
+            displacements = np.concatenate(
+                [motion(rng, a, b, SAMPLES) for a, b in pairwise(rows) for _ in range(MOTIONS)]
+            )
+            displacements = np.concatenate([displacements, stages])
+            away, apart = room(run.parts, np.eye(4), around, displacements, POINTS, run.pairs)
             least = min(away - RADIUS, apart - 2 * RADIUS)
             tally.violations += least < 0
             tally.least = min(tally.least, least)
@@ -153,9 +155,9 @@ def edges(parts: Sequence[Part], around: list[Shape], codes: np.ndarray) -> np.n
     """Which single actuators switch clear of all from each of all actuator states (2^A, A), shape (2^A, A)."""
     clear = np.zeros(codes.shape, dtype=bool)
 
-    def least(code: np.ndarray, a: int, strokes: int, points: int) -> float:
-        sampled = np.tile(code.astype(float), (strokes, 1))
-        sampled[:, a] = np.linspace(0, 1, strokes)
+    def least(code: np.ndarray, a: int, displacements: int, points: int) -> float:
+        sampled = np.tile(code.astype(float), (displacements, 1))
+        sampled[:, a] = np.linspace(0, 1, displacements)
         return room(parts, np.eye(4), around, sampled, points, False)[0] - RADIUS
 
     for n, code in enumerate(codes):

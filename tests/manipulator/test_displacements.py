@@ -31,7 +31,7 @@ def at_ends(module) -> None:
 
 
 @given(modules)
-def test_strokes_at_their_ends_are_the_states(module):
+def test_displacements_at_their_ends_are_the_states(module):
     at_ends(module)
 
 
@@ -41,7 +41,7 @@ def test_platforms_at_their_ends_are_the_states(kind):
 
 
 @given(st.sampled_from(["BC", "AD"]), displacements)
-def test_a_truss_is_as_long_as_its_strokes(diagonal, values):
+def test_a_truss_is_as_long_as_its_displacements(diagonal, values):
     own = np.array(values[:3])
     frames, body = vgt(diagonal, 0.2, *LEGS).between(own[None])
     wanted = [low + s * (high - low) for s, (low, high) in zip(own, LEGS, strict=True)]
@@ -53,7 +53,7 @@ def test_a_truss_is_as_long_as_its_strokes(diagonal, values):
 
 @settings(max_examples=30)
 @given(st.sampled_from(sorted(KINDS)), displacements)
-def test_a_platform_is_as_long_as_its_strokes(kind, values):
+def test_a_platform_is_as_long_as_its_displacements(kind, values):
     base, top, (low, high) = KINDS[kind]
     module, own = platform(base, top, (low, high)), np.array(values[: len(base)])
     frames, body = module.between(np.array([own, own[::-1]]))

@@ -45,7 +45,7 @@ def patient() -> Iterator[None]:
         yield
 
 
-def strokes(rng: np.random.Generator, before: np.ndarray, staged: Staged) -> np.ndarray:
+def displacements(rng: np.random.Generator, before: np.ndarray, staged: Staged) -> np.ndarray:
     rows = [before, *staged.stages]
     return np.concatenate([motion(rng, a, b, 8) for a, b in pairwise(rows) for _ in range(3)])
 
@@ -66,7 +66,7 @@ def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around,
     switched = np.abs(np.diff(np.vstack([start, staged.stages]).astype(int), axis=0))
     assert (switched.sum(axis=1) <= (inrush or len(start))).all()
     assert (switched.sum(axis=0) % 2 == (start != staged.stages[-1])).all()
-    assert room(chain, base, regions_around, strokes(rng, start, staged), POINTS, False)[0] >= radius
+    assert room(chain, base, regions_around, displacements(rng, start, staged), POINTS, False)[0] >= radius
 
 
 @settings(max_examples=100, deadline=None)
@@ -164,7 +164,7 @@ def test_plans_take_the_next_configuration_where_there_is_no_way_to_the_cheapest
         cheapest = own.solve(goal, before, 0.03)
         aside += found.solutions[0].configuration.tolist() != cheapest.configuration.tolist()
         disc = [Disc(tuple(centre), 0.06)]
-        assert room(CHAIN, np.eye(4), disc, strokes(rng, start, staged), POINTS, False)[0] >= 0
+        assert room(CHAIN, np.eye(4), disc, displacements(rng, start, staged), POINTS, False)[0] >= 0
     assert aside >= 1
     assert len(refused) < 10
     assert all(

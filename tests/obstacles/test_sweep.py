@@ -52,7 +52,7 @@ def test_what_is_told_clear_touches_nothing_on_any_way(given_arm, radius, pairs,
 
 @settings(max_examples=60, deadline=None)
 @given(modules | st.just(STEWART.module), st.integers(0, 2**32))
-def test_rates_bound_what_mid_strokes_do(module, seed):
+def test_rates_bound_what_displacements_do(module, seed):
     rng, own = np.random.default_rng(seed), Displacements(module)
     count = module.bits.shape[1]
     states, moving = module.bits[rng.integers(len(module.bits))], np.sort(rng.permutation(count)[: rng.integers(1, 4)])

@@ -55,8 +55,8 @@ def least_room(arm: Arm, rows: list[np.ndarray], shapes: list[Shape]) -> float:
     chance, away = np.random.default_rng(0), np.inf
     for before, after in pairwise(rows):
         corners = np.where(chance.random((CORNERS, len(before))) < 0.5, before, after)
-        strokes = [motion(chance, before, after, SAMPLES) for _ in range(MOTIONS)]
-        every = np.concatenate([[before, after], corners, *strokes]).astype(float)
+        displacements = [motion(chance, before, after, SAMPLES) for _ in range(MOTIONS)]
+        every = np.concatenate([[before, after], corners, *displacements]).astype(float)
         away = min(away, room(PARTS, arm.manipulator.base, shapes, every, 40, pairs=False)[0])
     return away
 

@@ -1,8 +1,8 @@
 """The unmodified `hyperbit run`, in a process that also records the times of goals, searches and programs.
 
 python -m tests.benchmarks.chain.planner RECORDS ARM.yaml --socket PATH --listen ENDPOINT --ledger PATH. RECORDS is a
-folder: goals.npz has a row for each goal that came in, services.npz one for its planning, solves.npz one for each
-search, programs.npz one for each program, from before it is packed until it is sent.
+folder of files with one row for each event. goals.npz has the goals that came in, services.npz their planning, and
+solves.npz the searches. programs.npz has the programs, from before they are packed until they are sent.
 """
 
 import sys
