@@ -13,6 +13,7 @@ import sys
 import uuid
 from collections import deque
 from collections.abc import Mapping
+from functools import cache
 
 SOCKET = "/run/systemd/journal/socket"
 KINDS = uuid.UUID("5d1f2f6c-6b0e-4c53-9d0a-7b1f3b7c9a21")  # the name space of the ids
@@ -26,6 +27,7 @@ BUS = re.compile(r"[\w.-]+\Z")
 Fields = Mapping[str, str]
 
 
+@cache
 def message_id(kind: str) -> str:
     """Returns the MESSAGE_ID of a kind of message, such as a fault's code: 32 hexadecimal digits."""
     return uuid.uuid5(KINDS, kind).hex

@@ -90,6 +90,11 @@ class Executor:
         """Whether the process may end now, after a `Quit`."""
         return self.ending.over
 
+    @property
+    def collecting(self) -> bool:
+        """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
+        return self._master.collecting
+
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event.
 
@@ -105,9 +110,9 @@ class Executor:
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
-        if not (isinstance(event, Echoed) and self._master.collecting):  # one echo of many, nothing has changed
+        if not (isinstance(event, Echoed) and self.collecting):  # one echo of many, nothing has changed
             self._guarded(self._conclude, on_bus(event, now), now)
-        if self.reports.changed and self._last_tick is not None and not self._handed_out:
+        if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
             self._guarded(self._show, now)
         actions, self._actions = self._actions, []
         return actions

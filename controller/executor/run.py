@@ -29,8 +29,8 @@ WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; collecting 5,
 class EventLoop:
     """Passes events to the core, and performs its actions.
 
-    Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events wait, and
-    at the next tick at the latest.
+    Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events and no
+    echoes of RPDOs are awaited, and at the next tick at the latest.
 
     Args:
         core: the executor's core.
@@ -80,6 +80,11 @@ class EventLoop:
         for number in SIGNALS:  # a second signal, such as that of a parent's death, must not interrupt the end
             signal.signal(number, signal.SIG_IGN)
 
+    @property
+    def _may_report(self) -> bool:
+        """Whether a message waits and may be sent now."""
+        return bool(self._queued) and not self._core.collecting
+
     def _round(self) -> None:
         """Waits for events and handles them."""
         try:
@@ -91,7 +96,7 @@ class EventLoop:
             began = self._clock()
             if self._time.remaining(began) <= 0:
                 self._tick(began)
-            elif not ready and self._queued:
+            elif self._may_report and not ready:
                 self._report(self._queued.popleft())
         except Exception:  # the arm holds, and the boards keep their master
             self._step(Defect(traceback.format_exc()))
@@ -99,7 +104,7 @@ class EventLoop:
     def _wait(self) -> list[int]:
         """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
         now = self._clock()
-        patience = 0.0 if self._queued else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
+        patience = 0.0 if self._may_report else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
         readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], patience)

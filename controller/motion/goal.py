@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
@@ -32,6 +34,7 @@ Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
 Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
 # An angle, or one component of a quaternion.
 Turn = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Position = Sequence[float] | NDArray[np.float64]
 Id = Annotated[str, Meta(pattern=r"^[ -~]{1,128}\Z")]  # it is written to logs, a database and systemd's status
 
 
@@ -202,19 +205,19 @@ def schedule(
     """
     if not message.waypoints:
         raise refusal("waypoints: empty; at least one is needed")
-    positions, fixed = np.zeros((len(message.waypoints), dimension)), dict[int, NDArray[np.uint8]]()
+    places, fixed = list[Position](), dict[int, NDArray[np.uint8]]()
     for k, waypoint in enumerate(message.waypoints):
+        position: Position = waypoint.position or ()
         if waypoint.configuration is not None:
-            positions[k], fixed[k] = destination(waypoint.configuration, manipulator, f"waypoints[{k}].configuration")
-            continue
-        position = waypoint.position or []
-        if len(position) != dimension:
+            position, fixed[k] = destination(waypoint.configuration, manipulator, f"waypoints[{k}].configuration")
+        elif len(position) != dimension:
             raise refusal(f"waypoints[{k}].position: {len(position)} coordinates, this arm's goals have {dimension}")
-        if waypoint.orientation is not None and message.path_tolerance is not None:
+        elif waypoint.orientation is not None and message.path_tolerance is not None:
             raise refusal(f"waypoints[{k}].orientation: lines are followed by position only, leave out path_tolerance")
-        positions[k] = position
-    times = np.array([waypoint.t for waypoint in message.waypoints])
-    check_times(times, message.stamp, pace.shortest, now)
+        places.append(position)
+    moments = [waypoint.t for waypoint in message.waypoints]
+    check_times(moments, message.stamp, pace.shortest, now)
+    positions, times = np.array(places, dtype=np.float64), np.array(moments)
     own, stamp = message.tolerance.position or tolerance, message.stamp or None
     if message.path_tolerance is None:
         angle = message.tolerance.orientation or turn
@@ -228,24 +231,22 @@ def schedule(
     return along(times, positions, own, message.path_tolerance, pace, stamp)
 
 
-def check_times(times: NDArray[np.float64], stamp: float, shortest: float, now: float) -> None:
+def check_times(times: Sequence[float], stamp: float, shortest: float, now: float) -> None:
     """Checks the waypoints' times.
 
     Raises:
         Refusal: times do not increase, are closer than the actuators allow, lie in the past, or too far ahead.
     """
-    steps = times[1:] - times[:-1]
-    if (steps <= 0).any():
-        k = int(np.argmax(steps <= 0))
-        raise refusal(f"waypoints[{k + 1}].t: {times[k + 1]:g} does not come after waypoints[{k}].t = {times[k]:g}")
-    if (steps < shortest - 1e-9).any():
-        k = int(np.argmax(steps < shortest - 1e-9))
-        apart = f"{steps[k]:.3g} s apart, the actuators need {shortest:.3g} s"
-        raise refusal(f"waypoints[{k}] to waypoints[{k + 1}]: {apart}")
+    for k, (before, after) in enumerate(pairwise(times)):
+        if after <= before:
+            raise refusal(f"waypoints[{k + 1}].t: {after:g} does not come after waypoints[{k}].t = {before:g}")
+        if after - before < shortest - 1e-9:
+            apart = f"{after - before:.3g} s apart, the actuators need {shortest:.3g} s"
+            raise refusal(f"waypoints[{k}] to waypoints[{k + 1}]: {apart}")
     if stamp and stamp + times[-1] < now:
         late = now - stamp - times[-1]
         raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it arrived")
-    ahead = max(stamp - now if stamp else 0.0, 0.0) + float(times[-1])
+    ahead = max(stamp - now if stamp else 0.0, 0.0) + times[-1]
     if ahead > FARTHEST_AHEAD:
         raise refusal(
             f"stamp: the trajectory would end {ahead:.3g} s from now, at most {FARTHEST_AHEAD:g} s are accepted;"

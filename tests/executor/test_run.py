@@ -10,11 +10,24 @@ from typing import Any
 import pytest
 
 from controller.executor.core import DEFECT, PERIOD, Executor
+from controller.executor.events import ToClient
 from controller.executor.run import EventLoop
 from controller.executor.server import Server
 from controller.executor.switch_journal import MemoryJournal
 from controller.notify import Notifier
-from controller.program import MOST_BYTES, Diagnostics, Ended, Hello, Program, Snapshot, Stage, decode_up, encode, pack
+from controller.program import (
+    MOST_BYTES,
+    Accepted,
+    Diagnostics,
+    Ended,
+    Hello,
+    Program,
+    Snapshot,
+    Stage,
+    decode_up,
+    encode,
+    pack,
+)
 from tests.executor.fake_master import FakeMaster
 from tests.executor.rig import SIZE, small_arm
 
@@ -96,6 +109,21 @@ def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
     bench.now += 0.1 * PERIOD
     bench.loop._round()
     assert (bench.core._master.outputs, len(bench.core._master.ticks)) == (1, ticks)
+
+
+def test_messages_wait_for_the_echo_of_rpdos_until_the_next_tick(bench: Bench) -> None:
+    def answers() -> list[Any]:
+        return [it for it in bench.loop._queued if isinstance(it, ToClient) and isinstance(it.message, Accepted)]
+
+    bench.go(10)
+    bench.run()
+    bench.core._master.collecting, bench.step = True, 0.0
+    bench.go(20)
+    assert len(answers()) == 1
+    bench.step = PERIOD
+    bench.go(1)
+    assert answers() == []
+    assert bench.wait(Accepted)
 
 
 def test_a_defect_of_the_loop_is_a_fault_and_the_loop_continues(bench: Bench) -> None:
