@@ -111,7 +111,7 @@ def plan(
             console.print(sentence(whole))
     if goal is not None and not found.within_tolerance:
         away = f"{found.error:.4f} away" + ("" if orientation is None else f" and turned {found.angle:.4f} rad")
-        raise Failed(f"goal {goal} is out of reach: nearest point found {shown(line['position'])}, {away}")
+        raise Failed(f"goal {goal} {found.reach}: nearest point found {shown(line['position'])}, {away}")
     if solver.clearance is not None and end is not None and (where := solver.clearance.where(end)) is not None:
         raise Failed(f"configuration {to}: {where}")
 

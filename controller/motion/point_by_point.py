@@ -170,10 +170,10 @@ def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
     tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
     if (turn := trajectory.turns[point]) < np.inf:
         away = f"{nearest.error:.4f} away and turned {nearest.angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
-        found = f"is out of reach in this orientation; the nearest pose found is at ({tip}), {away}"
+        found = f"{nearest.reach} in this orientation; the nearest pose found is at ({tip}), {away}"
     else:
         away = f"{nearest.error:.4f} away, tolerance {tolerance:g}"
-        found = f"is out of reach; the nearest point found is ({tip}), {away}"
+        found = f"{nearest.reach}; the nearest point found is ({tip}), {away}"
     if bias is not None and bias.any():
         found += f"; the tip bias is ({', '.join(f'{x:.4f}' for x in bias)})"
     return f"{place(trajectory, point)}: ({wanted}) {found}"

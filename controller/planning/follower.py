@@ -208,9 +208,7 @@ class Follower:
         self._searching = running_mean(self._searching, time.perf_counter() - began)
         if found.error > tolerance:
             where = ", ".join(f"{x:.4f}" for x in goal)
-            self._set_note(
-                f", which is out of reach at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now
-            )
+            self._set_note(f", which {found.reach} at ({where}): {found.error:.4f} away, tolerance {tolerance:g}", now)
             self._retry = now + RETRY
             return None
         stages, note = None, ""

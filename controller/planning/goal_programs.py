@@ -127,4 +127,6 @@ class GoalPrograms:
 
 def accepted(plan: Plan) -> str:
     """Returns the message of an accepted goal."""
-    return f"accepted, {len(plan.trajectory.waypoints)} waypoints, {plan.switches} switches planned"
+    waypoints, switches = len(plan.trajectory.waypoints), plan.switches
+    points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
+    return f"accepted, {points}, {switches} {'switch' if switches == 1 else 'switches'} planned"

@@ -110,6 +110,11 @@ class Solution:
         """The bound, infinite for an unreachable goal; None if nothing is proven."""
         return None if self.certificate == "unknown" else self.bound
 
+    @property
+    def reach(self) -> str:
+        """Describes a goal that is missed: "is out of reach" if that is proven, else "seems out of reach"."""
+        return "is out of reach" if self.certificate == "unreachable" else "seems out of reach"
+
     def proof(self) -> dict[str, str | bool | float | None]:
         """Returns the certificate as fields for JSON."""
         return proof(self.certificate, self.bound)

@@ -250,5 +250,7 @@ def test_paper_methods_prove_nothing():
     solver, goal = long_arm(), (0.55, 2.9)
     found = solver.solve(goal, np.zeros(16, dtype=np.int64), 2e-3, "ipop-previous")
     assert (found.certificate, found.optimal, found.lower_bound) == ("unknown", None, None)
+    assert solver.solve((90.0, 0.0), found.configuration, 2e-3, "ipop-previous").reach == "seems out of reach"
+    assert solver.solve((90.0, 0.0), found.configuration, 2e-3).reach == "is out of reach"
     same = solver.solve(found.tip[:2, 3], found.configuration, 2e-3, "ipop-previous")
     assert (same.certificate, same.optimal, same.lower_bound) == ("optimal", True, 0.0)
