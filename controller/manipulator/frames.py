@@ -69,6 +69,18 @@ def quaternion(frame: Frame) -> NDArray[np.float64]:
     return np.asarray(q if q[3] >= 0 else -q)
 
 
+@njit("void(f8[:,::1], f8[::1])", cache=True, nogil=True)
+def set_identity(r: Array, b: Array) -> None:
+    """Writes the identity as rotation (3, 3) and translation (3,).
+
+    Kernels copy arrays element by element: numba compiles the assignment of an array to a slice for seconds.
+    """
+    for i in range(3):
+        b[i] = 0.0
+        for j in range(3):
+            r[i, j] = 1.0 if i == j else 0.0
+
+
 @njit("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True, inline="always")
 def compose(r: Array, b: Array, s: Array, c: Array, turned: Array, moved: Array) -> None:
     """Writes the product (R S, b + R c) of the frames (R, b) and (S, c). The output may be (R, b) itself."""

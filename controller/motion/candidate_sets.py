@@ -205,8 +205,8 @@ def match(
                 square = (x - points[row, 0]) ** 2 + (y - points[row, 1]) ** 2 + (z - points[row, 2]) ** 2
                 if square > farthest:
                     continue
-                candidate[:] = seed
-                candidate[first : first + d + 1] = chosen[: d + 1]
+                for a in range(modules):
+                    candidate[a] = chosen[a - first] if first <= a <= first + d else seed[a]
                 write_changes(half.rows, row, candidate)
                 if not reaches(query, candidate):
                     continue
@@ -266,7 +266,8 @@ def list_candidates(
         begun, budget = count, budgets[n] * (1 + ROUNDING)
         for i in range(modules):
             seed[i] = sources[n, i]
-            near[i] = prices[i, seed[i]]
+            for j in range(near.shape[1]):
+                near[i, j] = prices[i, seed[i], j]
         sets = Sets(moves, states, seed, near, near)
         for of_lower in (False, True):
             rows, start, end = (lower, 0, cut) if of_lower else (upper, cut, modules)
@@ -333,8 +334,7 @@ class CandidateSets:
             most: greatest number of configurations.
             late: whether the deadline has passed.
         """
-        modules = sources.shape[1]
-        listed = Listed(np.empty(most, np.int64), np.empty((most, modules), np.uint16))
+        listed = Listed(np.empty(most, np.int64), np.empty((most, sources.shape[1]), np.uint16))
         first = count = 0
         while first < len(sources):
             part, free = slice(first, first + AT_ONCE), Listed(listed.sources[count:], listed.configurations[count:])

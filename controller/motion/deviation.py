@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import compose
+from controller.manipulator.frames import compose, set_identity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -120,10 +120,12 @@ def subsets(
 ) -> Array:
     """Returns the deviation of each subset of a stage; see Transition.deviations."""
     slots, count = np.full(len(masks), -1), 0
-    slots[owners[stage]] = 0
+    for j in range(len(stage)):
+        slots[owners[stage[j]]] = 0
     # Modules that do not move are composed once: a lead before each moving module, and one after the last.
-    lead_r, lead_b = np.empty((len(stage) + 1, 3, 3)), np.zeros((len(stage) + 1, 3))
-    lead_r[:] = np.eye(3)
+    lead_r, lead_b = np.empty((len(stage) + 1, 3, 3)), np.empty((len(stage) + 1, 3))
+    for k in range(len(stage) + 1):
+        set_identity(lead_r[k], lead_b[k])
     moving = np.empty(len(stage), dtype=np.int64)
     for i in range(len(masks)):
         if slots[i] == 0:
@@ -139,7 +141,8 @@ def subsets(
         for j in range(len(stage)):
             if subset >> j & 1:
                 states[slots[owners[stage[j]]]] |= flags[stage[j]]
-        point[:] = lead_b[count]
+        for a in range(3):
+            point[a] = lead_b[count, a]
         valid = True
         for k in range(count - 1, -1, -1):
             i, state = moving[k], states[k]
@@ -162,11 +165,12 @@ def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
 def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> float:
     """Changes one mask at a time as long as the deviation grows; returns the deviation of that local maximum."""
     tails, point = np.empty((len(masks) + 1, 3)), np.empty(3)
+    head_r, head_b = np.empty((3, 3)), np.empty(3)
     fill_tails(r, b, masks, tails)
     best, before = deviation(tails[0], line), -1.0
     while best > before:
         before = best
-        head_r, head_b = np.eye(3), np.zeros(3)
+        set_identity(head_r, head_b)
         for i in range(len(masks)):
             for mask in range(allowed.shape[1]):
                 if allowed[i, mask]:
@@ -187,7 +191,7 @@ def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line:
     """Returns the deviation after one more actuator, from each of the masks; see Transition.singles."""
     result, m = np.full((len(masks), len(owners)), np.inf), len(r)
     heads_r, heads_b, tails, point = np.empty((m + 1, 3, 3)), np.empty((m + 1, 3)), np.empty((m + 1, 3)), np.empty(3)
-    heads_r[0], heads_b[0] = np.eye(3), 0.0
+    set_identity(heads_r[0], heads_b[0])
     for k in range(len(masks)):
         fill_tails(r, b, masks[k], tails)
         for i in range(m):

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import compose
+from controller.manipulator.frames import compose, set_identity
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.deviation import Array, Index, Known, Transition
 
@@ -80,7 +80,7 @@ def fill_links(
                 r, b = rotations[i, state], translations[i, state]
                 compose(lead_r, lead_b, r, b, out_r[row, mask], out_b[row, mask])
                 known[row, mask] = True
-        lead_r[:], lead_b[:] = np.eye(3), 0.0
+        set_identity(lead_r, lead_b)
     if row >= 0:  # modules after the last moving one
         for mask in range(known.shape[1]):
             r, b = out_r[row, mask], out_b[row, mask]

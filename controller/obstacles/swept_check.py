@@ -91,7 +91,10 @@ def swept_check(
             moves[owners[a]] += half_widths[box, a] * rates[a, 0]
             turns[owners[a]] += half_widths[box, a] * rates[a, 1]
             swells[owners[a]] += half_widths[box, a] * rates[a, 2]
-        r[0], b[0] = rotations[box, 0], translations[box, 0]
+        for c in range(3):
+            b[0, c] = translations[box, 0, c]
+            for d in range(3):
+                r[0, c, d] = rotations[box, 0, c, d]
         for i in range(modules):
             compose(r[i], b[i], rotations[box, i + 1], translations[box, i + 1], r[i + 1], b[i + 1])
         greatest, worst, lowest = -1.0, -1, 0

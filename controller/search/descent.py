@@ -126,7 +126,8 @@ def beam_search(
     parents, choices = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     scores, points, totals = np.empty(most), np.empty((most, 3)), np.empty(most)
     survivors = np.empty_like(configurations)
-    wanted[0], prices[0], count = goal, 0.0, 1
+    wanted[0, 0], wanted[0, 1], wanted[0, 2] = goal[0], goal[1], goal[2]
+    prices[0], count = 0.0, 1
     for i in range(depth):
         born = 0
         for n in range(count):
@@ -160,7 +161,8 @@ def beam_search(
             for j in range(i):
                 survivors[n, j] = configurations[parents[k], j]
             survivors[n, i] = choices[k]
-            wanted[n], prices[n] = points[k], totals[k]
+            wanted[n, 0], wanted[n, 1], wanted[n, 2] = points[k, 0], points[k, 1], points[k, 2]
+            prices[n] = totals[k]
         for n in range(count):
             for j in range(i + 1):
                 configurations[n, j] = survivors[n, j]
