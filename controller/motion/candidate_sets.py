@@ -266,7 +266,7 @@ def list_candidates(
         begun, budget = count, budgets[n] * (1 + ROUNDING)
         for i in range(modules):
             seed[i] = sources[n, i]
-            for j in range(near.shape[1]):
+            for j in range(prices.shape[1]):
                 near[i, j] = prices[i, seed[i], j]
         sets = Sets(moves, states, seed, near, near)
         for of_lower in (False, True):
