@@ -3,6 +3,10 @@
 import contextlib
 import os
 import socket
+from array import array
+from typing import IO
+
+FIRST = 3  # number of the first file that systemd passes on, see sd_listen_fds(3)
 
 
 class Notifier:
@@ -27,3 +31,24 @@ class Notifier:
         line = " ".join(assignment.splitlines())  # a line break would begin another assignment
         with contextlib.suppress(OSError):  # systemd receives the next one
             self._socket.sendto(line.encode(errors="replace"), self._address)
+
+    def kept_file(self, name: str) -> IO[bytes] | None:
+        """Returns a file in memory that outlives the process; None if systemd did not start the process.
+
+        systemd keeps it while it restarts the service, if the unit has `FileDescriptorStoreMax`.
+
+        Args:
+            name: of the file; letters and hyphens.
+        """
+        if self._socket is None:
+            return None
+        names = os.environ.get("LISTEN_FDNAMES", "").split(":")
+        if os.environ.get("LISTEN_PID") == str(os.getpid()) and name in names:
+            number = FIRST + names.index(name)
+            os.set_inheritable(number, False)
+            return os.fdopen(number, "r+b", buffering=0)
+        file = os.fdopen(os.memfd_create(name), "r+b", buffering=0)
+        with contextlib.suppress(OSError):
+            rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [file.fileno()]))]
+            self._socket.sendmsg([f"FDSTORE=1\nFDNAME={name}".encode()], rights, 0, self._address)
+        return file

@@ -54,3 +54,29 @@ def test_a_full_socket_does_not_wait(systemd: socket.socket) -> None:
     for _ in range(1000):
         notifier.send("WATCHDOG=1")
     assert systemd.recv(4096) == b"WATCHDOG=1"
+
+
+def test_systemd_gets_a_file_to_keep_and_gives_it_back(systemd: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Notifier().kept_file("counts") as file:
+        file.write(b"7 switches")
+        data, (kept,), _, _ = socket.recv_fds(systemd, 4096, 1)
+    assert data == b"FDSTORE=1\nFDNAME=counts"
+    monkeypatch.setattr("controller.notify.FIRST", kept - 1)
+    monkeypatch.setenv("LISTEN_FDNAMES", "other:counts")
+    monkeypatch.setenv("LISTEN_PID", str(os.getpid()))
+    with Notifier().kept_file("counts") as file:
+        file.seek(0)
+        assert (file.fileno(), file.read(), os.get_inheritable(kept)) == (kept, b"7 switches", False)
+
+
+def test_files_for_another_process_are_not_taken(systemd: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LISTEN_FDNAMES", "counts")
+    monkeypatch.setenv("LISTEN_PID", str(os.getpid() + 1))
+    with Notifier().kept_file("counts") as file:
+        assert file.read() == b""
+    assert systemd.recv(4096).startswith(b"FDSTORE=1")
+
+
+def test_without_systemd_no_file_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    assert Notifier().kept_file("counts") is None

@@ -73,10 +73,10 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         raise InputFaults(Path("--board"), [str(error)]) from None
     with contextlib.ExitStack() as closing:  # the log ends last
         closing.callback(start_logging(arm.name))
-        counts = FileJournal(journal or default_path(arm.name), arm.actuators)
+        notifier = Notifier()
+        counts = FileJournal(journal or default_path(arm.name), arm.actuators, notifier.kept_file("switches"))
         closing.callback(counts.close)
         server = Server(socket_path(socket, arm.name))
-        notifier = Notifier()
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         core.reports.real_time = enter_real_time(arm.real_time)
         buses: Buses = EmbeddedBoards(arm.wiring, arm.timing, variants) if simulate else CanBuses(arm.wiring.buses)

@@ -1,10 +1,16 @@
 """The switch journal: counts of switches that survive a killed process and a reboot.
 
-The file has two records with checksums, which are written in turn. One of them is whole whenever the process ends. The
-file is mapped into memory: a write never waits for the disk, and the kernel writes the pages out.
+A disk can keep a writer waiting for seconds, even if the file is mapped into memory. Therefore the executor writes to a
+file in memory, which systemd keeps for a service, and which is in /dev/shm otherwise. This file outlives the process,
+but not a reboot. So it is copied to the disk when the process ends. After a power failure the planner's ledger has the
+counts; it is a second old at most.
+
+Each file has two records with checksums, which are written in turn. One of them is whole whenever the process ends.
 """
 
+import contextlib
 import fcntl
+import hashlib
 import logging
 import mmap
 import os
@@ -12,7 +18,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 from controller.executor.bits import indices
 
@@ -20,6 +26,7 @@ log = logging.getLogger(__name__)
 
 MAGIC = b"hyperbit switches 1\n"
 PAGE = mmap.PAGESIZE
+SHARED = Path("/dev/shm")  # a file system in memory
 
 
 class JournalInUse(Exception):
@@ -97,56 +104,63 @@ class MemoryJournal:
 
 
 class FileJournal(MemoryJournal):
-    """A journal in a file. See `SwitchJournal`.
+    """A journal in two files, see above. See `SwitchJournal`.
 
-    The first page of the file has the number of the process that uses it. The two records follow on further pages.
+    The first page of a file has the number of the process that uses it. The two records follow on further pages.
 
     Args:
-        path: of the file; created if it does not exist.
+        path: of the file on the disk. Only the constructor and `close` write it.
         actuators: labels (A,); counts of other actuators are not read.
+        memory: file in memory, empty or of an earlier process; None: one in /dev/shm, which `close` removes.
 
     Raises:
-        JournalInUse: another process uses the file; the text names it.
-        OSError: the file cannot be written.
+        JournalInUse: another process uses the journal; the text names it.
+        OSError: a file cannot be written.
     """
 
-    def __init__(self, path: Path, actuators: Sequence[str]) -> None:
+    def __init__(self, path: Path, actuators: Sequence[str], memory: IO[bytes] | None = None) -> None:
         super().__init__(len(actuators))
         self._labels, self._number = zlib.crc32("\n".join(actuators).encode()), 0
         octets = (len(actuators) + 7) // 8
         self._record = struct.Struct(f"<QI{len(actuators)}Q{octets}s{octets}s")
         self._octets = octets
         self._part = -(-(4 + self._record.size) // PAGE) * PAGE
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            self._lock(path)
-            fresh = os.fstat(self._file).st_size == 0
-            os.posix_fallocate(self._file, 0, PAGE + 2 * self._part)  # no SIGBUS on a full disk
-            self._map = mmap.mmap(self._file, PAGE + 2 * self._part)
-        except BaseException:
-            os.close(self._file)
-            raise
-        self._map[:PAGE] = (MAGIC + b"%d\n" % os.getpid()).ljust(PAGE, b"\0")
-        if not self._read() and not fresh:
-            self.problem = f"{path} is damaged or of other actuators: counts of switches continue from the ledger's"
-            log.warning("%s", self.problem)
-        self._write()
+        self._path, size = path, PAGE + 2 * self._part
+        self._shared = shared_path(path) if memory is None else None
+        with contextlib.ExitStack() as closing:
+            self._disk = closing.enter_context(locked_file(path))
+            memory = closing.enter_context(memory or locked_file(shared_path(path)))
+            kept = self._disk.read(size)
+            os.posix_fallocate(memory.fileno(), 0, size)  # no SIGBUS when the memory is full
+            self._map = mmap.mmap(memory.fileno(), size)
+            found = self._read(kept), self._read(self._map[:])
+            if kept and not any(found):
+                self.problem = f"{path} is damaged or of other actuators: counts of switches continue from the ledger's"
+                log.warning("%s", self.problem)
+            self._map[:PAGE] = (MAGIC + b"%d\n" % os.getpid()).ljust(PAGE, b"\0")
+            self._write()
+            self._save()
+            self._closing = closing.pop_all()
 
     def close(self) -> None:
-        """Writes the file to the disk and closes it."""
-        if not self._map.closed:
-            self._map.flush()
-            self._map.close()
-            os.close(self._file)
-
-    def _lock(self, path: Path) -> None:
+        """Copies the records to the disk and closes the files."""
+        if self._map.closed:
+            return
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lines = os.pread(self._file, PAGE, 0).split(b"\n")
-            pid = lines[1].decode(errors="replace") if len(lines) > 1 else "unknown"
-            raise JournalInUse(f"the switch journal {path} is in use by process {pid}") from None
+            self._save()
+        except OSError as error:
+            log.error("counts of switches cannot be written to %s: %s", self._path, error)
+        else:
+            if self._shared is not None:
+                self._shared.unlink(missing_ok=True)
+        self._map.close()
+        self._closing.close()
+
+    def _save(self) -> None:
+        """Copies the file in memory to the disk."""
+        self._disk.seek(0)
+        self._disk.write(self._map[:])
+        os.fsync(self._disk.fileno())
 
     def _write(self) -> None:
         """Writes a record over the older of the two."""
@@ -158,17 +172,47 @@ class FileJournal(MemoryJournal):
         begin = PAGE + self._number % 2 * self._part
         self._map[begin : begin + 4 + len(body)] = zlib.crc32(body).to_bytes(4, "little") + body
 
-    def _read(self) -> bool:
-        """Reads the newer intact record; returns whether there is one of these actuators."""
+    def _read(self, content: bytes) -> bool:
+        """Takes the newest intact record if it is newer; returns whether there is a record of these actuators."""
+        found = False
         for begin in (PAGE, PAGE + self._part):
-            body = self._map[begin + 4 : begin + 4 + self._record.size]
-            if int.from_bytes(self._map[begin : begin + 4], "little") != zlib.crc32(body):
+            body = content[begin + 4 : begin + 4 + self._record.size]
+            if len(body) < self._record.size or int.from_bytes(content[begin : begin + 4], "little") != zlib.crc32(
+                body
+            ):
                 continue
             number, labels, *counts, intended, after = self._record.unpack(body)
+            found |= labels == self._labels
             if labels == self._labels and number > self._number:
                 self._number, self.counts = number, list(counts)
                 self._intended, self._after = (int.from_bytes(bits, "little") for bits in (intended, after))
-        return self._number > 0
+        return found
+
+
+def shared_path(path: Path) -> Path:
+    """Returns the path in /dev/shm of the file in memory of a journal on the disk."""
+    name = hashlib.blake2b(os.fsencode(path.absolute()), digest_size=8).hexdigest()
+    return SHARED / f"hyperbit-{os.getuid()}-{name}.switches"
+
+
+def locked_file(path: Path) -> IO[bytes]:
+    """Returns a file that no other process uses, unbuffered; created if it does not exist.
+
+    Raises:
+        JournalInUse: another process uses it; the text names it.
+        OSError: it cannot be opened.
+    """
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    file = os.fdopen(number, "r+b", buffering=0)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lines = file.read(PAGE).split(b"\n")
+        pid = lines[1].decode(errors="replace") if len(lines) > 1 else "unknown"
+        file.close()
+        raise JournalInUse(f"the switch journal {path} is in use by process {pid}") from None
+    return file
 
 
 def default_path(arm: str) -> Path:

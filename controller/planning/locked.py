@@ -81,7 +81,8 @@ class LockedActuators:
         k = labels.index(request.actuator)
         if request.state is not None and sensed[k] and measured[k] not in (-1, request.state):
             return f"state: the end-stop of {request.actuator} reads {STATES[measured[k]]}"
-        states = with_request(self._manipulator, self.states, request)
+        states = self.states.copy()
+        states[k] = -1 if request.state is None else request.state
         try:
             lock_actuators(self._manipulator, states)
             if (measured >= 0).all():
@@ -99,10 +100,10 @@ class LockedActuators:
         if self.problem is not None:
             yield Fault("internal-error", "daemon", self.problem)
 
-    def sentence(self, states: LockedStates | None = None) -> str:
+    def sentence(self) -> str:
         """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
-        shown, labels = self.states if states is None else states, self._manipulator.actuators
-        names = [f"{labels[k]} ({STATES[shown[k]]})" for k in np.flatnonzero(shown >= 0)]
+        labels, states = self._manipulator.actuators, self.states
+        names = [f"{labels[k]} ({STATES[states[k]]})" for k in np.flatnonzero(states >= 0)]
         return f"locked: {', '.join(names)}" if names else "no actuator is locked"
 
     def _rebuild_if_needed(self) -> None:
@@ -130,10 +131,3 @@ class LockedActuators:
                 self.problem = problem
         self._on_change()
         self._rebuild_if_needed()
-
-
-def with_request(manipulator: Manipulator, states: LockedStates, request: DegradeMessage) -> LockedStates:
-    """Returns locked states (A,) after a request."""
-    result = states.copy()
-    result[manipulator.actuators.index(request.actuator)] = -1 if request.state is None else request.state
-    return result

@@ -8,8 +8,8 @@ from controller.planning.admission import Admission
 from controller.planning.connection import NotConnected
 from controller.planning.goals import RunningGoals
 from controller.planning.link import ExecutorLink
-from controller.planning.locked import LockedActuators, with_request
-from controller.planning.messages import Payload, Reply, done, refused
+from controller.planning.locked import LockedActuators
+from controller.planning.messages import Reply, done, refused
 from controller.planning.monitor import ArmMonitor
 from controller.program import Answer, Cancel, Down, Halt, Lock, Reset
 
@@ -66,17 +66,10 @@ class Requests:
         if refusal is not None:
             reply(refused(INVALID_GOAL, refusal))
             return
-        sentence = self._locked.sentence(with_request(self._monitor.manipulator, self._locked.states, request))
-        waits = state.snapshot.mode in ("fault", "stopped")
-        message = f"{sentence}{', after a reset' if waits else ''}"
         actuator = self._monitor.manipulator.actuators.index(request.actuator)
         to = -1 if request.state is None else request.state
-
-        def named(answer: Payload) -> None:
-            reply({**answer, "message": message} if answer["accepted"] else answer)
-
         self._admission.fence()
-        self._ask_for_epoch(lambda request: Lock(request, actuator, to), named)
+        self._ask_for_epoch(lambda request: Lock(request, actuator, to), reply)
 
     def _bar(self, make: Callable[[int], Down], reply: Reply) -> None:
         """Bars all earlier requests, and sends a request that begins a new epoch."""

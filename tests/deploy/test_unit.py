@@ -102,6 +102,7 @@ def test_users_are_separate_and_share_the_sockets_group() -> None:
     assert planner["StateDirectory"] != executor["StateDirectory"]
     assert (executor["RuntimeDirectory"], executor["RuntimeDirectoryMode"]) == (["hyperbit"], ["0750"])
     assert "RuntimeDirectoryPreserve" not in executor, "it would hide the socket in /run/private"
+    assert executor["FileDescriptorStoreMax"] == ["1"], "for the switch journal"
     assert all("--socket /run/hyperbit" in unit["ExecStart"][0] for unit in (planner, executor))
 
 

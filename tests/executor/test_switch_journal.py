@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.switch_journal import PAGE, FileJournal, JournalInUse, MemoryJournal, default_path
+from controller.executor.switch_journal import PAGE, FileJournal, JournalInUse, MemoryJournal, default_path, shared_path
 
 LABELS = [f"1.{k}" for k in range(11)]
 
@@ -18,9 +18,14 @@ def path(tmp_path: Path) -> Path:
 
 
 def killed(journal: FileJournal) -> None:
-    """Releases the file like the end of the process, without a further write."""
-    os.close(journal._file)
+    """Releases the files like the end of the process, without a further write."""
+    journal._closing.close()
     journal._map.close()
+
+
+def switched(journal: FileJournal, states: int) -> None:
+    journal.intend(0, states)
+    journal.resolve(states)
 
 
 def test_counts_survive_a_killed_process(path: Path) -> None:
@@ -66,12 +71,86 @@ def test_a_damaged_file_is_reported_and_the_ledger_restores_the_counts(path: Pat
     journal.resolve(1)
     killed(journal)
     path.write_bytes(os.urandom(path.stat().st_size))
+    shared_path(path).unlink()
     journal = FileJournal(path, LABELS)
     assert "damaged" in (journal.problem or "")
     journal.raise_to([7] * 11)
     journal.raise_to([3] * 11)
     journal.raise_to([9])
     assert journal.counts == [7] * 11
+    journal.close()
+
+
+def test_the_disk_is_not_written_while_actuators_switch(path: Path) -> None:
+    journal = FileJournal(path, LABELS)
+    before = path.read_bytes()
+    for states in range(100):
+        switched(journal, states)
+    assert path.read_bytes() == before
+    journal.close()
+    assert path.read_bytes() != before
+
+
+def test_counts_survive_a_reboot_after_an_orderly_end(path: Path) -> None:
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b11)
+    journal.close()
+    assert not shared_path(path).exists()
+    journal = FileJournal(path, LABELS)
+    assert (journal.counts[:3], journal.problem) == ([1, 1, 0], None)
+    journal.close()
+
+
+def test_after_a_power_failure_the_counts_of_the_last_start_are_left(path: Path) -> None:
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b11)
+    journal.close()
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b11)
+    killed(journal)
+    shared_path(path).unlink()
+    journal = FileJournal(path, LABELS)
+    assert (journal.counts[:3], journal.problem) == ([1, 1, 0], None)
+    journal.close()
+
+
+def test_a_file_in_memory_replaces_a_damaged_one_on_the_disk(path: Path) -> None:
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b11)
+    killed(journal)
+    path.write_bytes(b"\x5a" * 10_000)
+    journal = FileJournal(path, LABELS)
+    assert (journal.counts[:3], journal.problem) == ([1, 1, 0], None)
+    journal.close()
+
+
+def test_a_file_that_systemd_keeps_is_used(path: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.touch()
+    journal = FileJournal(path, LABELS, kept.open("r+b", buffering=0))
+    switched(journal, 0b11)
+    killed(journal)
+    assert not shared_path(path).exists()
+    journal = FileJournal(path, LABELS, kept.open("r+b", buffering=0))
+    assert journal.counts[:3] == [1, 1, 0]
+    journal.close()
+
+
+def test_a_disk_that_fails_at_the_end_leaves_the_file_in_memory(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(file: int) -> None:
+        raise OSError("no space left")
+
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b11)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", fail)
+        journal.close()
+    assert "no space left" in caplog.text
+    path.unlink()
+    journal = FileJournal(path, LABELS)
+    assert journal.counts[:3] == [1, 1, 0]
     journal.close()
 
 

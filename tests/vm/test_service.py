@@ -208,6 +208,7 @@ def test_executor_killed_moves_nothing_until_a_fresh_goal(frames: can.BusABC, cl
     time.sleep(SLOWNESS)
     assert syncs(drain(frames)) == []
     assert (pid(PLANNER), shown(EXECUTOR, "NRestarts")) == (planner, "1")
+    assert "memfd:switches" in os.readlink(f"/proc/{pid(EXECUTOR)}/fd/3"), "systemd gave the switch journal back"
     switched = client.move(MIDDLE, goal="after the executor was killed")["switches"]
     assert syncs(drain(frames))
     eventually(lambda: sum(robot.ledger()[0].values()) >= sum(counts.values()) + switched)
