@@ -55,7 +55,7 @@ class Interface:
 
     def hold(self) -> None:
         """Lets none of the daemon's frames leave: others have the bus, which still brings theirs."""
-        _run("tc", "qdisc", "add", "dev", self.name, "root", "handle", "1:", "prio")
+        self._queue("handle", "1:", "prio")
         self._plug(_DAEMON)
 
     def release(self) -> None:
@@ -83,9 +83,14 @@ class Interface:
     def bound(self, bitrate: float) -> None:
         """Lets no more frames through than a bus of so many bit/s, those of the last priority last."""
         rate = f"{round(bitrate / 135 * 8 * _FRAME)}bit"  # a frame of 8 bytes has up to 135 bits on the wire
-        words = ("root", "handle", "2:", "tbf", "rate", rate, "burst", str(4 * _FRAME), "limit", str(128 * _FRAME))
-        _run("tc", "qdisc", "add", "dev", self.name, *words)
+        self._queue("handle", "2:", "tbf", "rate", rate, "burst", str(4 * _FRAME), "limit", str(128 * _FRAME))
         _run("tc", "qdisc", "add", "dev", self.name, "parent", "2:1", "handle", "1:", "prio")
+
+    def _queue(self, *words: str) -> None:
+        """Gives it a queue, in place of one of an earlier test."""
+        if any(f" {handle} root" in _run("tc", "qdisc", "show", "dev", self.name) for handle in ("1:", "2:")):
+            _run("tc", "qdisc", "del", "dev", self.name, "root")
+        _run("tc", "qdisc", "add", "dev", self.name, "root", *words)
 
     def _plug(self, parent: str) -> None:
         words = ("parent", parent, "plug", "limit", str(QUEUE * _FRAME))
