@@ -20,6 +20,7 @@ from controller.notify import Notifier
 log = logging.getLogger("executor")
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
+CLOSE = 0.0005  # [s] before a tick in which no message is handled; one takes about as long
 MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
 CLOSING = 0.25  # [s] for the running stage at the end
 FLUSHING = 0.5  # [s] for the messages that wait at the end
@@ -30,7 +31,8 @@ class EventLoop:
     """Passes events to the core, and performs its actions.
 
     Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events and no
-    echoes of RPDOs are awaited, and at the next tick at the latest.
+    echoes of RPDOs are awaited, and at the next tick at the latest. Messages of clients that come shortly before a tick
+    wait for it.
 
     Args:
         core: the executor's core.
@@ -80,23 +82,22 @@ class EventLoop:
         for number in SIGNALS:  # a second signal, such as that of a parent's death, must not interrupt the end
             signal.signal(number, signal.SIG_IGN)
 
-    @property
-    def _may_report(self) -> bool:
+    def _may_report(self, now: float) -> bool:
         """Whether a message waits and may be sent now."""
-        return bool(self._queued) and not self._core.collecting
+        return bool(self._queued) and not self._core.collecting and not self._time.close(now)
 
     def _round(self) -> None:
         """Waits for events and handles them."""
         try:
             ready = self._wait()
             self._take_frames()
-            for event in self._server.poll(ready):
-                self._step(event)
-                self._take_frames()
             began = self._clock()
             if self._time.remaining(began) <= 0:
                 self._tick(began)
-            elif self._may_report and not ready:
+            for event in self._server.poll(ready):
+                self._step(event)
+                self._take_frames()
+            if not ready and self._may_report(self._clock()):
                 self._report(self._queued.popleft())
         except Exception:  # the arm holds, and the boards keep their master
             self._step(Defect(traceback.format_exc()))
@@ -104,8 +105,9 @@ class EventLoop:
     def _wait(self) -> list[int]:
         """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
         now = self._clock()
-        patience = 0.0 if self._may_report else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
-        readable = [self._wake, *self._buses.filenos(), *self._server.readable()]
+        patience = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
+        clients = [] if self._time.close(now) else self._server.readable()
+        readable = [self._wake, *self._buses.filenos(), *clients]
         writable = self._server.writable()
         read, written, _ = select.select(readable, writable, [], patience)
         if written:
@@ -194,6 +196,10 @@ class Timekeeper:
     def remaining(self, now: float) -> float:
         """Returns the time until the next tick [s], 0 if it is due."""
         return max(self._next - now, 0.0)
+
+    def close(self, now: float) -> bool:
+        """Returns whether a tick comes soon, but is not due yet: what takes long would delay it."""
+        return 0.0 < self._next - now < CLOSE
 
     def ticked(self, began: float, ended: float) -> None:
         """Records begin and end of a tick, and sets the next one."""
