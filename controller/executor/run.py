@@ -20,7 +20,7 @@ from controller.notify import Notifier
 log = logging.getLogger("executor")
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
-CLOSE = 0.0005  # [s] before a tick in which no message is handled; one takes about as long
+CLOSE = 0.0007  # [s] before a tick in which no message is handled; a program takes about as long
 MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
 CLOSING = 0.25  # [s] for the running stage at the end
 FLUSHING = 0.5  # [s] for the messages that wait at the end
