@@ -66,7 +66,10 @@ class Bus:
         assert self._client is not None
         waiting: list[Frame] = []
         while select.select([self._client], [], [], 0.0)[0]:  # all echoes first: real boards act meanwhile
-            packet = self._client.recv(FRAME.size)
+            try:
+                packet = self._client.recv(FRAME.size)
+            except ConnectionResetError:  # the executor has ended with frames unread
+                packet = b""
             if not packet:
                 self._client.close()
                 self._client = None
