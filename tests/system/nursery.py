@@ -59,7 +59,7 @@ def prepare(file: Path) -> None:
 def become(kind: str, arguments: list[str], log: str, environment: dict[str, str]) -> None:
     """Runs a command in this process, which ends with the nursery."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    os.setsid()
+    os.setpgid(0, 0)  # not a session of its own: Linux 6.18 lets such a process wait for seconds on a busy machine
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     nothing = os.open(os.devnull, os.O_RDONLY)
     for number, target in ((nothing, 0), (file, 1), (file, 2)):
