@@ -2,8 +2,8 @@
 
 A disk can keep a writer waiting for seconds, even if the file is mapped into memory. Therefore the executor writes to a
 file in memory, which systemd keeps for a service, and which is in /dev/shm otherwise. This file outlives the process,
-but not a reboot. So it is copied to the disk when the process ends. After a power failure the planner's ledger has the
-counts; it is a second old at most.
+but not a reboot. So it is copied to the disk when the process begins and ends. After a power failure the counts
+continue from the planner's ledger.
 
 Each file has two records with checksums, which are written in turn. One of them is whole whenever the process ends.
 """
