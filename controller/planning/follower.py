@@ -83,7 +83,7 @@ class Follower:
         self._stream: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME / 2
         self._heard = self._fitted = self._next_alive = self._next_note = self._retry = -math.inf
-        self._interval, self._received, self._refused = math.inf, 0, 0
+        self._interval, self._streams, self._received, self._refused = math.inf, 0, 0, 0
         self._last_refusal: str | None = None
         self._note = ""
         self._closing = threading.Event()
@@ -136,6 +136,7 @@ class Follower:
             last = now - self._heard
             self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
         else:
+            self._streams += 1
             self._stream, self._number, self._interval, self._note = ticket, 0, math.inf, ""
             self._next_alive = self._next_note = self._retry = -math.inf
         self._heard = now
@@ -232,6 +233,7 @@ class Follower:
     def status(self) -> Payload:
         """Returns the state of the stream for `diagnostics`. For any thread."""
         return {
+            "streams": self._streams,
             "received": self._received,
             "refused": self._refused,
             "last_refusal": self._last_refusal,

@@ -1,8 +1,10 @@
 """Set-points, on a played executor."""
 
 import json
+from typing import Any
 
 import numpy as np
+import pytest
 
 from controller.program import (
     Cancel,
@@ -12,7 +14,7 @@ from controller.program import (
 )
 from tests.planning.conftest import Desk
 from tests.planning.test_goals import A, C
-from tests.waiting import eventually
+from tests.waiting import PATIENCE, eventually
 
 
 class Stream:
@@ -50,22 +52,32 @@ def test_setpoints_are_followed_from_the_latest_outputs(desk: Desk) -> None:
     stream.position = None
 
 
-def test_a_cancel_ends_the_stream_until_it_pauses(desk: Desk) -> None:
+def status(desk: Desk) -> dict[str, Any]:
+    """Returns the state of the stream in `diagnostics`."""
+    status: dict[str, Any] = desk.planning.diagnostics()["setpoint"]
+    return status
+
+
+def test_a_cancel_ends_the_stream_until_it_pauses(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk.planning._follower, "_timeout", PATIENCE)  # no pause of this machine ends the stream
     stream = Stream(desk, desk.tip(*A))
     first = moving(desk)
     desk.planning.cancel(desk.inbox.replying("canceled"))
     cancel = desk.executor.expect(Cancel, Setpoint)
     desk.executor.answer(cancel, "canceled")
     assert desk.inbox.next("canceled")["accepted"]
-    eventually(lambda: not desk.planning.diagnostics()["setpoint"]["alive"])
-    received = desk.planning.diagnostics()["setpoint"]["received"]
-    eventually(lambda: desk.planning.diagnostics()["setpoint"]["received"] > received + 20)
+    eventually(lambda: not status(desk)["alive"])
+    received = status(desk)["received"]
+    eventually(lambda: status(desk)["received"] > received + 20)
     assert desk.executor.nothing(Setpoint)
+    assert status(desk)["streams"] == 1
     stream.position = None
-    eventually(lambda: desk.planning.diagnostics()["setpoint"]["rate"] == 0)
+    monkeypatch.undo()
+    eventually(lambda: status(desk)["rate"] == 0)
     stream.position = desk.tip(*A)
     command = desk.executor.expect(Setpoint)
     assert (command.stream > first.stream, command.epoch) == (True, 2)
+    assert status(desk)["streams"] >= 2
     stream.position = None
 
 
@@ -76,7 +88,7 @@ def test_a_goal_ends_the_stream_before_it(desk: Desk) -> None:
     program = desk.executor.expect(Program, Setpoint)
     desk.executor.accept(program)
     assert desk.inbox.next("reply")["accepted"]
-    eventually(lambda: not desk.planning.diagnostics()["setpoint"]["alive"])
+    eventually(lambda: not status(desk)["alive"])
     stream.position = None
     late = [message for message in list(desk.executor._messages.queue) if isinstance(message, Setpoint)]
     assert all(message.stream < program.program for message in late), "the executor follows none of these"

@@ -1,5 +1,6 @@
 """A Zenoh publisher that streams set-points."""
 
+import itertools
 import json
 import math
 import threading
@@ -16,6 +17,8 @@ from tests.waiting import SLOWNESS, eventually
 START = (0.5, 2.8)
 RATE = 50.0 / SLOWNESS  # [Hz]
 LONGEST_STEP = 5.0 / RATE  # [s]
+ATTEMPTS = 20
+FOLLOWING = "following a setpoint"  # a reason in `state`
 STOPPED = "the stream of setpoints has stopped"  # a reason in `state`
 BAD = [b"{", b'{"position": [NaN, 1]}', b'{"position": [1, 2], "stamp": 1}', b'{"position": [1, 2, 3]}', b" " * 20_000]
 
@@ -71,6 +74,29 @@ class Publisher:
             over.set()
             thread.join()
             self.followed(began)
+
+    def throughout(self, check: Callable[[int], None]) -> None:
+        """Calls `check` with 0 while one stream is followed.
+
+        After a pause of this machine the planner counts the rest of the stream as a new one, and follows it. A check
+        that fails for this is called again, with 1, 2 and so on.
+        """
+        for attempt in itertools.count():
+            with self.streaming():
+                self._client.wait_now("executing", FOLLOWING)
+                streams = self.status()["streams"]
+                try:
+                    check(attempt)
+                    return
+                except AssertionError:
+                    if self.status()["streams"] == streams or attempt == ATTEMPTS:
+                        raise
+            eventually(lambda: self.status()["rate"] == 0)
+
+    def status(self) -> dict[str, Any]:
+        """Returns the next state of the stream in `diagnostics`."""
+        status: dict[str, Any] = self._client.diagnosed()["setpoint"]
+        return status
 
     def followed(self, began: float) -> None:
         """Waits until the stream is no longer followed; notes that the arm may have moved until now."""

@@ -2,7 +2,6 @@
 
 import time
 from contextlib import ExitStack
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +11,9 @@ from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT, tip
-from tests.system.publisher import BAD, START, STOPPED, Publisher
+from tests.system.publisher import BAD, FOLLOWING, START, STOPPED, Publisher
 from tests.system.system import System
 from tests.waiting import SLOWNESS, eventually
-
-FOLLOWING = "following a setpoint"
 
 
 @pytest.fixture
@@ -25,12 +22,6 @@ def publisher(client: Observer, system: System, stack: ExitStack) -> Publisher:
     client.move(START)
     client.wait_now("ready")
     return Publisher(stack.enter_context(system.session()), client, system.name)
-
-
-def setpoint(client: Observer) -> dict[str, Any]:
-    """The next state with the stream."""
-    told: dict[str, Any] = client.diagnosed()["setpoint"]
-    return told
 
 
 def test_the_arm_follows_and_bad_setpoints_change_nothing(
@@ -53,7 +44,7 @@ def test_the_arm_follows_and_bad_setpoints_change_nothing(
     assert alternations[-2:] == ["executing", "ready"]
     assert all(state["goal"] is None for state in client.heard["state"][begun:])
     assert len(client.heard["result"]) == results
-    told = setpoint(client)
+    told = publisher.status()
     assert told["received"] > 20
     assert told["refused"] > 5
     assert told["last_refusal"]
@@ -79,12 +70,12 @@ def _near(client: Observer, goal: tuple[float, float]) -> bool:
 
 def test_bad_setpoints_alone_move_nothing(client: Observer, publisher: Publisher, motions: Motions) -> None:
     motions.clear()
-    refused = setpoint(client)["refused"]
+    refused = publisher.status()["refused"]
 
     def told() -> bool:
         for payload in BAD:
             publisher.put(payload)
-        return bool(setpoint(client)["refused"] > refused)
+        return bool(publisher.status()["refused"] > refused)
 
     eventually(told)
     assert client.wait_now("ready")["mode"] == "ready"
@@ -108,30 +99,33 @@ def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
 ) -> None:
     client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
     eventually(lambda: client.feedback("a"))
-    with publisher.streaming():
+
+    def replace(attempt: int) -> None:
         assert client.result("a")["message"] == "replaced by a setpoint"
-        client.wait_now("executing", FOLLOWING)
-        assert client.goal(RIGHT, id="b")["accepted"]
-        assert client.result("b")["status"] == "succeeded"
+        assert client.goal(RIGHT, id=f"b{attempt}")["accepted"]
+        assert client.result(f"b{attempt}")["status"] == "succeeded"
         assert client.wait_now("ready")["goal"] is None
         assert np.linalg.norm(tip(boards, arm) - RIGHT) <= arm.tolerance, "the stream is the one from before"
+
+    publisher.throughout(replace)
     client.move(LEFT, goal="c")
-    assert [len(client.results(goal)) for goal in "abc"] == [1, 1, 1]
+    assert [len(client.results(goal)) for goal in client.accepted] == [1] * len(client.accepted)
 
 
 def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
     client: Observer, publisher: Publisher, motions: Motions
 ) -> None:
-    with publisher.streaming():
-        client.wait_now("executing", FOLLOWING)
+    def cancel(_: int) -> None:
         assert client.ask("cancel")["message"] == "canceled"
         motions.clear()
         client.wait_now("ready", "following was canceled")
-        received = setpoint(client)["received"]
-        assert setpoint(client)["received"] > received, "the stream goes on"
+        received = publisher.status()["received"]
+        assert publisher.status()["received"] > received, "the stream goes on"
         assert client.state["mode"] == "ready"
         assert motions.still()
-    eventually(lambda: not setpoint(client)["alive"])
+
+    publisher.throughout(cancel)
+    eventually(lambda: publisher.status()["rate"] == 0)
     with publisher.streaming():
         client.wait_now("executing", FOLLOWING)
     client.wait_now("ready", "has stopped")
@@ -147,35 +141,38 @@ def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
         eventually(lambda k=k: system.planning.diagnostics()["setpoint"]["received"] >= before + k)
         client.ask("cancel")
         motions.clear()  # a search may still switch before the cancel, but not after it
-        eventually(lambda k=k: setpoint(client)["received"] >= before + k and not setpoint(client)["alive"])
+        eventually(lambda k=k: publisher.status()["received"] >= before + k and not publisher.status()["alive"])
         assert motions.still()
         client.streams.append((began, time.time()))
     client.wait_now("ready")
 
 
 def test_nothing_is_switched_after_a_stop(client: Observer, publisher: Publisher, motions: Motions) -> None:
-    with publisher.streaming():
-        client.wait_now("executing", FOLLOWING)
+    def stop(_: int) -> None:
         assert client.ask("stop")["accepted"]
         motions.clear()
         client.wait_now("stopped")
-        setpoint(client)
+        publisher.status()
         client.reset()
-        setpoint(client)
+        publisher.status()
         assert client.state["mode"] == "ready", "the stream is the one from before"
         assert motions.still()
+
+    publisher.throughout(stop)
 
 
 def test_a_new_goal_ends_a_stream_that_goes_on_and_cancel_ends_the_goal(
     client: Observer, publisher: Publisher, motions: Motions
 ) -> None:
-    with publisher.streaming():
-        client.wait_now("executing", FOLLOWING)
-        assert client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")["accepted"]
-        eventually(lambda: client.feedback("a"))
+    def cancel(attempt: int) -> None:
+        goal = f"a{attempt}"
+        assert client.goal(MIDDLE, LEFT, times=[0, HOUR], id=goal)["accepted"]
+        eventually(lambda: client.feedback(goal))
         assert "canceled" in client.ask("cancel")["message"]
-        assert client.result("a")["status"] == "canceled"
+        assert client.result(goal)["status"] == "canceled"
         motions.clear()
         client.wait_now("ready", "canceled")
-        setpoint(client)
+        publisher.status()
         assert motions.still()
+
+    publisher.throughout(cancel)
