@@ -103,6 +103,13 @@ class Interface:
                 if queued:
                     _send(client, FRAME.pack(kind | ERROR, 8, data, False, time.time()))
 
+    def flush(self) -> None:
+        """Forwards what was sent before the call."""
+        with self._lock:
+            while readable := [it for it in select.select([*self._clients], [], [], 0)[0] if it in self._clients]:
+                for client in readable:
+                    self._take(client)
+
     def close(self) -> None:
         self._closing = True
         self._thread.join()
@@ -128,7 +135,9 @@ class Interface:
 
     def _take(self, client: socket.socket) -> None:
         try:
-            packet = client.recv(FRAME.size)
+            packet = client.recv(FRAME.size, socket.MSG_DONTWAIT)
+        except BlockingIOError:  # `flush` has taken it
+            return
         except OSError:
             packet = b""
         if not packet:

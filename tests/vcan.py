@@ -73,6 +73,9 @@ class Interface:
         self.release()
         self.tell(RESTARTED)
 
+    def flush(self) -> None:
+        """Does nothing: the kernel forwards a frame before the sender's call returns."""
+
     def tell(self, kind: int, detail: int = 0, tx_errors: int = 0, rx_errors: int = 0) -> None:
         """Sends an error frame, as the driver of a controller does."""
         data = bytes([0, detail, 0, 0, 0, 0, tx_errors, rx_errors])

@@ -184,7 +184,7 @@ def listener(system: System) -> Iterator[can.BusABC]:
 @pytest.fixture
 def motions(system: System, listener: can.BusABC) -> Motions:
     """The motion from now on."""
-    motions = Motions(system.wiring, listener, system.drives())
+    motions = Motions(system.wiring, listener, system.interface.flush, system.drives())
     motions.begin(system.boards)
     return motions
 

@@ -37,7 +37,7 @@ class Lives:
         config.insert_json5(LEASE, str(round(1e3 * lease)))  # long, so that a stopped process keeps its session
         self.session: zenoh.Session = stack.enter_context(zenoh.open(config))
         self.client = Observer(Client(self.session, system.name))
-        self.motions = Motions(system.wiring, stack.enter_context(system.listener()))
+        self.motions = Motions(system.wiring, stack.enter_context(system.listener()), system.interface.flush)
         system.start_executor()
         system.start_planner_process(lease)
 

@@ -1,6 +1,6 @@
 """Motion, read from the frames on the bus alone, and whether it was requested."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import can
 import numpy as np
@@ -33,8 +33,10 @@ class Motions:
         deaf: whether the interface was removed or down, so that nothing is known.
     """
 
-    def __init__(self, wiring: Wiring, listener: can.BusABC, outputs: Sequence[int] = ()) -> None:
-        self._listener, self._layout = listener, lay_out(wiring)
+    def __init__(
+        self, wiring: Wiring, listener: can.BusABC, flush: Callable[[], None], outputs: Sequence[int] = ()
+    ) -> None:
+        self._listener, self._flush, self._layout = listener, flush, lay_out(wiring)
         boards = self._layout.boards
         self._frames = assemble(boards, {k: board.rpdos for k, board in enumerate(boards)})
         count = len(wiring.channels)
@@ -54,7 +56,8 @@ class Motions:
         self._before = boards.switches()
 
     def read(self) -> None:
-        """Reads the frames since the last call."""
+        """Reads the frames since the last call, all that were sent by now."""
+        self._flush()
         try:
             while not self.deaf and (frame := self._listener.recv(0)) is not None:
                 if not frame.is_error_frame:
