@@ -35,7 +35,7 @@ ADVICE = {
     "ledger-damaged": "The damaged ledger was renamed. No action is needed.",
     "in-obstacle": "Remove or change the obstacle: until then the arm accepts no goal.",
     "unknown-state": "Jog single actuators until the arm is in a configuration.",
-    "journal": "Switches are not counted: free space on the disk.",
+    "journal": "The switch journal was damaged. The counts continue from the ledger. No action is needed.",
     "unknown-position": "The first goal moves the actuator to an end; or jog it.",
     "degraded": "The arm works without this actuator. Unlock it after the repair.",
 }

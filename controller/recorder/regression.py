@@ -202,7 +202,7 @@ def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm
             stdout=subprocess.DEVNULL,
             stderr=stack.enter_context(log.open("wb")),
             env={**os.environ, "RUNTIME_DIRECTORY": str(folder)},
-            start_new_session=True,  # Ctrl-C ends this process, which then ends the daemon
+            process_group=0,  # Ctrl-C ends this process, which then ends the daemon
         )
         stack.callback(process.wait)
         stack.callback(process.send_signal, signal.SIGTERM)

@@ -39,7 +39,7 @@ def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
         "RUNTIME_DIRECTORY": str(folder), "PYTHONPATH": str(ROOT),
     }  # fmt: skip
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, env=environment, start_new_session=True)
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, env=environment, process_group=0)
     yield process
     process.kill()
     process.communicate()
