@@ -16,8 +16,8 @@ from controller.settings import ArmSettings
 from controller.sockets import found_sockets, socket_path
 from controller.strict import InputFaults
 from drivers.canopen.faults import BusError
-from drivers.canopen.node_reset import reset_node
-from drivers.canopen.survey import Survey, survey
+from drivers.canopen.tools.node_reset import reset_node
+from drivers.canopen.tools.survey import Survey, survey
 from drivers.canopen.wiring import MASTER, BusSettings
 
 ANSWER_WITHIN = 1.0  # [s]

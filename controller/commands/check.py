@@ -67,7 +67,7 @@ def ask_boards(arm: Arm) -> list[dict[str, Any]]:
     """
     from controller.executor.arm import timing_of, wiring_of
     from drivers.canopen.faults import BusError
-    from drivers.canopen.probe import probe
+    from drivers.canopen.tools.probe import probe
 
     try:
         answers = probe(wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings))
@@ -88,8 +88,8 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
         InputFaults: the file is no EDS, or the arm has no such board.
     """
     from controller.executor.arm import timing_of, wiring_of
-    from drivers.canopen.eds_check import Eds, UnreadableEds, lacks
     from drivers.canopen.layout import lay_out
+    from drivers.canopen.tools.eds_check import Eds, UnreadableEds, lacks
 
     wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
     boards = {board.name: board for board in lay_out(wiring).boards}

@@ -12,10 +12,10 @@ import typer
 from controller.commands.common import AsJson, Failed, print_json
 from controller.commands.probe import Bitrate, Channel, Interface, surveyed
 from controller.strict import InputFaults
-from drivers.canopen.bus import CanBus
 from drivers.canopen.faults import BusError
-from drivers.canopen.lss import BIT_TIMINGS, Identity, Lss, Refused, over
-from drivers.canopen.survey import Survey
+from drivers.canopen.tools.lss import BIT_TIMINGS, Identity, Lss, Refused, over
+from drivers.canopen.tools.survey import Survey
+from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import MASTER, BusSettings
 
 NEW = f"The new node id, 1 to {MASTER - 1}."

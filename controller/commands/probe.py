@@ -9,11 +9,12 @@ import typer
 
 from controller.commands import common
 from controller.commands.common import AsJson, Failed, print_json
-from drivers.canopen import cia301, objects
+from drivers.canopen.boot.pdo_setup import PdoState, pdo_words
 from drivers.canopen.faults import BusError
 from drivers.canopen.pdo import carries
-from drivers.canopen.pdo_setup import PdoState, pdo_words
-from drivers.canopen.survey import TEXTS, Found, Survey, survey
+from drivers.canopen.sdo import objects
+from drivers.canopen.tools.survey import TEXTS, Found, Survey, survey
+from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import MASTER, BusSettings
 
 RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."

@@ -8,7 +8,7 @@ from controller.executor.bits import indices, merged
 from controller.executor.kinds import Kinds
 from controller.executor.switch_journal import SwitchJournal
 from drivers.canopen.faults import Busy, Fault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
 LATE = 0.1  # [s] after its end at which a pulse is no longer waited for: its bus accepts no frames

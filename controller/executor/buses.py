@@ -10,10 +10,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from drivers.canopen.bus import CanBus
-from drivers.canopen.cia301 import Frame
-from drivers.canopen.events import Changed, Echoed, Event, Received, SendFailed
 from drivers.canopen.faults import BusError
+from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Changed, Echoed, Event, Received, SendFailed
 from drivers.canopen.wiring import BusSettings, Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform

@@ -30,11 +30,11 @@ from controller.executor.requests import Requests
 from controller.executor.results import Results
 from controller.executor.switch_journal import SwitchJournal
 from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame
-from drivers.canopen.events import Echoed, Received
 from drivers.canopen.faults import Fault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Echoed, Received
 
 PERIOD = 0.01  # [s] between two ticks
 LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay

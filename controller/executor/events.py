@@ -5,8 +5,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from controller.program import Down, Up
-from drivers.canopen.cia301 import Frame
-from drivers.canopen.events import Event as CanEvent
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Event as CanEvent
 
 
 class Client(NamedTuple):

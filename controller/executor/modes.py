@@ -10,7 +10,7 @@ from controller.executor.reports import Reports
 from controller.journal import fields_of_fault, fields_of_mode
 from controller.program import Mode
 from drivers.canopen.faults import Fault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
 # Codes of faults that clear by themselves.

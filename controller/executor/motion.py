@@ -16,7 +16,7 @@ from controller.executor.switch_journal import SwitchJournal
 from controller.executor.travel_times import TravelTimes
 from controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
 from drivers.canopen.faults import Fault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
 NOT_CLEAR = "the next stage cannot begin: "

@@ -7,7 +7,7 @@ from controller.executor.arm import WORDS
 from controller.executor.bits import indices, merged
 from controller.executor.kinds import Ends, Kinds
 from drivers.canopen.faults import Fault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
 
 MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
 ASK_EVERY = 0.01  # [s] between two questions to a board

@@ -10,7 +10,7 @@ from controller.executor.motion import Motion
 from controller.executor.switch_journal import SwitchJournal
 from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
 from drivers.canopen.faults import Fault as BoardFault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a snapshot fits one message

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.canopen import cia301
 from drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
+from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import Line, NodeSettings, Wiring
 
 _PDO_BYTES = 8

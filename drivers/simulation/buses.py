@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import Channel, Timing, Wiring
 from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from canopen.sdo.server import SdoServer
 
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Command, State
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, State
 from drivers.simulation import lss
 from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.emergencies import Emergencies

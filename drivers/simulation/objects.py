@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.canopen import cia301
+from drivers.canopen.wire import cia301
 from drivers.simulation.dictionary import Object
 from drivers.simulation.variants import Variant
 

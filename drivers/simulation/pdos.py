@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from drivers.canopen import cia301
+from drivers.canopen.wire import cia301
 from drivers.simulation.emergencies import Emergencies
 from drivers.simulation.objects import Objects
 from drivers.simulation.outputs import Outputs

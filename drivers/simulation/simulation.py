@@ -12,7 +12,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.cia301 import REMOTE, Frame
+from drivers.canopen.wire.cia301 import REMOTE, Frame
 from drivers.canopen.wiring import BusSettings, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses

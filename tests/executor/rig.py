@@ -23,8 +23,8 @@ from controller.program import (
     pack,
     unpack,
 )
-from drivers.canopen.events import Ignored
 from drivers.canopen.faults import Fault
+from drivers.canopen.wire.events import Ignored
 from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 

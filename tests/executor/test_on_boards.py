@@ -26,7 +26,7 @@ from controller.program import (
     pack,
     unpack,
 )
-from drivers.canopen.events import Changed, Echoed, Received
+from drivers.canopen.wire.events import Changed, Echoed, Received
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
 from tests.executor.rig import SIZE, TRAVEL, small_arm

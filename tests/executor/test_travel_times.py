@@ -13,7 +13,7 @@ from controller.executor.kinds import Ends
 from controller.executor.switch_journal import MemoryJournal
 from controller.executor.travel_times import TravelTimes
 from controller.program import Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
-from drivers.canopen.events import Received
+from drivers.canopen.wire.events import Received
 from drivers.simulation.buses import _LEAST_PULSE
 from drivers.simulation.fault_commands import perform
 from tests.executor.rig import SIZE, small_arm

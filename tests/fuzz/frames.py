@@ -9,7 +9,7 @@ import can
 from hypothesis import strategies as st
 
 from controller.program import Cancel, Halt, Reset
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire.cia301 import Frame
 from drivers.simulation.actuator import Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
 from tests.fuzz.judge import Flood, Moved

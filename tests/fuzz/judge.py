@@ -15,8 +15,8 @@ from controller.program import (
     Up,
     unpack,
 )
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import MASTER, Wiring
 
 STREAM = -1  # in place of a program's number

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 
 from controller.executor.events import Log
 from controller.program import Setpoint, pack
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
 from tests.fuzz.frames import KNOWN, Boards, act
 from tests.fuzz.judge import Flood, Moved
 from tests.fuzz.targets import TARGETS

@@ -16,9 +16,9 @@ from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Action, Client, ClientGone, FromClient, Log, Send, Tick, ToClient
 from controller.executor.switch_journal import MemoryJournal
 from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, pack
-from drivers.canopen import cia301
-from drivers.canopen.bus import CanBus
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from tests.executor.rig import LABELS, SIZE, small_arm

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame, State
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
 
-from drivers.canopen.cia301 import Frame, split, wire_bits
-from drivers.canopen.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.cia301 import Frame, split, wire_bits
+from drivers.canopen.wire.events import Changed, Echoed, Event, Received
 from tests.simulation.agenda import Agenda
 
 MAILBOXES = 3  # of the controller; frames in them compete by identifier

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from controller.program import Accepted, Ended, Program
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire.cia301 import Frame
 
 
 @dataclass

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from controller.executor.bits import indices
 from controller.executor.core import PERIOD
-from drivers.canopen import cia301
+from drivers.canopen.wire import cia301
 from tests.simulation.facts import Switch
 from tests.simulation.record import LATE, RPDOS
 

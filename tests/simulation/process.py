@@ -11,7 +11,7 @@ from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
 from controller.executor.switch_journal import MemoryJournal
 from controller.program import Up
-from drivers.canopen.events import Changed, SendFailed
+from drivers.canopen.wire.events import Changed, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import BusModel
 from tests.simulation.record import Record

@@ -25,8 +25,8 @@ from controller.program import (
     Up,
     unpack,
 )
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.facts import Commit, Energised, Running, Step, Switch
 

@@ -16,9 +16,9 @@ from controller.executor.motion import Motion
 from controller.executor.program_execution import ProgramExecution
 from controller.executor.results import Results
 from controller.executor.switch_journal import MemoryJournal
-from drivers.canopen.cia301 import SYNC, Frame
-from drivers.canopen.commit import Commit
-from drivers.canopen.heartbeat import Heartbeat
+from drivers.canopen.run.commit import Commit
+from drivers.canopen.run.heartbeat import Heartbeat
+from drivers.canopen.wire.cia301 import SYNC, Frame
 from tests.simulation.invariants import Violation
 from tests.simulation.world import World
 

@@ -8,8 +8,8 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from controller.executor.events import Quit
-from drivers.canopen.cia301 import Frame
-from drivers.canopen.events import Received
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Received
 
 if TYPE_CHECKING:
     from tests.simulation.world import World

@@ -8,8 +8,8 @@ from random import Random
 
 from controller.executor.kinds import Kinds
 from controller.program import unpack
-from drivers.canopen.cia301 import Frame
-from drivers.canopen.events import Event
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Event
 from tests.simulation.agenda import Agenda
 from tests.simulation.arms import draw_arm, draw_boards
 from tests.simulation.board_side import BoardSide

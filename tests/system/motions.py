@@ -6,10 +6,10 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Command, State
-from drivers.canopen.frames import assemble
 from drivers.canopen.layout import lay_out
+from drivers.canopen.run.frames import assemble
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, State
 from drivers.canopen.wiring import Wiring
 from drivers.simulation.simulation import Simulation
 from tests.system.observer import Observer

@@ -9,8 +9,8 @@ import pytest
 
 from controller.config import Arm
 from controller.motion import codes
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Command, Frame, State
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.simulation.simulation import Simulation
 from tests.system.arms import QUICK
 from tests.system.motions import Motions

@@ -9,7 +9,7 @@ import pytest
 
 from controller.gateway import session
 from controller.planning.ledger_file import read
-from drivers.canopen import cia301
+from drivers.canopen.wire import cia301
 from tests import emulated
 from tests.system.arms import QUICK
 from tests.system.lives import Lives

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from controller.executor.arm import read_arm
 from controller.executor.real_time import lock_memory, raise_priority
-from drivers.canopen.cia301 import HEARTBEAT, SYNC, Frame
+from drivers.canopen.wire.cia301 import HEARTBEAT, SYNC, Frame
 from drivers.canopen.wiring import MASTER
 from drivers.simulation.buses import SimulatedBuses
 from tests.benchmarks.chain.records import Record

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.frames import assemble
 from drivers.canopen.layout import lay_out
 from drivers.canopen.pdo import Bit, Pdo, carries
+from drivers.canopen.run.frames import assemble
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 
 CAN0 = BusSettings("can0", "virtual", "x")

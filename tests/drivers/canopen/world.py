@@ -7,10 +7,10 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from drivers.canopen import cia301
-from drivers.canopen.cia301 import Frame
 from drivers.canopen.faults import Busy, Fault
-from drivers.canopen.master import Master
+from drivers.canopen.run.master import Master
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from drivers.simulation.buses import build_actuator, wire
 from drivers.simulation.firmware import SimulatedBoard

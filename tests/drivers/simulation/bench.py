@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from drivers.canopen import cia301
+from drivers.canopen.wire import cia301
 from drivers.simulation.actuator import Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
 from drivers.simulation.variants import STANDARD, Variant

@@ -5,7 +5,7 @@ from __future__ import annotations
 import canopen
 import pytest
 
-from drivers.canopen import cia301
+from drivers.canopen.wire import cia301
 from drivers.simulation.dictionary import EDS
 from tests.drivers.simulation.bench import Bench
 

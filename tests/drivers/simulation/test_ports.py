@@ -7,7 +7,7 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import BusSettings
 from drivers.simulation.simulation import Port
 from tests.emulated import Interface

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.cia301 import Frame
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses, board_names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.cia301 import REMOTE, Command, State
+from drivers.canopen.wire.cia301 import REMOTE, Command, State
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.simulation.bench import Bench
 

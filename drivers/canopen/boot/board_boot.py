@@ -1,0 +1,294 @@
+"""The boot of one board: find, inspect, configure, start, read back. It switches no output."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+
+from drivers.canopen.boot import configuration, inspection, pdo_search
+from drivers.canopen.boot.inspection import Inspection
+from drivers.canopen.faults import Fault
+from drivers.canopen.layout import BoardLayout
+from drivers.canopen.pdo import INPUTS, Pdo, subs_of, union
+from drivers.canopen.run.board import Board
+from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.sdo import objects
+from drivers.canopen.sdo.client import TIMEOUT, Outcome, Transfer
+from drivers.canopen.sdo.objects import Need
+from drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
+from drivers.canopen.wire.cia301 import INVALID, Command, State
+from drivers.canopen.wiring import ErrorState, Timing
+
+_ERROR_PATIENCE = 0.5  # [s] in which an error may end after the board hears the master
+
+
+@dataclass
+class Boot:
+    """The boot of one board.
+
+    Attributes:
+        index: index of the board.
+        board: the board.
+        outputs: takes the outputs that are read back.
+        timing: heartbeat and boot times.
+        error_state: field `error_state` of the arm's file, for boards without an error mode.
+        it: values read from the board.
+        kind: device type, 1000h.
+        found: NMT state before the boot.
+    """
+
+    index: int
+    board: Board
+    outputs: Outputs
+    timing: Timing
+    error_state: ErrorState | None
+    it: Inspection
+    kind: int = 0
+    found: State | None = None
+
+
+def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
+    """Boots a board. A board that is operational and correctly configured is not written to."""
+    it = Inspection(board.layout)
+    boot = Boot(index, board, outputs, timing, error_state, it)
+    for step in _STEPS:
+        yield from step(boot)
+
+
+def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, tuple[int, bool]]:
+    """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
+
+    Args:
+        layout: wiring of the board.
+        patience: longest time until its answer [s].
+        board: the frames heard from it; None if nobody listens.
+    """
+    name, kind, ordered = layout.name, None, False
+    before = 0 if board is None else board.frames
+
+    def stopped() -> bool:  # a stopped board answers no SDO
+        return board is not None and board.state is State.STOPPED and not ordered
+
+    for _ in range(1 + math.ceil(patience / TIMEOUT)):
+        outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
+        if outcome.silence is None:
+            kind = objects.number(name, 0x1000, 0, 4, outcome)
+            break
+        if stopped():
+            yield from _order(layout, Command.PRE_OPERATIONAL)
+            ordered = True
+    if kind is not None:
+        return kind, ordered
+    text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
+    if board is not None and board.frames > before:
+        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
+    raise BoardError(Fault("board-missing", name, text))
+
+
+def _find(boot: Boot) -> Procedure:
+    boot.kind, stopped = yield from find(boot.board.layout, boot.timing.boot_timeout, boot.board)
+    boot.found = State.STOPPED if stopped else None
+
+
+def _inspect(boot: Boot) -> Procedure:
+    """Reads identity, configuration and PDOs of the board."""
+    it = boot.it
+    yield from inspection.inspect(it, boot.kind, boot.timing, boot.error_state)
+    board = boot.board
+    yield from _learn_state(boot)
+    boot.found = boot.found or board.state
+    yield from pdo_search.read_pdos(it, in_full=board.state is State.OPERATIONAL)
+
+
+def _learn_state(boot: Boot) -> Procedure:
+    """Waits for the first heartbeat or answer to node guarding, which tells the NMT state."""
+    board, it, timing = boot.board, boot.it, boot.timing
+    period = it.values.get((0x1017, 0), 0) / 1000
+    if it.guarded:
+        ours = not it.unmet(configuration.guarding(timing)) and not period
+        period = timing.heartbeat if ours else 0.0
+        if ours and not board.guarded:
+            board.guard()
+    elif period:
+        board.guarded = False
+    if board.state is None and period:
+        yield Wait(lambda: board.state is not None, min(2 * period, timing.boot_timeout))
+
+
+def _configure(boot: Boot) -> Procedure:
+    """Configures and starts the board, unless it is operational and correctly configured."""
+    board, it = boot.board, boot.it
+    if board.state is State.OPERATIONAL:
+        yield from pdo_search.ask_for_sync(it)
+        wrong = it.unmet(it.needs) + it.unmet(it.error_mode)
+        if not wrong and pdo_search.as_is(it):
+            board.state = None  # its NMT state may have changed since its last heartbeat
+            return
+    if board.state in (State.OPERATIONAL, None):
+        yield from _hold_outputs(it)
+    if board.state is not State.PRE_OPERATIONAL:
+        yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    yield from inspection.ensure(it, it.needs)
+    for pdos in (it.rpdos, it.tpdos):
+        yield from pdo_search.set_up_pdos(it, pdos)
+    if not board.layout.loss[0]:
+        yield from inspection.ensure(it, it.error_mode)
+    yield from _release(boot)
+    board.guarded = False
+    if it.guarded:
+        board.guard()
+    board.state = None  # an earlier heartbeat must not count
+    yield from _order(board.layout, Command.START)
+
+
+def _hold_outputs(it: Inspection) -> Procedure:
+    """Sets the error mode 6206h to hold during the configuration.
+
+    Some boards apply 6207h as soon as they enter pre-operational. A board that does not accept this value may still be
+    correct: the final value of 6206h decides.
+    """
+    for need in it.unmet(configuration.hold_outputs(it.layout)):
+        place = need.index, need.sub
+        yield from objects.write(it.name, need, need.corrected(it.values[place]))
+        it.values[place] = yield from objects.read(it.name, *place, fresh=True)
+
+
+def _release(boot: Boot) -> Procedure:
+    """Writes off the outputs that the board may have switched off itself, so that its start energises nothing.
+
+    A board that lost its master has applied its error mode. Its 6200h may still hold the earlier values, which the
+    start would switch again.
+    """
+    board, it, layout = boot.board, boot.it, boot.board.layout
+    if it.has_error_mode:  # boards with a loss level enter stopped when they lose the master (1029h)
+        loss, levels = layout.loss if boot.found is State.STOPPED else (0, 0)
+        bits = union(b.place for b in layout.outputs if loss & b.place and b.inverted == bool(levels & b.place))
+    else:
+        bits = layout.output_bits
+        if (layout.settings.error_state or boot.error_state) == "hold" or not (yield from _lost_master(boot)):
+            bits = 0
+    off = union(b.place for b in layout.outputs if b.inverted)
+    for sub in subs_of(bits):
+        mask, value = (number >> 8 * (sub - 1) & 0xFF for number in (bits, off))
+        need = Need(layout.settings.object, sub, value & mask, 1, "outputs", mask=mask)
+        present = yield from objects.read(board.name, need.index, sub)
+        if not need.met(present):
+            yield from objects.ensure(board.name, need, present)
+
+
+def _lost_master(boot: Boot) -> Generator[Step, Outcome, bool]:
+    """Returns whether the board has left operational because it lost the master, not by an NMT command."""
+    if boot.found not in (State.STOPPED, State.PRE_OPERATIONAL):
+        return False
+    newest = yield from objects.find(boot.board.name, 0x1003, 1, 4)
+    return (newest or 0) & 0xFFFF == inspection.MASTER_LOST
+
+
+def _await_operational(boot: Boot) -> Procedure:
+    """Waits until the board is operational; configures it again if it leaves that state.
+
+    A board that has just missed a heartbeat of the master does so.
+    """
+    board, patience = boot.board, boot.timing.boot_timeout
+    up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
+    if (yield up).data is not None:
+        return
+    if board.state is State.STOPPED:
+        yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    if board.state in (State.STOPPED, State.PRE_OPERATIONAL):
+        yield from _configure(boot)
+    if (yield Wait(up.until, patience)).data is None:
+        seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
+        text = f"board {board.name} did not become operational within {patience:g} s; {seen}"
+        if board.state is not State.STOPPED:
+            _, why, _ = yield from inspection.read_errors(boot.it, board)
+            text += f"; {why}" if why else ""
+        raise BoardError(Fault("board-stopped", board.name, text))
+
+
+def _set_error_mode(boot: Boot) -> Procedure:
+    """Writes the final error mode, 6206h and 6207h."""
+    yield from inspection.ensure(boot.it, boot.it.error_mode)
+
+
+def _check_errors(boot: Boot) -> Procedure:
+    """Refuses a board with an error in 1001h. An error that tells the loss of the master may end within 0.5 s."""
+    board, it = boot.board, boot.it
+    for _ in range(6):
+        register, text, lost = yield from inspection.read_errors(it, board)
+        if not register:
+            return
+        yield Wait(lambda: False, _ERROR_PATIENCE / 5)
+    if not lost:
+        text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
+        raise BoardError(Fault("board-error", board.name, text))
+    it.warn(f"it keeps an error from before this boot: {text}")
+    it.standing_errors = register
+
+
+def _read_back(boot: Boot) -> Procedure:
+    """Reads outputs and inputs, and adopts them."""
+    board, it, inputs = boot.board, boot.it, dict[int, int]()
+    rpdos, tpdos = pdo_search.adopt(it)
+    values = dict[int, int]()
+    for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > 7}:
+        values[entry] = yield from _value(board, entry)
+    board.take_inputs_from(tpdos)
+    before = board.input_frames
+    for sub in subs_of(board.layout.input_bits):
+        inputs[sub] = yield from objects.read(board.name, INPUTS, sub)
+    if board.state is not State.OPERATIONAL:
+        seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
+        raise BoardError(
+            Fault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
+        )
+    boot.outputs.adopt(boot.index, rpdos, values)
+    if board.input_frames == before:  # otherwise a TPDO has brought newer values
+        for sub, value in inputs.items():
+            board.set_input(sub, value)
+    board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
+    board.expected = _expected(it, rpdos + tpdos)
+    board.ready = True
+
+
+def _value(board: Board, entry: int) -> Generator[Step, Outcome, int]:
+    """Reads an object that an RPDO carries; returns 0 for an unused object that cannot be read."""
+    index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+    size = (count + 7) // 8
+    if index == board.layout.settings.object and board.layout.output_bits >> 8 * (sub - 1) & 0xFF:
+        return (yield from objects.read(board.name, index, sub))
+    outcome = yield Transfer(index, sub)
+    return int.from_bytes((outcome.data or b"")[:size], "little")
+
+
+def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
+    """Returns the values of the board's objects after the boot, so that a later change is found."""
+    needs = {(n.index, n.sub): n for n in (*it.needs, *it.error_mode) if (n.index, n.sub) in it.values}
+    for _, present in (*it.rpdos, *it.tpdos):
+        index, mapping = present.parameters, present.mapping
+        needs[index, 1] = Need(index, 1, present.cob_id & ~INVALID, 4, "COB-ID", mask=INVALID | 0x7FF)
+        needs[index, 2] = Need(index, 2, present.kind, 1, "transmission type")
+        needs[index + 0x200, 0] = Need(index + 0x200, 0, len(mapping), 1, "number of mapped objects")
+        needs |= {
+            (index + 0x200, 1 + i): Need(index + 0x200, 1 + i, entry, 4, "mapped object")
+            for i, entry in enumerate(mapping)
+        }
+    return tuple(needs.values())
+
+
+def _order(layout: BoardLayout, command: Command) -> Procedure:
+    if (yield Order(command)).data is None:
+        text = f"board {layout.name} could not be told to change its state: {layout.bus} takes no frames"
+        raise BoardError(Fault("board-missing", layout.name, text))
+
+
+_STEPS: tuple[Callable[[Boot], Procedure], ...] = (
+    _find,
+    _inspect,
+    _configure,
+    _await_operational,
+    _set_error_mode,
+    _check_errors,
+    _read_back,
+)

@@ -1,0 +1,104 @@
+"""The boot of all boards in parallel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from drivers.canopen.boot.board_boot import boot_board
+from drivers.canopen.faults import Fault
+from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.run.station import Station
+from drivers.canopen.wiring import Timing, Wiring
+
+_MOST_REBOOTS = 5  # restarts of one board during its boot
+
+
+class Booting:
+    """Boots all boards, and collects their faults.
+
+    Args:
+        stations: all boards.
+        outputs: takes the outputs that are read back.
+        wiring: tells the error state of boards without an error mode.
+        timing: heartbeat and boot times.
+    """
+
+    def __init__(self, stations: Sequence[Station], outputs: Outputs, wiring: Wiring, timing: Timing) -> None:
+        self._stations, self._outputs = stations, outputs
+        self._error_state, self._timing = wiring.error_state, timing
+        self._pending: set[int] = set()  # indices of boards
+        self._reboots: dict[int, int] = {}
+        self._bus_faults: dict[str, Fault] = {}
+        self._board_faults: dict[int, Fault] = {}
+
+    @property
+    def under_way(self) -> bool:
+        """Whether the boot of a board still runs."""
+        return bool(self._pending)
+
+    @property
+    def faults(self) -> list[Fault]:
+        """One fault for each lost bus, then one for each board that could not be booted."""
+        return [*self._bus_faults.values(), *(fault for _, fault in sorted(self._board_faults.items()))]
+
+    def begin(self, lost: Mapping[str, Fault], now: float) -> None:
+        """Starts the boot of all boards, except those on lost buses. A running boot is cancelled."""
+        for station in self._stations:
+            station.cancel()
+            station.board.forget()
+        self._bus_faults, self._board_faults, self._reboots = dict(lost), {}, {}
+        begun = [station for station in self._stations if station.board.layout.bus not in lost]
+        self._pending = {station.index for station in begun}
+        for station in begun:
+            self._start(station, now)
+
+    def rebooted(self, station: Station, now: float) -> None:
+        """Boots a board again that has restarted during its boot: its configuration is lost."""
+        if not self._pending:
+            return
+        i = station.index
+        self._reboots[i] = self._reboots.get(i, 0) + 1
+        station.cancel()
+        if self._reboots[i] <= _MOST_REBOOTS:
+            self._pending.add(i)
+            self._board_faults.pop(i, None)
+            self._start(station, now)
+        else:
+            name = station.board.name
+            text = f"board {name} restarted {self._reboots[i]} times during its boot: check its supply"
+            self._ended(i, Fault("board-rebooted", name, text))
+
+    def bus_lost(self, fault: Fault) -> None:
+        """Cancels the boot of all boards of a bus; the fault of the bus replaces theirs."""
+        if not self._pending:
+            return
+        self._bus_faults.setdefault(fault.source, fault)
+        for station in self._stations:
+            if station.board.layout.bus == fault.source:
+                station.cancel()
+                self._board_faults.pop(station.index, None)
+                self._pending.discard(station.index)
+        self._find_lost()
+
+    def _start(self, station: Station, now: float) -> None:
+        def ended(fault: Fault | None, now: float) -> None:
+            self._ended(station.index, fault)
+
+        procedure = boot_board(station.index, station.board, self._outputs, self._timing, self._error_state)
+        station.runner.start(procedure, ended, now)
+
+    def _ended(self, i: int, fault: Fault | None) -> None:
+        self._pending.discard(i)
+        if fault is not None:
+            self._board_faults[i] = fault
+        self._find_lost()
+
+    def _find_lost(self) -> None:
+        """Finds boards that were booted and lost again while others booted; at the end."""
+        if self._pending:
+            return
+        for station in self._stations:
+            board, i = station.board, station.index
+            if not board.ready and i not in self._board_faults and board.layout.bus not in self._bus_faults:
+                text = f"board {board.name} was lost again while other boards booted: check its supply and wires"
+                self._board_faults[i] = Fault("board-lost", board.name, text)

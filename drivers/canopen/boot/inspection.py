@@ -1,0 +1,225 @@
+"""Reads a board's objects and compares them with the needs of its wiring, for the boot and for `check --bus`."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass, field
+
+from drivers.canopen.boot import configuration
+from drivers.canopen.boot.pdo_setup import PdoState
+from drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
+from drivers.canopen.faults import Fault
+from drivers.canopen.layout import BoardLayout
+from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
+from drivers.canopen.run.board import Board
+from drivers.canopen.sdo import objects
+from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.objects import Need
+from drivers.canopen.sdo.procedure import BoardError, Step
+from drivers.canopen.wire import cia301
+from drivers.canopen.wiring import ErrorState, Timing
+
+_PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
+MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # error code, and the bits of 1001h that it sets
+
+
+@dataclass
+class Inspection:
+    """The values read from one board, and the needs of its wiring.
+
+    Attributes:
+        layout: wiring of the board.
+        quirk: peculiarities of the device.
+        warnings: sentences on the limits of the board, without its name.
+        values: values read or written, by index and sub-index.
+        needs: needs in the order of writing, without PDOs and error mode.
+        error_mode: needs that are written when the board is operational.
+        has_error_mode: whether it has 6206h.
+        synchronous: whether it has 1005h, so that it receives SYNC.
+        refuses_sync: whether it has refused a synchronous transmission type of its RPDOs.
+        standing_errors: bits of 1001h that stay set without a present cause.
+        guarded: whether node guarding supervises it, in place of heartbeats.
+        rpdos: the wanted RPDOs, each with its present state.
+        tpdos: the wanted TPDOs, likewise.
+    """
+
+    layout: BoardLayout
+    quirk: Quirk = NONE
+    warnings: list[str] = field(default_factory=list)
+    values: dict[tuple[int, int], int] = field(default_factory=dict)
+    needs: list[Need] = field(default_factory=list)
+    error_mode: list[Need] = field(default_factory=list)
+    has_error_mode: bool = False
+    synchronous: bool = True
+    refuses_sync: bool = False
+    standing_errors: int = 0
+    guarded: bool = False
+    rpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)
+    tpdos: list[tuple[Pdo, PdoState]] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Name of the board."""
+        return self.layout.name
+
+    def unmet(self, needs: Iterable[Need]) -> list[Need]:
+        """Returns the unmet needs of those objects that the board has."""
+        return [n for n in needs if (n.index, n.sub) in self.values and not n.met(self.values[n.index, n.sub])]
+
+    def warn(self, text: str) -> None:
+        """Adds a warning."""
+        if text not in self.warnings:
+            self.warnings.append(text)
+
+
+Reading = Generator[Step, Outcome, None]
+
+
+def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState | None) -> Reading:
+    """Reads all objects that matter, without the PDOs, and writes nothing.
+
+    Args:
+        it: takes the values.
+        kind: device type of the board, 1000h.
+        timing: heartbeat times.
+        error_state: field `error_state` of the arm's file, for boards without an error mode.
+
+    Raises:
+        BoardError: the board cannot meet a need of its wiring, or does not answer.
+    """
+    yield from _identify(it)
+    yield from _check_type(it, kind)
+    yield from _supervision(it, timing)
+    yield from _read(it, configuration.synchronisation())
+    if (0x1005, 0) not in it.values:
+        it.synchronous = False
+        it.warn("it has no 1005h sub 0 (COB-ID of SYNC): its outputs switch at once with their frame, not on SYNC")
+    if it.layout.outputs:
+        yield from _outputs(it, error_state)
+    yield from _read(it, configuration.interrupts(it.layout))
+
+
+def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome, tuple[int, str, bool]]:
+    """Reads the error register and, if it is set, the newest entry of the error history.
+
+    Returns:
+        The bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the error
+        is the loss of the master, which ends when its heartbeats return.
+    """
+    register = yield from objects.read(it.name, 0x1001, 0, fresh=True)
+    register &= ~it.quirk.ignored_errors
+    if not register:
+        return 0, "", False
+    lost = False
+    text = f"error register 1001h sub 0 is {register:02X}h; 00h is needed"
+    history = yield from objects.find(it.name, 0x1003, 1, 4)
+    if history:
+        text += f"; 1003h sub 1 is {history:08X}h, {cia301.emergency_words(history & 0xFFFF)}"
+        lost = history & 0xFFFF == MASTER_LOST and not register & ~_COMMUNICATION
+    if board is not None and board.emergency is not None:
+        text += f"; it reported {cia301.emergency_words(board.emergency)}"
+    return register, text, lost
+
+
+def ensure(it: Inspection, needs: list[Need]) -> Reading:
+    """Writes the values that differ, and reads them back."""
+    for need in it.unmet(needs):
+        yield from objects.ensure(it.name, need, it.values[need.index, need.sub])
+        it.values[need.index, need.sub] = need.corrected(it.values[need.index, need.sub])
+
+
+def _identify(it: Inspection) -> Reading:
+    vendor = yield from objects.find(it.name, 0x1018, 1, 4)
+    product = None
+    if vendor in VENDORS:
+        product = yield from objects.find(it.name, 0x1018, 2, 4)
+    it.quirk = quirk_of(vendor, product)
+    yield from _read(it, configuration.identity(it.layout.settings))
+
+
+def _check_type(it: Inspection, kind: int) -> Reading:
+    """Checks the device type, 1000h, and the number of output and input bytes.
+
+    The bits of 1000h alone do not suffice: not every coupler sets them.
+    """
+    settings = it.layout.settings
+    if settings.object == OUTPUTS and kind & 0xFFFF != _PROFILE:
+        text = (
+            f"board {it.name} has {kind:08X}h in 1000h sub 0 (device type), not the profile 0191h of CiA 401 with"
+            " outputs in 6200h: is the node id right? A board with outputs in an object of its maker needs `object` in"
+            " the arm's file"
+        )
+        raise BoardError(Fault("wrong-device", it.name, text))
+    for bits, base, flag, what in (
+        (it.layout.output_bits, settings.object, _HAS_OUTPUTS, "outputs"),
+        (it.layout.input_bits, INPUTS, _HAS_INPUTS, "inputs"),
+    ):
+        if not bits:
+            continue
+        count = yield from objects.find(it.name, base, 0)
+        subs = subs_of(bits)
+        if not count or count < subs[-1]:
+            has = "no" if not count else f"{count} bytes of"
+            text = f"board {it.name} has {has} {what} in {base:04X}h; sub {subs[-1]} is needed, the wiring uses it"
+            raise BoardError(Fault("wrong-device", it.name, f"{text} (1000h sub 0 is {kind:08X}h)"))
+        if base in (OUTPUTS, INPUTS) and kind & 0xFFFF == _PROFILE and not kind & flag:
+            it.warn(f"1000h sub 0 is {kind:08X}h, without the bit of digital {what}, but {base:04X}h is there")
+
+
+def _supervision(it: Inspection, timing: Timing) -> Reading:
+    """Selects heartbeats, or node guarding if the board lacks 1016h or 1017h."""
+    beats, guard = configuration.heartbeats(timing), configuration.guarding(timing)
+    yield from _read(it, [*beats, guard[0]], [])
+    if (guard[0].index, guard[0].sub) in it.values:
+        yield from _read(it, guard[1:], [])
+    beating, guarding = (all((n.index, n.sub) in it.values for n in needs) for needs in (beats, guard))
+    it.guarded = guarding and (it.quirk.guarding or not beating)
+    if not (beating or guarding):
+        text = (
+            f"board {it.name} has neither 1016h sub 1 and 1017h (heartbeats) nor 100Ch and 100Dh (node guarding): it"
+            " would not notice that the executor has ended, and would not be noticed if it fails"
+        )
+        raise BoardError(Fault("wrong-device", it.name, text))
+    # Some boards allow only one of the two: the other one is switched off first.
+    off = [Need(n.index, n.sub, 0, n.size, n.what) for n in (beats if it.guarded else guard)]
+    it.needs = [*off, *(guard if it.guarded else beats), *it.needs]
+    lost = configuration.on_master_lost(it.layout)
+    yield from _read(it, [lost])
+    if (lost.index, lost.sub) not in it.values:
+        it.warn(f"it has no {lost.place}; CiA 301 makes it enter pre-operational when the master is lost")
+
+
+def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
+    """Checks polarity, filter and error mode of the outputs; a maker's object has none of these."""
+    layout = it.layout
+    if layout.settings.object == OUTPUTS:
+        yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
+        yield from _read(it, configuration.error_mode(layout), it.error_mode)
+    it.has_error_mode = any(index == 0x6206 for index, _ in it.values)
+    if it.has_error_mode:
+        return
+    missing = "6206h (error mode)" if layout.settings.object == OUTPUTS else "error mode for its maker's object"
+    if layout.loss[0]:
+        text = f"board {it.name} has no {missing}; it is needed: with on_loss: contract, or with pulses, its outputs"
+        raise BoardError(Fault("wrong-device", it.name, f"{text} must go off when the master is lost"))
+    state = layout.settings.error_state or error_state
+    if state is None:
+        text = (
+            f"board {it.name} has no {missing}, so what its outputs do when the master is lost cannot be read or"
+            " written: if you know it, set boards.error_state to off, hold or device in the arm's file"
+        )
+        raise BoardError(Fault("wrong-device", it.name, text))
+    does = {"off": "go off", "hold": "hold", "device": "do what the device is set to"}[state]
+    it.warn(f"it has no {missing}; by the arm's file (error_state) its outputs {does} when the master is lost")
+
+
+def _read(it: Inspection, needs: list[Need], into: list[Need] | None = None) -> Reading:
+    """Reads the objects of needs, and collects the needs that may be written."""
+    for need in needs:
+        place = need.index, need.sub
+        if place not in it.values:
+            present = yield from objects.check(it.name, need)
+            if present is not None:
+                it.values[place] = present
+    target = it.needs if into is None else into
+    target += [need for need in needs if need.fixed is None]

@@ -1,0 +1,1 @@
+"""The running master: boards, outputs, commits, supervision."""

@@ -1,0 +1,226 @@
+"""One board: NMT state, heartbeats or node guarding, emergencies and inputs, as received from the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from drivers.canopen.faults import Fault
+from drivers.canopen.layout import BoardLayout
+from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries
+from drivers.canopen.sdo.objects import Need
+from drivers.canopen.status import BoardStatus
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import STATES, State
+
+
+@dataclass
+class StateImage:
+    """Levels of all input lines. Each board writes its own lines.
+
+    Attributes:
+        ends: levels of the input lines.
+        up: mask of the input lines whose board is ready.
+        known: mask of the actuators whose board is ready.
+    """
+
+    ends: int = 0
+    up: int = 0
+    known: int = 0
+
+
+class Board:
+    """One board.
+
+    Attributes:
+        layout: wiring of the board.
+        state: NMT state; None if unknown.
+        frames: number of frames received from the board.
+        boots: number of boot-up messages received from it.
+        input_frames: number of TPDOs received from it.
+        emergency: error code of its last emergency; None without an emergency, or after its end.
+        guarded: whether node guarding supervises the board, in place of heartbeats.
+        ignored_errors: bits of the error register 1001h that are no fault.
+        warnings: sentences on the board's limits from its last boot, without its name.
+        expected: values of its objects at the end of the last boot.
+
+    Args:
+        layout: wiring of the board.
+        image: takes the inputs of the board.
+        report: takes faults.
+    """
+
+    def __init__(self, layout: BoardLayout, image: StateImage, report: Callable[[Fault], None]) -> None:
+        self.layout = layout
+        self.state: State | None = None
+        self.frames = self.boots = self.input_frames = 0
+        self._image, self.report = image, report
+        self._inputs = 0
+        self._ready = self._booted = self._lost = False
+        self._frames_before = 0  # number of frames when the board was lost
+        self._beat_at: float | None = None
+        self.emergency: int | None = None
+        self.guarded = False
+        self.ignored_errors = 0
+        self.warnings: tuple[str, ...] = ()
+        self.expected: tuple[Need, ...] = ()
+        self._toggle: int | None = None  # toggle bit of the last answer to node guarding
+        self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
+        self.take_inputs_from(layout.tpdos)
+        self._lines = sum(bit.line for bit in layout.inputs)
+        image.ends |= sum(bit.line for bit in layout.inputs if bit.inverted)
+
+    @property
+    def name(self) -> str:
+        """Name for messages, e.g. "can0/5"."""
+        return self.layout.name
+
+    @property
+    def heard(self) -> bool:
+        """Whether the board is ready, or has sent a frame since it was lost."""
+        return self._ready or self.frames > self._frames_before
+
+    @property
+    def ready(self) -> bool:
+        """Whether the board was booted and not lost since. Only then its outputs and inputs are known."""
+        return self._ready
+
+    @ready.setter
+    def ready(self, ready: bool) -> None:
+        self._ready = ready
+        if ready:
+            self._booted = True
+            self._image.known |= self.layout.actuators
+            self._image.up |= self._lines
+        else:
+            self._frames_before = self.frames
+            self._image.known &= ~self.layout.actuators
+            self._image.up &= ~self._lines
+
+    def forget(self) -> None:
+        """Marks outputs, inputs and NMT state as unknown until the next boot."""
+        self.ready = self._booted = False
+        self.state = None
+
+    def fail(self, fault: Fault) -> None:
+        """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
+        self.ready = False
+        self.report(fault)
+
+    def guard(self) -> None:
+        """Expects answers to node guarding from now on."""
+        self.guarded, self._toggle = True, None
+
+    def take_inputs_from(self, tpdos: Iterable[Pdo]) -> None:
+        """Sets the TPDOs that carry the inputs."""
+        self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
+
+    def set_input(self, sub: int, value: int) -> None:
+        """Sets one byte of the inputs, 6000h, that was read by SDO."""
+        shift = 8 * (sub - 1)
+        self._take_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
+
+    def receive(self, cob_id: int, data: bytes, now: float) -> bool:
+        """Takes a frame from the board.
+
+        Args:
+            cob_id: COB-ID of the frame.
+            data: 0..8 bytes.
+            now: time that stands still while the loop stalls [s].
+
+        Returns:
+            Whether the frame was understood.
+        """
+        function = cob_id & 0x780
+        if function == cia301.HEARTBEAT:
+            if len(data) != 1 or not self._receive_state(data[0], now):
+                return False
+        elif (tpdo := self._tpdos.get(cob_id)) is not None:
+            size, carried = tpdo
+            if len(data) != size:
+                self._refuse_inputs(len(data), size)
+                return False
+            self.input_frames += 1
+            number, inputs = int.from_bytes(data, "little"), self._inputs
+            for bit, place, count in carried:
+                mask = (1 << count) - 1
+                inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
+            self._take_inputs(inputs)
+        elif function == cia301.EMERGENCY and len(data) >= 2:
+            self._receive_emergency(int.from_bytes(data[:2], "little"))
+        elif function != cia301.SDO_ANSWER or len(data) != 8:
+            return False
+        self.frames += 1
+        return True
+
+    def tick(self, now: float, timeout: float) -> None:
+        """Reports the board as lost after a silence of `timeout` [s]."""
+        if self._lost or self._beat_at is None or now - self._beat_at < timeout:
+            return
+        self._lost = True
+        if self._ready:
+            self.ready = False
+            missing = "no answer to node guarding" if self.guarded else "no heartbeat"
+            self._fault("board-lost", f"{missing} for {timeout:g} s: is it powered and wired?")
+
+    def status(self, now: float) -> BoardStatus:
+        """Returns the status for diagnostics."""
+        state = "unknown" if self.state is None else self.state.words
+        return BoardStatus(
+            bus=self.layout.bus,
+            node=self.layout.node,
+            state="lost" if self._lost and self.state is not None else state,
+            heartbeat_age=None if self._beat_at is None else now - self._beat_at,
+            emergency=None if self.emergency is None else cia301.emergency_words(self.emergency),
+        )
+
+    def _receive_state(self, byte: int, now: float) -> bool:
+        """Takes a heartbeat, or an answer to node guarding, in which bit 7 alternates."""
+        if self.guarded:
+            toggle, byte = byte >> 7, byte & 0x7F
+            if byte != State.BOOT_UP:
+                if toggle == self._toggle:
+                    return True  # a repeated answer is no sign of life
+                self._toggle = toggle
+        if (state := STATES.get(byte)) is None:
+            return False
+        self.state = state
+        self._beat_at, self._lost = now, False
+        if state is State.BOOT_UP:
+            self.boots += 1
+            self._toggle = None
+        if state is State.BOOT_UP and self._booted:  # also if it was lost before that
+            self.ready = self._booted = False
+            self._fault("board-rebooted", "it has restarted, its outputs are unknown: check its supply, then reset")
+        elif self._ready and state is not State.OPERATIONAL:
+            self.ready = False
+            what = f"it left the state operational without a command and is {state.words} now"
+            self._fault("board-stopped", f"{what}: read its errors, then reset")
+        return True
+
+    def _receive_emergency(self, code: int) -> None:
+        if code >> 8 == 0:
+            self.emergency = None
+            return
+        self.emergency = code
+        if self._ready:  # before, it may be old: the boot reads 1001h
+            self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
+
+    def _take_inputs(self, inputs: int) -> None:
+        changed = inputs ^ self._inputs
+        if not changed:
+            return
+        self._inputs = inputs
+        ends = self._image.ends
+        for line, place, _ in self.layout.inputs:
+            if changed & place:
+                ends ^= line
+        self._image.ends = ends
+
+    def _refuse_inputs(self, size: int, expected: int) -> None:
+        if self._ready:  # during a boot it may still send its previous mapping
+            what = f"its inputs came in {size} bytes, not in {expected}"
+            self._fault("wrong-length", f"{what}: does another device send its TPDO?")
+
+    def _fault(self, code: str, what: str) -> None:
+        self.report(Fault(code, self.name, f"board {self.name}: {what}"))

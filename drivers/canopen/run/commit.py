@@ -1,0 +1,165 @@
+"""The commit of outputs: sends all changed RPDOs; when all of them were sent, one SYNC on each bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from drivers.canopen.run.outputs import Key, Outputs
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.link import Link
+
+_SYNC = Frame(cia301.SYNC)
+
+
+class Commit:
+    """Switches all boards of a bus at the same instant.
+
+    SYNC is sent only after all RPDOs of all buses were sent. So no SYNC waits in a queue when a bus fails, and the
+    frames that the kernel still holds switch nothing when the bus comes back.
+
+    Attributes:
+        failed: reason of the last failure, as a sentence; None after a success.
+        switched: masks of switched lines, each with the real time of its SYNC [s].
+
+    Args:
+        links: the buses by name.
+        outputs: output lines of all boards; they change when the SYNC was sent.
+        note: takes each mask of switched lines.
+        longest: a commit that takes longer is cancelled, since its SYNC would be too late [s, real time].
+    """
+
+    def __init__(
+        self, links: Mapping[str, Link], outputs: Outputs, note: Callable[[int], None], longest: float
+    ) -> None:
+        self.failed: str | None = None
+        self.switched: list[tuple[int, float]] = []
+        self._links, self._outputs, self._longest = links, outputs, longest
+        self._note = note
+        self._refusal: Callable[[], str | None] = lambda: None
+        self._states = 0
+        self._began = 0.0
+        self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that were not sent yet
+        self._syncs: set[str] = set()  # buses whose SYNC was handed out and not sent yet
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a commit is under way."""
+        return bool(self._waiting or self._syncs)
+
+    @property
+    def collecting(self) -> bool:
+        """Whether the commit still waits for RPDOs, so that it has switched nothing."""
+        return bool(self._waiting) and not self._syncs
+
+    @property
+    def unknown(self) -> bool:
+        """Whether a SYNC was handed out and may or may not be sent."""
+        return bool(self._syncs)
+
+    def forget(self) -> None:
+        """Cancels the commit; the caller reads the outputs back."""
+        self._waiting, self._syncs, self.failed = {}, set(), None
+
+    def begin(
+        self,
+        states: int,
+        due: Mapping[str, Sequence[Key | Frame]],
+        refusal: Callable[[], str | None],
+        clock: float,
+        now: float,
+    ) -> None:
+        """Starts the switch to the states.
+
+        Args:
+            states: levels of all output lines.
+            due: RPDOs and NMT commands to send on each bus that needs a SYNC, in order; not empty.
+            refusal: returns why nothing may be switched now, or None.
+            clock: real time [s].
+            now: time that stands still while the loop stalls [s].
+        """
+        self.failed = None
+        self._states, self._began, self._refusal = states, clock, refusal
+        self._waiting = {bus: dict(self._frame(key) for key in keys) for bus, keys in due.items()}
+        for bus, frames in list(self._waiting.items()):
+            for frame, key in list(frames.items()):
+                if key is not None:
+                    self._outputs.sending(key)
+                self._links[bus].send(frame, now)
+        self._sync_when_sent(clock, now)
+
+    def give_up(self, why: str) -> None:
+        """Cancels the RPDOs that wait; nothing of them is sent later. A SYNC that was handed out is not cancelled."""
+        if self._waiting:
+            self._waiting = {}
+            self.failed = why
+
+    def sent(self, bus: str, frame: Frame, clock: float, now: float) -> None:
+        """Records that a frame of the master was sent."""
+        if frame.id == cia301.SYNC:
+            self._sync_sent(bus, clock)
+        elif frame in (frames := self._waiting.get(bus, {})):
+            self._frame_sent(frames.pop(frame), frame, clock)
+            self._sync_when_sent(clock, now)
+
+    def send_failed(self, bus: str, frame: Frame, why: str) -> None:
+        """Records that a frame of the master could not be sent."""
+        if frame.id == cia301.SYNC and bus in self._syncs:
+            self._syncs.remove(bus)
+            self.failed = f"{bus}: the SYNC was not sent: {why}"
+        elif frame in self._waiting.get(bus, {}):
+            self.give_up(f"{bus}: frame {frame.id:03X}h was not sent: {why}")
+
+    def bus_lost(self, bus: str) -> None:
+        """Records the loss of a bus. Its outputs stay unknown until the boot if its SYNC was handed out."""
+        if bus in self._syncs:
+            self._syncs.remove(bus)
+            self.failed = f"{bus} was lost while its SYNC was being sent"
+        elif bus in self._waiting:
+            self.give_up(f"{bus} was lost")
+
+    def tick(self, clock: float, now: float) -> None:
+        """Call every period. On a bus without echoes, frames that did not fail count as sent."""
+        if not self.under_way:
+            return
+        for bus in [bus for bus in self._syncs if not self._links[bus].echoes]:
+            self._sync_sent(bus, clock)
+        for bus, frames in self._waiting.items():
+            if not self._links[bus].echoes:
+                for frame, key in frames.items():
+                    self._frame_sent(key, frame, clock)
+                frames.clear()
+        self._sync_when_sent(clock, now)
+
+    def _frame(self, key: Key | Frame) -> tuple[Frame, Key | None]:
+        return (key, None) if isinstance(key, Frame) else (self._outputs.frame(key, self._states), key)
+
+    def _frame_sent(self, key: Key | None, frame: Frame, clock: float) -> None:
+        if key is not None and (mask := self._outputs.sent(key, frame, self._states)):
+            self._switched(mask, clock)
+
+    def _sync_when_sent(self, clock: float, now: float) -> None:
+        if not self._waiting:
+            return
+        waiting = [bus for bus, frames in self._waiting.items() if frames]
+        if clock - self._began > self._longest:
+            late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
+            self.give_up(f"{late} for {self._longest:g} s")
+        elif not waiting:
+            if (refusal := self._refusal()) is not None:
+                self.give_up(refusal)
+                return
+            buses, self._waiting = list(self._waiting), {}
+            self._syncs.update(buses)
+            for bus in buses:
+                self._links[bus].send(_SYNC, now)
+
+    def _sync_sent(self, bus: str, clock: float) -> None:
+        if bus in self._syncs:
+            self._syncs.remove(bus)
+            if mask := self._outputs.switched(bus, self._states):
+                self._switched(mask, clock)
+
+    def _switched(self, mask: int, clock: float) -> None:
+        self.switched.append((mask, clock))
+        self._note(mask)

@@ -1,0 +1,107 @@
+"""The master's heartbeat, the polls of node guarding, and the clock of timeouts, which stops while the loop stalls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from drivers.canopen.run.station import Station
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame, State
+from drivers.canopen.wire.link import Link, Outgoing
+from drivers.canopen.wiring import MASTER, Timing
+
+_LONGEST_STEP = 0.05  # [s]
+_PHASES = 10  # of the polls of node guarding, so that boards are not polled at the same tick
+BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
+
+
+class Heartbeat:
+    """Sends the master's heartbeat on all buses, and polls boards with node guarding.
+
+    It also finds halts in which boards had neither. Times are real time [s].
+
+    Args:
+        links: all buses.
+        stations: all boards.
+        timing: period and timeout.
+    """
+
+    def __init__(self, links: Iterable[Link], stations: Sequence[Station], timing: Timing) -> None:
+        self._links, self._timing = tuple(links), timing
+        self._by_name = {link.name: link for link in self._links}
+        self._stations = stations
+        self._polls: dict[int, tuple[float, Outgoing]] = {}  # of boards with node guarding, by index: time and frame
+        self._last: float | None = None  # time of the last `tick`
+        self._sent: dict[str, float] = {}  # of each bus, time of the last heartbeat
+        self._before: dict[str, float] = {}  # and the one before it
+
+    def tick(self, clock: float, now: float) -> None:
+        """Sends the heartbeats and polls that are due at `clock`; `now` stands still while the loop stalls."""
+        self._last = clock
+        for link in self._links:
+            due = clock >= self._sent.get(link.name, -math.inf) + self._timing.heartbeat - 1e-6
+            if link.usable and (due or link.failing):  # another one shows whether the bus still fails
+                link.send(BEAT, now)
+                self._before[link.name] = self._sent.get(link.name, -math.inf)
+                self._sent[link.name] = clock
+        for station in self._stations:
+            if station.board.guarded:
+                self._poll(station, clock, now)
+
+    def _poll(self, station: Station, clock: float, now: float) -> None:
+        """Sends the remote frame of node guarding if it is due and the previous one was sent."""
+        i, board = station.index, station.board
+        link = self._by_name[board.layout.bus]
+        at, last = self._polls.get(i, (-math.inf, None))
+        if not link.usable or clock < at + self._timing.heartbeat - 1e-6:
+            return
+        if last is None:
+            at = clock - self._timing.heartbeat * (i % _PHASES) / _PHASES
+        elif not (last.sent or last.cancelled):
+            return
+        else:
+            at = max(at + self._timing.heartbeat, clock - self._timing.heartbeat / 2)
+        outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
+        self._polls[i] = at, outgoing
+        link.queue(outgoing, now, urgent=True)
+
+    def failed(self, bus: str) -> None:
+        """Records that the last heartbeat could not be sent; the next tick tries again."""
+        self._sent[bus] = self._before.get(bus, -math.inf)
+
+    def halted(self, clock: float) -> float | None:
+        """Returns the time since the last `tick` [s] if it was so long that boards lost their master, else None."""
+        timing, last = self._timing, self._last
+        if last is None or clock - last < timing.heartbeat_timeout - timing.heartbeat:
+            return None
+        armed = [link.name for link in self._links if link.armed]
+        without = any(clock - self._sent.get(name, clock) >= timing.heartbeat_timeout for name in armed)
+        return clock - last if without else None
+
+
+class LoopClock:
+    """Time for timeouts. It advances by at most 50 ms between two ticks.
+
+    Frames that arrive during a stall of the loop are read only after it, so a stall alone must end no timeout.
+
+    Attributes:
+        now: time at the last tick [s].
+        ticked: real time of the last tick [s]; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.ticked: float | None = None
+
+    def at(self, clock: float) -> float:
+        """Returns the time at a real time [s]."""
+        if self.ticked is None:
+            return self.now
+        return self.now + min(max(clock - self.ticked, 0.0), _LONGEST_STEP)
+
+    def tick(self, clock: float) -> float:
+        """Advances to a tick at a real time; returns the time [s]."""
+        self.now = self.at(clock)
+        self.ticked = clock
+        return self.now

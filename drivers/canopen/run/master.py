@@ -1,0 +1,290 @@
+"""The CANopen master of an arm: takes frames and time; gives frames, states and faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.canopen.boot.booting import Booting
+from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.run.commit import Commit
+from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
+from drivers.canopen.run.network import Network
+from drivers.canopen.run.verification import Verification
+from drivers.canopen.status import Status
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.wire.load import BITS
+from drivers.canopen.wiring import Timing, Wiring
+
+
+class Master:
+    """All boards of an arm, on all its buses.
+
+    The master has no I/O, no clock and no threads, and no method blocks. Actuator k is bit k of integers of states and
+    of masks. So is line k of outputs and inputs; output lines 0 to A - 1 belong to the A actuators.
+    `now` is CLOCK_MONOTONIC [s], or any clock that never goes back. No event raises an exception.
+
+    Args:
+        wiring: buses, boards and actuators.
+        timing: times of boards and actuators.
+        send: hands out a frame for a bus, by its name; must not call the master and never fails. `echoed` or
+            `send_failed` tell whether the frame was sent, `send_failed` before the next `tick`.
+
+    Attributes:
+        board_of: index of the board of each actuator.
+        boards: name of each board, e.g. "can0/5".
+        sensed: mask of the actuators that have an end-stop.
+    """
+
+    def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
+        self._network = network = Network(wiring, timing, send)
+        self.board_of = network.layout.board_of
+        self.boards = tuple(board.name for board in network.layout.boards)
+        self.sensed = network.sensed
+        self._links, self._clock, self._timing = network.links, LoopClock(), timing
+        self._booting = Booting(network.stations, network.outputs, wiring, timing)
+        self._receptions = network.receptions(self._booting.rebooted)
+        self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
+        self._verification = Verification(network)
+        self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
+        self._halt_reported: float | None = None  # real time of the last tick before a halt
+
+    def take(self, event: Event, now: float) -> None:
+        """Passes an event of a bus to one of the five methods below."""
+        if isinstance(event, Received):
+            self.receive(event.bus, event.frame, now)
+        elif isinstance(event, Echoed):
+            self.echoed(event.bus, event.frame, now)
+        elif isinstance(event, Ignored):
+            self.ignore(event.bus, event.bits, now)
+        elif isinstance(event, Changed):
+            self.bus_changed(event.bus, event.state, event.why, event.errors, now)
+        else:
+            self.send_failed(event.bus, event.frame, event.why, now)
+
+    def receive(self, bus: str, frame: Frame, now: float) -> None:
+        """Takes a data frame with an 11 bit identifier from another node."""
+        link = self._links[bus]
+        link.received(BITS[min(len(frame.data), 8)])
+        if not self._receptions[bus].receive(frame, self._clock.at(now)):
+            link.ignored()
+
+    def ignore(self, bus: str, bits: int, now: float) -> None:
+        """Counts a frame of another kind, with `bits` on the wire."""
+        self._links[bus].received(bits)
+        self._links[bus].ignored()
+
+    def echoed(self, bus: str, frame: Frame, now: float) -> None:
+        """Takes the echo of a sent frame; a frame of another program counts as received."""
+        time = self._clock.at(now)
+        if not self._links[bus].echoed(frame, time):
+            self.receive(bus, frame, now)
+            return
+        if self._commit.under_way:
+            self._commit.sent(bus, frame, now, time)
+        if frame.id == cia301.NMT and (station := self._receptions[bus].stations.get(frame.data[1])) is not None:
+            station.runner.check(time)
+
+    def send_failed(self, bus: str, frame: Frame, why: str, now: float) -> None:
+        """Records that a frame could not be sent."""
+        self._links[bus].send_failed(frame, self._clock.at(now))
+        self._commit.send_failed(bus, frame, why)
+        if frame == BEAT:
+            self._heartbeat.failed(bus)
+
+    def bus_changed(self, bus: str, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> None:
+        """Takes state and error counters of a bus; None: unchanged."""
+        if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
+            self._lose(fault)
+
+    def tick(self, now: float) -> None:
+        """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call every 10 ms.
+
+        Only this method sends the master's heartbeat, so that the boards of a hanging executor become safe. A late call
+        alone ends no timeout.
+        """
+        self._look_halted(now)
+        time = self._clock.tick(now)
+        for link in self._links.values():
+            if (fault := link.tick(time, now)) is not None:
+                self._lose(fault)
+        self._heartbeat.tick(now, time)
+        self._commit.tick(now, time)
+        self._network.tick(time, self._timing.heartbeat_timeout)
+        if not self._booting.under_way:
+            self._verification.tick(time)
+
+    def halted(self, now: float) -> Fault | None:
+        """Returns a fault if `tick` was not called for so long that the boards lost their master.
+
+        Then the states of all boards are unknown until `boot`. During a boot there is no fault; the boot begins again.
+        Call this before any event is handled. `tick` and `commit` check this as well, and report it in `take_faults`.
+        """
+        if self._halt_reported == self._clock.ticked or (pause := self._heartbeat.halted(now)) is None:
+            return None
+        self._halt_reported = self._clock.ticked
+        if self._booting.under_way:
+            self.boot(now)
+            return None
+        self._network.forget()  # the boards' states are unknown after the halt
+        text = f"the executor was halted for {pause:.2f} s, and the boards lost their master: the arm holds"
+        return Fault("halted", "executor", text)
+
+    def boot(self, now: float) -> None:
+        """Boots all boards of all buses in parallel; switches no output.
+
+        Boards that are operational and correctly configured are not written to. A running boot begins again. Earlier
+        faults are forgotten.
+        """
+        self._network.log.clear()
+        self._commit.forget()
+        self._verification.begin()
+        self._booting.begin(self._network.rearm(), self._clock.at(now))
+
+    def commit(self, outputs: int, now: float, release: bool = False) -> None:
+        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus when all RPDOs were sent.
+
+        Nothing is sent if nothing changes. `committing`, `commit_failed` and `take_switched` tell the result. The first
+        commit after a boot ends when the outputs of boards without end-stops were read back.
+
+        Args:
+            outputs: levels of all lines.
+            now: see above.
+            release: only switch lines off, also those of boards that are not ready; cancels a commit whose RPDOs wait.
+
+        Raises:
+            Busy: a commit is running, or a bus or a board is not ready.
+            ValueError: `outputs` has a bit that is no line.
+        """
+        self._look_halted(now)
+        if release and self._booting.under_way:  # a restarted board would apply its earlier outputs
+            raise Busy("the boards are being booted")
+        if release:
+            self._commit.give_up("an output had to be switched off first")
+        if self._commit.under_way:
+            raise Busy("frames of the previous commit were not sent yet")
+        if self._verification.blocking and not release:
+            raise Busy("the outputs of the previous commit are being read back")
+        lines = self._network.outputs.states ^ outputs if release else None
+        due = self._network.outputs.due(outputs, only_changed=release)
+        self._verification.failed = None
+        if not due:
+            self._commit.failed = None
+            return
+        if (refusal := self._network.refusal(lines)) is not None:
+            raise Busy(refusal)
+        frames = {bus: self._network.frames_of(bus, keys, lines) for bus, keys in due.items()}
+        self._commit.begin(outputs, frames, lambda: self._network.refusal(lines), now, self._clock.at(now))
+
+    def question(self, board: int, now: float) -> None:
+        """Asks a board for its inputs by SDO; see `questioning`."""
+        if not self._booting.under_way:
+            self._network.stations[board].question(self._clock.at(now))
+
+    def probe_silent(self, now: float) -> None:
+        """Asks lost boards whether they are back; see `back`. Call about once a second."""
+        self._network.probe_silent(self._clock.at(now))
+
+    @property
+    def booting(self) -> bool:
+        """Whether a boot is running."""
+        return self._booting.under_way
+
+    @property
+    def boot_faults(self) -> list[Fault]:
+        """Faults of the last boot: one for each board or bus that is not ready."""
+        return self._booting.faults
+
+    @property
+    def ready(self) -> bool:
+        """Whether all boards are ready, and all buses are armed."""
+        return self._network.ready
+
+    @property
+    def back(self) -> bool:
+        """Whether `boot` may succeed: all buses send frames, and all boards are heard."""
+        return self._network.back(self._clock.now)
+
+    @property
+    def committing(self) -> bool:
+        """Whether a commit is running."""
+        return self._commit.under_way or bool(self._verification.blocking)
+
+    @property
+    def collecting(self) -> bool:
+        """Whether the commit still waits for the echo of RPDOs; only the last of them changes anything."""
+        return self._commit.collecting
+
+    @property
+    def commit_failed(self) -> str | None:
+        """Why the last commit failed, as a sentence; None after a success. Nothing of it is sent later."""
+        return self._commit.failed or self._verification.failed
+
+    @property
+    def outputs(self) -> int:
+        """Levels of the output lines after the last SYNC that was sent, or as read back by `boot`."""
+        return self._network.outputs.states
+
+    @property
+    def outputs_known(self) -> bool:
+        """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
+        return self._network.all_known and not self._commit.unknown
+
+    @property
+    def ends(self) -> int:
+        """Levels of the input lines; 0 where unknown."""
+        return self._network.image.ends & self._network.image.up
+
+    @property
+    def inputs_known(self) -> int:
+        """Mask of the input lines whose board is ready."""
+        return self._network.image.up
+
+    @property
+    def boots(self) -> tuple[int, ...]:
+        """Number of boot-up messages of each board so far."""
+        return tuple(station.board.boots for station in self._network.stations)
+
+    @property
+    def measured(self) -> int:
+        """States of actuators with one output from the end-stops, else from the outputs; 0 where unknown."""
+        return self._network.measured
+
+    @property
+    def known(self) -> int:
+        """Mask of the actuators whose board is ready."""
+        return self._network.image.known
+
+    def questioning(self, board: int) -> bool:
+        """Returns whether a question to a board still waits for its answer."""
+        return self._network.stations[board].questioning
+
+    def take_faults(self) -> list[Fault]:
+        """Returns the faults since the last call; each code and source once until the next `boot`."""
+        return self._network.log.take()
+
+    def take_switched(self) -> list[tuple[int, float]]:
+        """Returns the switches since the last call: mask of lines, and time when their SYNC was known as sent [s]."""
+        switched, self._commit.switched = self._commit.switched, []
+        return switched
+
+    def warnings(self) -> tuple[Fault, ...]:
+        """Returns a warning for each error-passive bus, and for each board with limits."""
+        passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
+        return passive + self._network.warnings()
+
+    def status(self) -> Status:
+        """Returns state and counters for diagnostics."""
+        return self._network.status(self._clock.now)
+
+    def _look_halted(self, now: float) -> None:
+        if (fault := self.halted(now)) is not None:
+            self._network.log.report(fault)
+
+    def _lose(self, fault: Fault) -> None:
+        """Handles the loss of a bus."""
+        self._network.forget(fault.source)  # one fault for the bus, not one for each board
+        self._commit.bus_lost(fault.source)
+        self._booting.bus_lost(fault)
+        self._network.log.report(fault)

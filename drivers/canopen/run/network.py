@@ -1,0 +1,183 @@
+"""All buses and boards of an arm, and their known states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from drivers.canopen.faults import Fault, FaultLog
+from drivers.canopen.layout import Layout, lay_out
+from drivers.canopen.run.board import Board, StateImage
+from drivers.canopen.run.outputs import Key, Outputs
+from drivers.canopen.run.station import Station
+from drivers.canopen.status import Status
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, Frame
+from drivers.canopen.wire.link import Link
+from drivers.canopen.wire.load import worst_case
+from drivers.canopen.wiring import MASTER, Timing, Wiring
+
+
+class Network:
+    """Buses, boards and actuator states.
+
+    Attributes:
+        layout: layout of the process data.
+        links: the buses by name.
+        stations: the boards.
+        outputs: output lines of all boards.
+        image: levels of the input lines, and which are known.
+        log: faults that the caller has not taken yet.
+        sensed: mask of the actuators that have an end-stop.
+
+    Args:
+        wiring: buses, boards and actuators.
+        timing: times of boards and actuators.
+        send: hands out a frame for a bus, by its name.
+    """
+
+    def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
+        self.layout: Layout = lay_out(wiring)
+        channels = wiring.channels
+        ended = [c.input is not None or c.input_contracted is not None for c in channels]
+        self.sensed = sum(1 << k for k, has in enumerate(ended) if has)
+        self._extended = sum(1 << k for k, c in enumerate(channels) if c.input is not None)
+        self._actuators = (1 << len(channels)) - 1
+        self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
+        stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
+        self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
+        self.stations = [
+            Station(i, Board(board, self.image, self.log.report), self.links[board.bus])
+            for i, board in enumerate(self.layout.boards)
+        ]
+        self._worst_case = {bus.name: worst_case(self.layout, timing, bus) for bus in wiring.buses}
+
+    @property
+    def all_known(self) -> bool:
+        """Whether all boards are ready."""
+        return all(station.board.ready for station in self.stations)
+
+    @property
+    def ready(self) -> bool:
+        """Whether all boards are ready, and all buses are armed."""
+        return self.all_known and all(link.armed for link in self.links.values())
+
+    @property
+    def measured(self) -> int:
+        """States of actuators with one output: the end-stop at the extended end, else the output; 0 where unknown."""
+        ends, outputs = self.image.ends & self._extended, self.outputs.states & ~self._extended
+        return (ends | outputs) & self._actuators & self.image.known
+
+    def refusal(self, lines: int | None = None) -> str | None:
+        """Returns why nothing may be switched now, or None.
+
+        Args:
+            lines: mask of lines that only go off: a lost board may still hear, so only its bus counts. None: any.
+        """
+        stations = [s for s in self.stations if lines is None or s.board.layout.output_lines & lines]
+        buses = self.links if lines is None else {station.board.layout.bus for station in stations}
+        for link in (self.links[bus] for bus in buses):
+            if not link.armed:
+                return f"{link.name} is {link.state} or was lost: nothing is sent until its boards are booted"
+        for station in stations if lines is None else ():
+            if not station.board.ready:
+                return f"board {station.board.name} is not ready: nothing is sent until it is booted"
+        return None
+
+    def frames_of(self, bus: str, keys: list[Key], lines: int | None) -> list[Key | Frame]:
+        """Returns the frames for ready boards, after NMT commands for lost boards to leave operational.
+
+        A SYNC would also switch a lost board that is operational and has latched a frame. A lost board of `lines`,
+        which only go off, gets its frame like a ready one.
+        """
+        here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
+        lost = {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
+        orders = [cia301.command(Command.PRE_OPERATIONAL, self.stations[i].board.layout.node) for i in sorted(lost)]
+        return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
+
+    def warnings(self) -> tuple[Fault, ...]:
+        """Returns a warning for each ready board with limits."""
+        boards = [station.board for station in self.stations if station.board.ready and station.board.warnings]
+        return tuple(Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards)
+
+    def rearm(self) -> dict[str, Fault]:
+        """Arms all buses; returns a fault for each unusable bus, by its name."""
+        return {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
+
+    def back(self, now: float) -> bool:
+        """Returns whether all buses send frames, and all boards are heard."""
+        fit = all(link.fit(now) for link in self.links.values())
+        return fit and all(station.board.heard for station in self.stations)
+
+    def receptions(self, rebooted: Callable[[Station, float], None]) -> dict[str, Reception]:
+        """Returns a reception for each bus, by its name; `rebooted` is called with each restarted board."""
+        return {bus: Reception(bus, self.outputs, self.stations, rebooted, self.log.report) for bus in self.links}
+
+    def probe_silent(self, now: float) -> None:
+        """Asks each silent board for its device type."""
+        for station in self.stations:
+            if not station.board.heard and self.links[station.board.layout.bus].usable:
+                station.probe(now)
+
+    def forget(self, bus: str | None = None) -> None:
+        """Marks the states of all boards, or of those of one bus, as unknown until their boot."""
+        for station in self.stations:
+            if bus in (None, station.board.layout.bus):
+                station.cancel()
+                station.board.ready = False
+
+    def tick(self, now: float, heartbeat_timeout: float) -> None:
+        """Handles the timeouts of all boards; `now` stands still while the loop stalls [s]."""
+        for station in self.stations:
+            station.board.tick(now, heartbeat_timeout)
+            station.runner.tick(now)
+
+    def status(self, now: float) -> Status:
+        """Returns state and counters for diagnostics."""
+        return Status(
+            buses=tuple(link.status(self._worst_case[name]) for name, link in self.links.items()),
+            boards=tuple(station.board.status(now) for station in self.stations),
+        )
+
+
+class Reception:
+    """Passes the frames of one bus to its boards.
+
+    Args:
+        bus: name of the bus.
+        outputs: tells which frames are RPDOs of the master.
+        stations: boards of all buses.
+        rebooted: called with each restarted board.
+        report: takes faults.
+    """
+
+    def __init__(
+        self,
+        bus: str,
+        outputs: Outputs,
+        stations: Iterable[Station],
+        rebooted: Callable[[Station, float], None],
+        report: Callable[[Fault], None],
+    ) -> None:
+        self._bus, self._rebooted, self._report = bus, rebooted, report
+        self.stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
+        self._masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
+        self._outputs = outputs
+
+    def receive(self, frame: Frame, now: float) -> bool:
+        """Takes a frame of another node; returns whether it was understood."""
+        cob_id, data = frame
+        what = self._masters.get(cob_id) or ("an RPDO" if self._outputs.sends(self._bus, cob_id) else None)
+        if what is not None:
+            text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
+            self._report(Fault("foreign-master", self._bus, f"{text} the boards"))
+            return True
+        if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
+            return False
+        function, board, boots = cob_id & 0x780, station.board, station.board.boots
+        understood = board.receive(cob_id, data, now)
+        if function == cia301.SDO_ANSWER and understood:
+            station.runner.receive_sdo(data, now)
+        if board.boots != boots:
+            self._rebooted(station, now)
+        station.runner.check(now)
+        return understood

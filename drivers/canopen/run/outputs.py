@@ -1,0 +1,152 @@
+"""Output lines of all boards: levels after the last SYNC, and the frames that the boards have latched for the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from drivers.canopen.layout import Layout
+from drivers.canopen.pdo import Pdo, union
+from drivers.canopen.run.frames import RpdoFrame, assemble
+from drivers.canopen.wire.cia301 import Frame
+
+Key = tuple[str, int]  # bus and COB-ID of a frame
+
+
+class Outputs:
+    """The output lines of all boards.
+
+    The bytes of a frame are one little-endian number. Bits without a line keep the value that was read back.
+
+    Attributes:
+        states: levels of the lines after the last SYNC.
+        changes: number of changes, also possible ones, of the lines of each board.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.states = 0
+        self.changes = [0] * len(layout.boards)
+        self._boards = layout.boards
+        self._lines = sum(board.output_lines for board in layout.boards)
+        self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
+        self._frames: dict[Key, RpdoFrame] = {}
+        self._image: dict[Key, int] = {}
+        # The bytes that the boards apply at the next SYNC. None: unknown, so the frame is sent before any SYNC.
+        self._latched: dict[Key, int | None] = {}
+        self._uncertain: set[Key] = set()  # frames that may have been sent: the next SYNC may apply them
+        self._assemble()
+
+    def adopt(self, i: int, rpdos: tuple[Pdo, ...], values: Mapping[int, int]) -> None:
+        """Sets the RPDOs of board `i`, and the values that were read back, by mapping entry."""
+        if self._rpdos[i] != rpdos:
+            self._rpdos[i] = rpdos
+            self._assemble()
+        board = self._boards[i]
+        for pdo in rpdos:
+            key, place = (board.bus, pdo.cob_id), 0
+            for entry in pdo.mapping:
+                count = entry & 0xFF
+                if entry in values:
+                    mask = (1 << count) - 1
+                    self._image[key] = self._image[key] & ~(mask << place) | (values[entry] & mask) << place
+                place += count
+            self._latched[key] = None
+            self._uncertain.discard(key)
+            frame = self._frames[key]
+            lines = frame.lines & board.output_lines
+            self.states = self.states & ~lines | _levels(frame, self._image[key]) & lines
+        self.changes[i] += 1
+
+    def due(self, states: int, only_changed: bool = False) -> dict[str, list[Key]]:
+        """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
+
+        A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames with
+        unknown or other latched bytes are sent too, since the SYNC applies them as well.
+
+        Args:
+            states: levels of all lines.
+            only_changed: skip buses on which no output changes.
+
+        Raises:
+            ValueError: `states` has a bit that is no line.
+        """
+        if states & ~self._lines or states < 0:
+            raise ValueError(f"outputs {states:#x}: there are {self._lines.bit_count()} lines")
+        buses: set[str] = set()
+        stale: list[Key] = []
+        changed = states ^ self.states
+        for key, frame in self._frames.items():
+            image, latched = self._image[key], self._latched[key]
+            wanted = self._wanted(key, states) if changed & frame.lines else image
+            waits = frame.on_sync and latched not in (None, wanted)
+            if wanted != image or (not only_changed and (waits or key in self._uncertain)):
+                buses.add(frame.bus)
+            if wanted != latched:
+                stale.append(key)
+        due: dict[str, list[Key]] = {key[0]: [] for key in self._frames if key[0] in buses}
+        for key in stale:
+            if key[0] in buses:
+                due[key[0]].append(key)
+        return due
+
+    def frame(self, key: Key, states: int) -> Frame:
+        """Returns the frame that commands the states."""
+        return Frame(key[1], self._wanted(key, states).to_bytes(self._frames[key].size, "little"))
+
+    def takers(self, key: Key) -> frozenset[int]:
+        """Returns the indices of the boards that receive a frame."""
+        return self._frames[key].boards
+
+    def sends(self, bus: str, cob_id: int) -> bool:
+        """Returns whether a frame is an RPDO of the master."""
+        return (bus, cob_id) in self._frames
+
+    def sending(self, key: Key) -> None:
+        """Records that a frame is handed out: the latched bytes are unknown until `sent`."""
+        self._latched[key] = None
+        self._uncertain.add(key)
+        self._changed(self._frames[key].boards)
+
+    def sent(self, key: Key, frame: Frame, states: int) -> int:
+        """Records that a frame was sent; returns the mask of the lines that it switched without SYNC."""
+        self._latched[key] = int.from_bytes(frame.data, "little")
+        self._uncertain.discard(key)
+        return 0 if self._frames[key].on_sync else self._switch(key, states)
+
+    def switched(self, bus: str, states: int) -> int:
+        """Records that the SYNC of a bus was sent; returns the mask of the lines that it switched."""
+        return union(self._switch(key, states) for key, frame in self._frames.items() if frame.bus == bus)
+
+    def bits(self, i: int) -> int:
+        """Returns the expected levels of the used output bits of board `i`."""
+        return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
+
+    def _switch(self, key: Key, states: int) -> int:
+        frame, before = self._frames[key], self.states
+        self._image[key] = self._wanted(key, states)
+        self.states = before & ~frame.lines | states & frame.lines
+        if switched := before ^ self.states:
+            self._changed(frame.boards)
+        return switched
+
+    def _changed(self, boards: frozenset[int]) -> None:
+        for i in boards:
+            self.changes[i] += 1
+
+    def _assemble(self) -> None:
+        frames = assemble(self._boards, self._rpdos)
+        self._frames = {(frame.bus, frame.cob_id): frame for frame in frames}
+        self._image = {key: self._image.get(key, 0) for key in self._frames}
+        self._latched = {key: self._latched.get(key) for key in self._frames}
+        self._uncertain &= set(self._frames)
+
+    def _wanted(self, key: Key, states: int) -> int:
+        """Returns the bytes of a frame for the states, as a number."""
+        frame = self._frames[key]
+        levels = 0
+        for line, mask, place in frame.runs:
+            levels |= (states >> line & mask) << place
+        return self._image[key] & ~frame.used | levels ^ frame.inverted
+
+
+def _levels(frame: RpdoFrame, image: int) -> int:
+    return union(bit.line for bit in frame.bits if bool(image & bit.place) != bit.inverted)

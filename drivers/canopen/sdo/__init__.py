@@ -1,0 +1,1 @@
+"""Objects of a board: SDO transfers, and procedures of them."""

@@ -1,0 +1,201 @@
+"""SDO client of one board: one transfer at a time, driven by frames and time (CiA 301, 7.2.4)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.link import Link, Outgoing
+
+TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
+_PATIENCE, _LONGEST = 2.5, 3.0  # timeout of a slow board: factor on its longest answer time, and its limit [s]
+_LATE = 4.0  # [s] for which an answer to an earlier request may still come
+_MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
+_TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """One read or write of an object.
+
+    Attributes:
+        index: index of the object.
+        sub: sub-index.
+        data: 1..4 bytes to write; None: read.
+        timeout: timeout of one attempt [s]; longer for a board that answers slowly.
+        tries: number of attempts.
+        fresh: a late answer to an earlier read must not count.
+    """
+
+    index: int
+    sub: int
+    data: bytes | None = None
+    timeout: float = TIMEOUT
+    tries: int = TRIES
+    fresh: bool = False
+
+
+class Outcome(NamedTuple):
+    """The result of a transfer: exactly one of its fields is set.
+
+    Attributes:
+        data: the bytes read; empty after a write.
+        abort: SDO abort code of the board.
+        silence: why there is no answer.
+    """
+
+    data: bytes | None = None
+    abort: int | None = None
+    silence: str | None = None
+
+
+class SdoClient:
+    """Reads and writes objects of one board.
+
+    Answers are matched with requests by index and sub-index; late answers to other objects are dropped. A repeated
+    request may be answered twice. Such a late answer must not count for a later write of the same object, or for a
+    later read of the written value.
+
+    Attributes:
+        outcome: result of the last transfer; None while it runs.
+    """
+
+    def __init__(self, node: int, link: Link) -> None:
+        self.outcome: Outcome | None = None
+        self._request_id = cia301.SDO_REQUEST + node
+        self._link = link
+        self._transfer: Transfer | None = None
+        self._tries = 0
+        self._multiplexer = b""  # index and sub-index as in the frames
+        self._outgoing: Outgoing | None = None
+        self._segments: bytes | None = None  # received so far; None outside a segmented answer
+        self._expected = 0  # segments received
+        self._asked = 0  # requests of this transfer
+        self._asked_at = 0.0  # time of the first of them
+        self._slowest = 0.0  # longest answer time [s]
+        self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers that may come, and until when
+        self._skip = 0  # late answers to ignore
+
+    def begin(self, transfer: Transfer, now: float) -> None:
+        """Starts a transfer; a running one is cancelled."""
+        self.cancel()
+        self._transfer, self._tries = transfer, transfer.tries
+        self._multiplexer = struct.pack("<HB", transfer.index, transfer.sub)
+        self._asked = 0
+        owed, until = self._owed.get(self._multiplexer, (0, 0.0))
+        self._skip = owed if now < until and (transfer.data is not None or transfer.fresh) else 0
+        self._request(now)
+
+    def cancel(self) -> None:
+        """Cancels the transfer, without an outcome."""
+        if self._outgoing is not None:
+            self._outgoing.cancelled = True
+        self._transfer = self._outgoing = self._segments = self.outcome = None
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Takes a frame of 8 bytes from the board's SDO server."""
+        transfer, outgoing = self._transfer, self._outgoing
+        if transfer is None or outgoing is None or outgoing.first_at is None:
+            self._take_late(data[1:4])
+            return
+        kind = data[0] & 0xE0
+        if self._segments is not None and kind == 0x00:
+            self._link.answered(outgoing, now)
+            self._take_segment(data, now)
+            return
+        if data[1:4] != self._multiplexer:
+            self._take_late(data[1:4])
+            return
+        if self._skip > 0:  # late or not: the answer to a new request is right in both cases
+            self._skip -= 1
+            self._take_late(data[1:4])
+            self._link.answered(outgoing, now)
+            self._request(now)
+            return
+        self._link.answered(outgoing, now)
+        self._slowest = max(self._slowest, now - (self._asked_at if self._asked > 1 else outgoing.first_at))
+        if self._asked > 1:
+            self._owe(self._asked - 1, now)
+        if kind == 0x80:
+            self._end(Outcome(abort=int.from_bytes(data[4:], "little")))
+        elif self._segments is not None:
+            return
+        elif transfer.data is not None and kind == 0x60:
+            self._end(Outcome(data=b""))
+        elif transfer.data is None and kind == 0x40:
+            if data[0] & 0x02:  # expedited; without a size, four bytes
+                self._end(Outcome(data=data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)]))
+            else:
+                self._segments, self._expected = b"", 0
+                self._send(bytes((0x60, 0, 0, 0, 0, 0, 0, 0)), now)
+
+    def tick(self, now: float) -> None:
+        """Repeats the request, or ends the transfer, after the timeout."""
+        transfer, outgoing = self._transfer, self._outgoing
+        if transfer is None or outgoing is None or outgoing.first_at is None:
+            return
+        if now - outgoing.first_at < max(transfer.timeout, min(_PATIENCE * self._slowest, _LONGEST)):
+            return
+        outgoing.cancelled = True
+        if self._segments is not None:
+            self._abort(_TIMED_OUT, now)
+        self._tries -= 1
+        if self._tries > 0:
+            self._request(now)
+        else:
+            self._owe(self._asked, now)
+            self._end(Outcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
+
+    def _request(self, now: float) -> None:
+        assert self._transfer is not None
+        data, self._segments = self._transfer.data, None
+        if not self._asked:
+            self._asked_at = now
+        self._asked += 1
+        if data is None:
+            self._send(b"\x40" + self._multiplexer + bytes(4), now)
+        else:
+            kind = 0x23 | (4 - len(data)) << 2
+            self._send(bytes((kind,)) + self._multiplexer + data.ljust(4, b"\0"), now)
+
+    def _owe(self, answers: int, now: float) -> None:
+        """Records answers that may still come."""
+        owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
+        self._owed[self._multiplexer] = owed + answers, now + _LATE
+
+    def _take_late(self, multiplexer: bytes) -> None:
+        """Takes a late answer to another object, or to an earlier request."""
+        if (owed := self._owed.get(multiplexer)) is not None:
+            if owed[0] > 1:
+                self._owed[multiplexer] = owed[0] - 1, owed[1]
+            else:
+                del self._owed[multiplexer]
+
+    def _take_segment(self, data: bytes, now: float) -> None:
+        assert self._segments is not None
+        if data[0] >> 4 & 1 != self._expected & 1:
+            return  # a repeated segment
+        self._segments += data[1 : 8 - (data[0] >> 1 & 7)]
+        self._expected += 1
+        if data[0] & 1:
+            self._end(Outcome(data=self._segments))
+        elif self._expected >= _MOST_SEGMENTS:
+            self._abort(_TOO_LONG, now)
+            self._end(Outcome(silence=f"its answer is longer than {_MOST_SEGMENTS} segments"))
+        else:
+            self._send(bytes((0x60 | (self._expected & 1) << 4, 0, 0, 0, 0, 0, 0, 0)), now)
+
+    def _abort(self, code: int, now: float) -> None:
+        frame = Frame(self._request_id, b"\x80" + self._multiplexer + code.to_bytes(4, "little"))
+        self._link.queue(Outgoing(frame), now)
+
+    def _send(self, data: bytes, now: float) -> None:
+        self._outgoing = Outgoing(Frame(self._request_id, data))
+        self._link.queue(self._outgoing, now)
+
+    def _end(self, outcome: Outcome) -> None:
+        self.cancel()
+        self.outcome = outcome

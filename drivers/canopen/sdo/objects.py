@@ -1,0 +1,184 @@
+"""Unsigned numbers in a board's object dictionary: read, compare and write by SDO, as steps of a procedure."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+from drivers.canopen.faults import Fault
+from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.procedure import BoardError, Step
+
+# SDO abort codes (CiA 301, 7.2.4.3.17).
+NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002
+_ABSENT = (NO_OBJECT, NO_SUB_INDEX)
+
+_WORDS = {
+    0x0503_0000: "toggle bit not alternated",
+    0x0504_0000: "SDO protocol timed out",
+    0x0504_0001: "command specifier not valid",
+    0x0504_0005: "out of memory",
+    0x0601_0000: "unsupported access to an object",
+    0x0601_0001: "attempt to read a write only object",
+    READ_ONLY: "attempt to write a read only object",
+    NO_OBJECT: "object does not exist",
+    0x0604_0041: "object cannot be mapped to the PDO",
+    0x0604_0042: "the mapped objects would exceed the PDO length",
+    0x0604_0043: "general parameter incompatibility",
+    0x0604_0047: "general internal incompatibility in the device",
+    0x0606_0000: "access failed due to a hardware error",
+    0x0607_0010: "length of the value does not match",
+    0x0607_0012: "length of the value too high",
+    0x0607_0013: "length of the value too low",
+    NO_SUB_INDEX: "sub-index does not exist",
+    0x0609_0030: "value out of range",
+    0x0609_0031: "value too high",
+    0x0609_0032: "value too low",
+    0x0609_0036: "maximum is less than minimum",
+    0x060A_0023: "resource not available",
+    0x0800_0000: "general error",
+    0x0800_0020: "value cannot be stored",
+    0x0800_0021: "value cannot be stored because of local control",
+    0x0800_0022: "value cannot be stored in the present state of the device",
+    0x0800_0023: "no object dictionary present",
+    0x0800_0024: "no data available",
+}
+
+
+def abort_words(code: int) -> str:
+    """Returns an abort code in words, e.g. "object does not exist (abort 06020000h)"."""
+    return f"{_WORDS.get(code, 'reason unknown')} (abort {code:08X}h)"
+
+
+@dataclass(frozen=True)
+class Need:
+    """A value that an object needs.
+
+    Attributes:
+        index: index of the object.
+        sub: sub-index.
+        value: unsigned value; bits outside `mask` are 0.
+        size: length [bytes].
+        what: the object in words, for messages.
+        mask: mask of the bits that matter; the others are not changed.
+        required: why the object must exist, as a sentence; None: it may be absent.
+        fixed: what the user must do if the value differs, as a sentence; None: the boot writes it.
+    """
+
+    index: int
+    sub: int
+    value: int
+    size: int = 1
+    what: str = ""
+    mask: int = 0xFFFF_FFFF
+    required: str | None = None
+    fixed: str | None = None
+
+    @property
+    def place(self) -> str:
+        """The object for messages, e.g. "1005h sub 0 (COB-ID of SYNC)"."""
+        return f"{self.index:04X}h sub {self.sub}" + (f" ({self.what})" if self.what else "")
+
+    def words(self, value: int) -> str:
+        """Returns a value of the object for messages."""
+        return f"{value:0{2 * self.size}X}h"
+
+    def met(self, present: int) -> bool:
+        """Returns whether a value meets the need."""
+        return present & self.mask == self.value & self.mask
+
+    def corrected(self, present: int) -> int:
+        """Returns the value to write in place of the present one."""
+        return (present & ~self.mask | self.value & self.mask) & (1 << 8 * self.size) - 1
+
+
+def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, Outcome, int]:
+    """Reads an unsigned value of `size` bytes; `board` is the name for messages.
+
+    Raises:
+        BoardError: the board refuses, does not answer, or answers in another size.
+    """
+    outcome = yield Transfer(index, sub, fresh=fresh)
+    return number(board, index, sub, size, outcome)
+
+
+def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Outcome, int | None]:
+    """Reads an unsigned value like `read`; returns None if the board has no such object.
+
+    Raises:
+        BoardError: the board refuses, does not answer, or answers in another size.
+    """
+    outcome = yield Transfer(index, sub)
+    if outcome.abort in _ABSENT:
+        return None
+    return number(board, index, sub, size, outcome)
+
+
+def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int:
+    """Returns the value that a transfer has read.
+
+    Raises:
+        BoardError: the board refused, did not answer, or answered in another size.
+    """
+    if outcome.abort is not None:
+        text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
+        raise BoardError(Fault("sdo-refused", board, text))
+    if outcome.data is None:
+        message = f"board {board} does not answer to {index:04X}h sub {sub}: {outcome.silence}"
+        raise BoardError(Fault("board-missing", board, message))
+    if len(outcome.data) not in (size, 4):  # some boards send four bytes for any number
+        text = f"board {board} answers {len(outcome.data)} bytes to {index:04X}h sub {sub}; {size} are needed"
+        raise BoardError(Fault("wrong-device", board, text))
+    return int.from_bytes(outcome.data[:size], "little")
+
+
+def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | None]:
+    """Writes a value; returns None, or the abort code of the board.
+
+    Raises:
+        BoardError: the board does not answer.
+    """
+    outcome = yield Transfer(need.index, need.sub, value.to_bytes(need.size, "little"))
+    if outcome.abort is None and outcome.data is None:
+        message = f"board {board} does not answer to {need.index:04X}h sub {need.sub}: {outcome.silence}"
+        raise BoardError(Fault("board-missing", board, message))
+    return outcome.abort
+
+
+def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, None]:
+    """Writes the needed value into an object with another value, and reads it back.
+
+    Raises:
+        BoardError: the board refuses, does not answer, or has another value afterwards.
+    """
+    value = need.corrected(present)
+    abort = yield from write(board, need, value)
+    if abort is not None:
+        raise refused(board, need, present, abort)
+    confirmed = yield from read(board, need.index, need.sub, need.size, fresh=True)
+    if not need.met(confirmed):
+        text = f"board {board} has {need.words(confirmed)} in {need.place} after {need.words(value)} was written"
+        raise BoardError(Fault("sdo-refused", board, f"{text}: does another program write to it?"))
+
+
+def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
+    """Returns the error of a board that refuses a value."""
+    text = f"board {board} has {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
+    return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
+
+
+def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
+    """Reads an object; returns its value, or None if the board has no such object.
+
+    Raises:
+        BoardError: the object is required and absent, or its value is wrong and must not be written.
+    """
+    present = yield from find(board, need.index, need.sub, need.size)
+    if present is None and need.required is not None:
+        text = f"board {board} has no {need.place}; {need.words(need.value)} is needed there: {need.required}"
+        raise BoardError(Fault("wrong-device", board, text))
+    if present is not None and need.fixed is not None and not need.met(present):
+        needed = need.words(need.corrected(present))
+        text = f"board {board} has {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
+        raise BoardError(Fault("wrong-device", board, text))
+    return present

@@ -1,0 +1,1 @@
+"""Conversations with boards outside the executor: `check --bus`, `probe`, `node-id`, EDS."""

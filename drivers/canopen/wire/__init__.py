@@ -1,0 +1,1 @@
+"""Frames: identifiers, buses, links and echoes."""

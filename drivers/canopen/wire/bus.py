@@ -1,0 +1,190 @@
+"""One CAN bus over python-can, non-blocking. No other module of this folder imports python-can."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import can
+
+from drivers.canopen.faults import BusError
+from drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
+from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.wiring import BusSettings
+
+_MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
+_OLDEST = 10.0  # [s]; an older time stamp, or one in the future, is ignored
+_GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or deleted
+_NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
+
+# Error frames of SocketCAN, from linux/can/error.h.
+_CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100  # classes, in the identifier
+_WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
+
+
+class ErrorFrame(NamedTuple):
+    """The content of one error frame.
+
+    Attributes:
+        state: controller state, "active", "warning", "passive" or "bus-off"; None if the frame does not tell.
+        errors: transmit and receive error counter; None if the frame does not tell.
+    """
+
+    state: str | None
+    errors: tuple[int, int] | None
+
+
+def read_error(identifier: int, data: bytes) -> ErrorFrame:
+    """Returns the content of an error frame."""
+    data = data.ljust(8, b"\0")
+    state: str | None = None
+    if identifier & _CONTROLLER:
+        details = ((_PASSIVE, "passive"), (_WARNING, "warning"), (_ACTIVE, "active"))
+        state = next((name for detail, name in details if data[1] & detail), None)
+    if identifier & _RESTARTED:
+        state = "active"
+    if identifier & _BUS_OFF:
+        state = "bus-off"
+    return ErrorFrame(state, (data[6], data[7]) if identifier & _CONTROLLER else None)
+
+
+class CanBus:
+    """One CAN bus. No method blocks, and only `open` raises.
+
+    A bus that goes down is opened again by `poll`, with a growing pause between attempts.
+
+    Args:
+        settings: name, interface, channel and bit rate.
+        clock: time for the pauses [s].
+    """
+
+    def __init__(self, settings: BusSettings, clock: Callable[[], float] = time.monotonic) -> None:
+        self.settings = settings
+        self._clock = clock
+        self._bus: can.BusABC | None = None
+        self._closed = True
+        self._down = False
+        self._pause = _FIRST_PAUSE
+        self._next_try = 0.0
+        self._events: list[Event] = []  # from opening and sending
+
+    @property
+    def name(self) -> str:
+        """Name of the bus."""
+        return self.settings.name
+
+    def open(self) -> None:
+        """Opens the bus.
+
+        Raises:
+            BusError: the interface cannot be opened.
+        """
+        try:
+            self._bus = self._open()
+        except Exception as error:  # python-can passes on whatever the interface raises
+            s = self.settings
+            raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
+        self._closed = self._down = False
+        self._events.append(Changed(self.name, "active", "", None))
+
+    def fileno(self) -> int | None:
+        """Returns the file descriptor to wait on; None if there is none now, then call `poll` every tick.
+
+        The number changes when the bus is opened again: ask for it after each `poll`.
+        """
+        if self._bus is None:
+            return None
+        try:
+            number = self._bus.fileno()
+        except Exception:  # virtual interfaces have none
+            return None
+        return number if number >= 0 else None
+
+    def send(self, frame: Frame) -> str | None:
+        """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
+        if self._bus is None:
+            return "the bus is closed" if self._closed else "the interface is down"
+        try:
+            self._bus.send(_message(frame))
+        except Exception as error:
+            if getattr(error, "error_code", None) in _GONE:
+                self._lose(f"sending failed ({error})")
+            return str(error) or repr(error)
+        return None
+
+    def poll(self) -> list[Event]:
+        """Returns the events since the last call, at most 256 frames; after 256, call again soon."""
+        events, self._events = self._events, []
+        if self._bus is None and not self._closed and self._clock() >= self._next_try:
+            try:
+                self._bus = self._open()
+            except Exception as error:
+                self._lose(f"it cannot be opened ({error})")
+        for _ in range(_MOST_EVENTS):
+            if self._bus is None:
+                break
+            try:
+                message = self._bus.recv(0)
+            except Exception as error:  # interfaces raise any exception; reading continues when the bus is back
+                if getattr(error, "error_code", None) not in _NOTHING:
+                    self._lose(f"reading failed ({error})")
+                break
+            if self._down:  # an interface that is down can be opened, but not read
+                self._down, self._pause = False, _FIRST_PAUSE
+                events.append(Changed(self.name, "active", "", None))
+            if message is None:
+                break
+            events.append(self._event(message))
+        events += self._events
+        self._events = []
+        return events
+
+    def close(self) -> None:
+        """Closes the bus. Sends nothing."""
+        self._closed = True
+        self._shut()
+        self._events = [Changed(self.name, "closed", "", None)]
+
+    def _event(self, message: can.Message) -> Event:
+        if message.is_error_frame:
+            said = read_error(message.arbitration_id, bytes(message.data))
+            return Changed(self.name, said.state, "", said.errors)
+        remote = message.is_remote_frame
+        if (remote and message.is_rx) or message.is_extended_id or message.is_fd:
+            return Ignored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
+        frame = Frame(message.arbitration_id | (REMOTE if remote else 0), bytes(message.data))
+        late = time.time() - message.timestamp  # the interface may use another clock
+        at = time.monotonic() - late if 0.0 <= late < _OLDEST else None
+        return Received(self.name, frame, at) if message.is_rx else Echoed(self.name, frame, at)
+
+    def _open(self) -> can.BusABC:
+        s = self.settings
+        bus = can.Bus(
+            interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=True, ignore_config=True
+        )
+        if (raw := getattr(bus, "socket", None)) is not None:
+            raw.setblocking(False)  # a full send buffer must fail, not block
+        return bus
+
+    def _shut(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(Exception):  # a missing interface may fail to shut down
+                bus.shutdown()
+
+    def _lose(self, why: str) -> None:
+        self._shut()
+        self._next_try = self._clock() + self._pause
+        self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+        self._down = True
+        self._events.append(Changed(self.name, "down", f"{why}; it is opened again until it works", None))
+
+
+def _message(frame: Frame) -> can.Message:
+    if frame.id & REMOTE:
+        return can.Message(arbitration_id=frame.id ^ REMOTE, is_remote_frame=True, is_extended_id=False)
+    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False)

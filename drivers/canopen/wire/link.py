@@ -1,0 +1,252 @@
+"""One CAN bus from the master's side: its state, the frames being sent, and the frames that wait."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from drivers.canopen.faults import Fault
+from drivers.canopen.status import BusStatus, Traffic
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.load import Meter
+from drivers.canopen.wire.tx_echo import TxPending
+from drivers.canopen.wiring import BusSettings
+
+_MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
+_UNUSABLE = ("closed", "down", "bus-off")
+_BUS_OFF = "the controller is bus-off after too many errors; check cable, termination, bit rate"
+
+
+class Outgoing:
+    """A queued frame, which is sent again if the bus was full.
+
+    Attributes:
+        frame: the frame.
+        first_at: time when it was handed out first [s]; None while it waits.
+        sent: whether it was sent, as far as is known.
+        cancelled: it will not be sent any more.
+    """
+
+    __slots__ = ("cancelled", "first_at", "frame", "sent")
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        self.first_at: float | None = None
+        self.sent = self.cancelled = False
+
+
+class Link:
+    """One CAN bus.
+
+    `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
+    it is armed: the kernel sends the frames that it still holds when the bus comes back.
+
+    Attributes:
+        settings: name, interface, channel and bit rate.
+        state: "closed", "active", "warning", "passive", "bus-off" or "down".
+        armed: whether RPDOs and SYNC may be sent.
+        pending: frames that were handed out and have not been echoed.
+
+    Args:
+        settings: name, interface, channel and bit rate.
+        send: hands out a frame for a bus, by its name.
+        stuck_after: the bus counts as lost if no frame could be sent for this time [s].
+    """
+
+    def __init__(self, settings: BusSettings, send: Callable[[str, Frame], None], stuck_after: float) -> None:
+        self.settings = settings
+        self.name = settings.name
+        self.state = "closed"
+        self.armed = False
+        self.pending = TxPending(longest=max(1.0, 2 * stuck_after))
+        self._hand_out, self._stuck_after = send, stuck_after
+        self._lost_at = -1.0
+        self._failing_since: float | None = None
+        self._sent_since_tick = self._failed_since_tick = False
+        self._queue: deque[Outgoing] = deque()
+        self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
+        self._meter = Meter()
+        self._errors = 0, 0
+        self._dropped = self._ignored = 0
+
+    @property
+    def usable(self) -> bool:
+        """Whether the bus can send frames, as far as is known."""
+        return self.state not in _UNUSABLE
+
+    @property
+    def failing(self) -> bool:
+        """Whether the last frames could not be sent."""
+        return self._failing_since is not None
+
+    @property
+    def echoes(self) -> bool:
+        """Whether the interface echoes frames that were sent."""
+        return self.pending.last_echo is not None
+
+    def fit(self, now: float) -> bool:
+        """Returns whether the bus sends frames again after its loss."""
+        last = self.pending.last_echo
+        heard = last is None or last > self._lost_at
+        return self.usable and heard and not self.failing and self._stuck_for(now) <= self._stuck_after
+
+    def rearm(self) -> Fault | None:
+        """Arms the bus and drops waiting frames; returns a fault if the bus is not usable."""
+        self.clear()
+        self.armed = self.usable
+        if self.armed:
+            self.pending.give_up()
+            self._failing_since = None
+            return None
+        code = "bus-off" if self.state == "bus-off" else "bus-down"
+        return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
+
+    def clear(self) -> None:
+        """Drops the queued frames."""
+        for outgoing in (*self._queue, *self._unsent.values()):
+            outgoing.cancelled = True
+        self._queue.clear()
+        self._unsent.clear()
+
+    def send(self, frame: Frame, now: float) -> None:
+        """Hands out a frame at once."""
+        self._sent_since_tick = True
+        self.pending.sent(frame, now)
+        self._meter.sent(len(frame.data))
+        self._hand_out(self.name, frame)
+
+    def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
+        """Queues a frame; an urgent one before the others."""
+        if urgent:
+            self._queue.appendleft(outgoing)
+        else:
+            self._queue.append(outgoing)
+        self._pump(now)
+
+    def received(self, bits: int) -> None:
+        """Counts a received frame of `bits` on the wire."""
+        self._meter.received(bits)
+        if self.state == "bus-off":  # the error frame of its restart was missed
+            self.state = "active"
+
+    def ignored(self) -> None:
+        """Counts a received frame that was not understood."""
+        self._ignored += 1
+
+    def echoed(self, frame: Frame, now: float) -> bool:
+        """Takes the echo of a sent frame; returns whether the master had sent it."""
+        if not self.pending.came_back(frame, now):
+            return False
+        if self.state == "bus-off":
+            self.state = "active"
+        if (outgoing := self._unsent.pop(frame, None)) is not None:
+            outgoing.sent = True
+        self._pump(now)
+        return True
+
+    def send_failed(self, frame: Frame, now: float) -> None:
+        """Records that a frame could not be sent; a queued frame is sent again after the next tick."""
+        if not self.pending.failed(frame):
+            return
+        self._dropped += 1
+        self._meter.unsent(len(frame.data))
+        self._failed_since_tick = True
+        if self._failing_since is None:
+            self._failing_since = now
+        if (outgoing := self._unsent.pop(frame, None)) is not None:
+            self._queue.appendleft(outgoing)
+
+    def answered(self, outgoing: Outgoing, now: float) -> None:
+        """Records that a board has answered a queued frame, which was therefore sent."""
+        outgoing.sent = True
+        if self._unsent.get(outgoing.frame) is outgoing:
+            del self._unsent[outgoing.frame]
+            self._pump(now)
+
+    def changed(self, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> Fault | None:
+        """Takes a new state and new error counters; returns a fault if the bus is lost."""
+        if errors is not None:
+            self._errors = errors
+        if state is None:
+            return None
+        if state in ("down", "bus-off"):
+            return self._lose(state, why or (_BUS_OFF if state == "bus-off" else "the interface is down"), now)
+        if self.state in ("down", "closed"):  # it was opened again
+            self.pending.forget()
+            self.clear()
+        self.state = state
+        self.armed &= self.usable
+        return None
+
+    def tick(self, now: float, clock: float) -> Fault | None:
+        """Call every period; returns a fault if the bus is stuck.
+
+        Args:
+            now: time that stands still while the loop stalls [s].
+            clock: real time [s].
+        """
+        if self._sent_since_tick and not self._failed_since_tick:
+            self._failing_since = None
+        self._sent_since_tick = self._failed_since_tick = False
+        if not self.echoes:  # frames that have not failed count as sent
+            for outgoing in self._unsent.values():
+                outgoing.sent = True
+            self._unsent.clear()
+        self.pending.tick(now)
+        self._meter.tick(clock)
+        if self.armed and self._stuck_for(now) > self._stuck_after:
+            why = f"no frame was sent for {self._stuck_after:g} s: is the bus full, and does another node acknowledge?"
+            return self._lose(self.state, why, now)
+        self._pump(now)
+        return None
+
+    def passive(self) -> Fault | None:
+        """Returns a warning while the controller is error-passive; it does not stop the arm."""
+        if self.state != "passive":
+            return None
+        errors = f"{self._errors[0]} transmit and {self._errors[1]} receive errors"
+        text = f"{self.name} is error-passive after {errors}: check cable, termination, bit rate before it is bus-off"
+        return Fault("bus-passive", self.name, text)
+
+    def status(self, worst_case: Traffic) -> BusStatus:
+        """Returns state and counters, with the computed worst case."""
+        meter = self._meter
+        return BusStatus(
+            name=self.name,
+            state=self.state,
+            tx_frames=meter.tx_frames,
+            rx_frames=meter.rx_frames,
+            tx_errors=self._errors[0],
+            rx_errors=self._errors[1],
+            dropped=self._dropped,
+            ignored=self._ignored,
+            frames_per_second=meter.frames_per_second,
+            bits_per_second=meter.bits_per_second,
+            load=min(1.0, meter.bits_per_second / self.settings.bitrate),
+            worst_case=worst_case,
+        )
+
+    def _pump(self, now: float) -> None:
+        """Hands out queued frames, a few at a time: SDO transfers must not delay the heartbeat on a slow bus."""
+        if self.pending.count > len(self._unsent) or self._failed_since_tick or not self.usable:
+            return
+        while self._queue and len(self._unsent) < _MOST_UNSENT:
+            outgoing = self._queue.popleft()
+            if not outgoing.cancelled:
+                if outgoing.first_at is None:
+                    outgoing.first_at = now
+                self._unsent[outgoing.frame] = outgoing
+                self.send(outgoing.frame, now)
+
+    def _stuck_for(self, now: float) -> float:
+        """Returns for how long a frame has been waiting to be sent [s]."""
+        since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
+        return now - min(since) if since else 0.0
+
+    def _lose(self, state: str, why: str, now: float) -> Fault:
+        self.armed = False
+        self.state = state
+        self._lost_at = now
+        self.clear()
+        code = {"bus-off": "bus-off", "down": "bus-down"}.get(state, "bus-busy")
+        return Fault(code, self.name, f"{self.name}: {why}")

@@ -1,0 +1,328 @@
+"""The boot of boards: success, refusals with their reasons, and no switch of an output."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from drivers.canopen.wire.cia301 import State
+from drivers.canopen.wiring import Channel, Timing
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import World, two_boards, two_buses
+
+
+def many(boards: int, buses: int = 1) -> list[Channel]:
+    return [Channel(f"{b}.{n}", f"can{b}", n, 0, 0) for b in range(buses) for n in range(1, 1 + boards // buses)]
+
+
+def test_a_missing_board_is_named_and_the_others_come_up():
+    world = World(two_boards(), Timing(boot_timeout=0.2))
+    world.boards["can0", 5].silent = True
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert (fault.code, fault.source) == ("board-missing", "can0/5")
+    assert world.measured() == [-1, 0]
+    assert not world.master.ready
+    world.boards["can0", 5].silent = False
+    world.up()
+
+
+def test_every_board_has_its_own_fault():
+    world = World(many(4), Timing(boot_timeout=0.2))
+    world.boards["can0", 1].silent = True
+    world.boards["can0", 2].objects.refused[0x1000, 0] = 0x08000000
+    world.boards["can0", 3].objects.refused[0x1016, 1] = 0x06090030
+    world.boot()
+    assert [(f.source, f.code) for f in world.master.boot_faults] == [
+        ("can0/1", "board-missing"),
+        ("can0/2", "sdo-refused"),
+        ("can0/3", "sdo-refused"),
+    ]
+
+
+def test_a_device_of_another_profile_is_refused():
+    world = World()
+    world.boards["can0", 5].objects.put(0x1000, 0, 0x00020192)
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert (fault.code, fault.source) == ("wrong-device", "can0/5")
+    assert "has 00020192h in 1000h sub 0 (device type), not the profile 0191h" in fault.message
+
+
+@pytest.mark.parametrize(("device_type", "what"), [(0x00010191, "outputs"), (0x00020191, "inputs")])
+def test_a_bit_that_is_missing_in_the_device_type_is_told_and_the_objects_decide(device_type, what):
+    world = World()
+    board = world.boards["can0", 5].objects
+    board.put(0x1000, 0, device_type)
+    world.up()
+    [warning] = world.master.warnings()
+    assert (warning.code, warning.source) == ("board-limits", "can0/5")
+    assert f"without the bit of digital {what}" in warning.message
+    board.refused[0x6200 if what == "outputs" else 0x6000, 0] = 0x06020000
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert (fault.code, f"has no {what}" in fault.message) == ("wrong-device", True)
+
+
+def test_a_board_without_inputs_is_right_if_none_is_wired():
+    world = World([Channel("a", "can0", 5, 0, None)])
+    world.boards["can0", 5].objects.put(0x1000, 0, 0x00020191)
+    world.boot()
+    assert world.master.boot_faults == []
+    assert not any(data[3:8] in ("00 18", "00 1a") for cob_id, data in world.frames(sdo=True) if cob_id == 0x605)
+    assert world.master.sensed == 0
+
+
+def test_a_refusal_names_object_value_and_reason():
+    world = World()
+    world.boards["can0", 5].objects.refused[0x1600, 1] = 0x06040041
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert fault.code == "sdo-refused"
+    for word in ("can0/5", "1600h sub 1", "cannot be mapped", "06040041h"):
+        assert word in fault.message
+
+
+@pytest.mark.parametrize("absent", [(0x1006, 0), (0x1029, 1), (0x6005, 0), (0x1400, 5), (0x1800, 5)])
+def test_optional_objects_may_be_absent(absent):
+    world = World()
+    world.boards["can0", 5].objects.refused[absent] = 0x06020000 if absent[1] == 0 else 0x06090011
+    world.up()
+
+
+def test_a_board_without_heartbeats_and_guarding_is_refused():
+    world = World()
+    world.boards["can0", 5].objects.refused[0x1017, 0] = 0x06020000
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert fault.code == "wrong-device"
+    assert "neither 1016h sub 1 and 1017h (heartbeats) nor 100Ch and 100Dh (node guarding)" in fault.message
+
+
+def test_a_board_that_boots_late_is_waited_for():
+    world = World()
+    world.boards["can0", 5].power_cut(0.0)
+    world.after(2.7, lambda: world.boards["can0", 5].power_on(world.now))
+    world.up()
+    assert world.now < 2.9
+
+
+def test_a_board_that_starts_anew_while_it_is_booted_is_configured_again():
+    world = World()
+    board = world.boards["can0", 5]
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: board.objects.number(0x1017) == 100)
+    board.power_cut(world.now)
+    board.power_on(world.now)
+    world.until(lambda: not world.master.booting)
+    assert world.master.boot_faults == []
+    assert world.master.ready
+    assert board.objects.number(0x1017) == 100
+    assert board.state is State.OPERATIONAL
+
+
+def test_a_board_that_starts_anew_again_and_again_is_given_up():
+    world = World()
+    board = world.boards["can0", 5]
+
+    def cut():
+        board.power_cut(world.now)
+        board.power_on(world.now)
+        world.after(0.01, cut)
+
+    world.after(0.055, cut)
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert (fault.code, fault.source) == ("board-rebooted", "can0/5")
+
+
+def test_a_stopped_board_comes_up():
+    world = World().up()
+    world.say(0, b"\x02\x05")
+    world.run(0.2)
+    assert "board-stopped" in world.codes()
+    world.boot()
+    assert world.master.boot_faults == []
+    world.commit(1, 0)
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+
+
+def test_a_second_master_switches_nothing_and_adopts_the_states():
+    world = World(two_boards()).up()
+    world.commit(1, 0)
+    world.run(0.1)
+    world.master = world.new_master()
+    world.frames()
+    world.boot()
+    assert world.master.boot_faults == []
+    assert not any(cob_id == 0 for cob_id, _ in world.frames())  # no board had to leave operational
+    assert world.measured() == [1, 0]
+    world.commit(1, 0)
+    assert world.frames() == []
+    assert world.switches() == [1, 0]
+
+
+@pytest.mark.parametrize("on_loss", ["hold", "contract"])
+def test_a_second_master_with_another_configuration_switches_nothing(on_loss):
+    world = World(two_boards(), on_loss=on_loss).up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.timing = Timing(heartbeat=0.03)
+    world.master = world.new_master()
+    world.frames()
+    world.boot()
+    assert world.master.boot_faults == []
+    orders = sorted(data for cob_id, data in world.frames() if cob_id == 0)
+    assert orders == ["01 05", "01 09", "80 05", "80 09"]
+    assert world.measured() == [1, 1]
+    assert world.switches() == [1, 1]
+
+
+def test_outputs_that_are_no_actuators_keep_their_values():
+    world = World()
+    world.boards["can0", 5].objects.put(0x6200, 1, 0x50)
+    world.up()
+    world.commit(1, 0)
+    assert world.frames()[:2] == [(0x205, "51"), (0x080, "")]
+
+
+def test_boards_that_are_right_stay_operational():
+    world = World(two_boards()).up()
+    world.commit(1, 1)
+    world.run(0.1)
+    board = world.boards["can0", 9]
+    board.power_cut(world.now)
+    board.power_on(world.now)
+    world.run(0.1)
+    assert world.codes() == ["board-rebooted"]
+    world.frames()
+    world.boot()
+    assert world.master.boot_faults == []
+    assert (0, "01 05") not in world.frames()
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+    assert world.switches() == [1, 2]  # the power cut switched the second back
+
+
+def test_a_boot_during_a_boot_begins_again():
+    world = World()
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.flush()
+    world.run(0.02)
+    assert world.master.booting
+    world.up()
+
+
+def test_a_bus_that_is_lost_while_booting_ends_the_boot_of_its_boards():
+    world = World(two_buses())
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.flush()
+    world.run(0.01)
+    world.master.bus_changed("can1", "bus-off", "", None, world.now)
+    world.until(lambda: not world.master.booting)
+    assert [(f.code, f.source) for f in world.master.boot_faults] == [("bus-off", "can1")]
+    assert world.measured() == [0, -1]
+
+
+def test_a_bus_that_is_not_open_is_named():
+    world = World(two_buses())
+    world.master.bus_changed("can1", "closed", "", None, world.now)
+    world.boot()
+    assert [(f.code, f.source) for f in world.master.boot_faults] == [("bus-down", "can1")]
+
+
+def test_boot_needs_no_echo():
+    world = World(two_boards())
+    world.buses["can0"].echo = False
+    world.up()
+    world.commit(1, 0)
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+
+
+def test_a_small_transmit_queue_is_not_overrun():
+    world = World(many(100)).up()
+    assert world.master.status().buses[0].dropped == 0
+
+
+@pytest.mark.parametrize("buses", [1, 4])
+def test_a_hundred_boards_boot_in_at_most_three_times_the_time_of_one(buses):
+    def booted(channels):
+        world = World(channels, latency=0.008)
+        for board in world.boards.values():
+            board.power_cut(0.0)
+        world.after(0.5, lambda: [board.power_on(world.now) for board in world.boards.values()])
+        world.up()
+        return world.now
+
+    one, hundred = booted(many(1)), booted(many(100, buses))
+    assert hundred <= 3 * one
+    assert hundred - 0.5 < 2
+
+
+def test_sixteen_boards_are_ready_within_a_second():
+    world = World(many(16, 2), latency=0.01)
+    for board in world.boards.values():
+        board.power_cut(0.0)
+    world.after(0.5, lambda: [board.power_on(world.now) for board in world.boards.values()])
+    world.up()
+    assert world.now - 0.5 < 1.0
+
+
+def test_a_boot_after_an_interrupted_one_switches_nothing():
+    """The board is pre-operational by an NMT command, not by the loss of its master: its outputs are on."""
+    world = World(on_loss="contract").up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.timing = Timing(heartbeat=0.09)  # so that the next master has something to write
+    world.master = world.new_master()
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: world.boards["can0", 5].state is State.PRE_OPERATIONAL)
+    world.run(0.02)
+    world.master = world.new_master()  # the one before was killed
+    world.boot()
+    assert world.master.boot_faults == []
+    assert world.measured() == [1, 1]
+    assert world.switches() == [1, 1]
+
+
+def test_a_start_energises_nothing_that_the_error_state_has_switched_off():
+    """Some boards keep the last command in 6200h."""
+    world = World(on_loss="contract", variants={"can0/5": VARIANTS["hidden-error-state"]}).up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.stalled = True
+    world.run(1.0)  # the board loses its master, stops, and its actuators contract
+    world.stalled = False
+    assert world.switches() == [2, 2]
+    world.run(0.2)
+    world.boot()
+    assert world.master.boot_faults == []
+    world.run(0.3)
+    assert world.measured() == [0, 0]
+    assert world.switches() == [2, 2]
+
+
+def test_the_heartbeat_of_the_master_keeps_its_time_on_a_slow_bus_while_many_boards_boot():
+    world = World(many(60), bitrate=125_000)
+    beats: list[float] = []
+    echoed = world.master.echoed
+
+    def note(bus, frame, now):
+        if frame.id == 0x77F:
+            beats.append(now)
+        echoed(bus, frame, now)
+
+    world.master.echoed = note
+    world.up()
+    world.run(1.0)
+    assert world.faults == []
+    gaps = [after - before for before, after in itertools.pairwise(beats)]
+    assert max(gaps) < world.timing.heartbeat_timeout

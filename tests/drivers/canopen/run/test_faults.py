@@ -1,0 +1,317 @@
+"""Faults of boards and buses, and the reports of the master."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.faults import Busy
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wiring import Timing
+from tests.drivers.canopen.world import World, two_boards, two_buses
+
+
+def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot():
+    world = World().up()
+    world.boards["can0", 5].silent = True
+    world.run(2)
+    assert world.codes() == ["board-lost"]
+    assert world.measured() == [-1, -1]
+    assert world.master.status().boards[0].state == "lost"
+    world.frames()
+    with pytest.raises(Busy, match="can0/5"):
+        world.master.commit(1, world.now)
+    assert world.frames() == []
+    world.boards["can0", 5].silent = False
+    world.up()
+    world.commit(1, 0)
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+
+
+def test_a_lost_board_is_asked_whether_it_is_back():
+    world = World().up()
+    board = world.boards["can0", 5]
+    board.silent = True
+    world.run(1)
+    assert not world.master.back
+    world.master.probe_silent(world.now)
+    world.flush()
+    world.run(1)
+    assert not world.master.back
+    board.silent = False
+    board.objects.set_data(0x1017, 0, bytes(2))  # it came back with no heartbeat of its own
+    world.master.probe_silent(world.now)
+    world.flush()
+    world.run(0.1)
+    assert world.master.back
+    world.up()
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.24])
+def test_a_stall_of_the_loop_alone_loses_nobody(seconds):
+    world = World().up()
+    world.run(0.05)
+    world.stall(seconds)
+    world.run(0.5)
+    assert world.faults == []
+    assert world.master.ready
+
+
+def test_a_master_that_was_halted_knows_no_states_until_boot():
+    world = World().up()
+    world.commit(1, 0)
+    world.run(0.1)
+    world.stalled = True
+    world.run(0.5)
+    fault = world.master.halted(world.now)
+    assert (fault.code, fault.source) == ("halted", "executor")
+    assert "0.5" in fault.message
+    assert world.master.halted(world.now) is None
+    assert world.measured() == [-1, -1]
+    with pytest.raises(Busy, match="can0/5"):
+        world.master.commit(2, world.now)
+    world.stalled = False
+    world.run(0.5)
+    world.up()
+    assert world.measured() == [1, 0]
+    assert world.switches() == [1, 0]
+
+
+def test_tick_reports_a_halt_as_well():
+    world = World().up()
+    world.stall(0.5)
+    assert "halted" in world.codes()
+    assert world.codes().count("halted") == 1
+
+
+def test_a_halt_while_booting_begins_the_boot_again():
+    world = World()
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.flush()
+    world.run(0.03)
+    world.stall(0.5)
+    assert world.master.booting
+    world.until(lambda: not world.master.booting)
+    assert world.master.boot_faults == []
+    assert "halted" not in world.codes()
+
+
+def test_a_reboot_is_reported_and_boot_adopts_the_states():
+    world = World().up()
+    world.commit(1, 1)
+    world.run(0.1)
+    board = world.boards["can0", 5]
+    board.power_cut(world.now)
+    board.power_on(world.now)
+    world.run(0.1)
+    assert world.codes() == ["board-rebooted"]
+    assert world.positions() == [0, 0]
+    world.up()
+    assert world.measured() == [0, 0]
+    world.run(1)
+    assert world.codes() == ["board-rebooted"]
+
+
+def test_a_board_that_another_master_stops_is_reported():
+    world = World().up()
+    world.say(0, b"\x80\x05")
+    world.run(0.2)
+    assert set(world.codes()) == {"foreign-master", "board-stopped"}
+
+
+@pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x205, 0x77F])
+def test_another_master_is_reported(cob_id):
+    world = World().up()
+    world.say(cob_id, b"\x00" * (cob_id != 0x080))
+    world.run(0.01)
+    assert world.codes() == ["foreign-master"]
+    assert world.faults[0].source == "can0"
+    assert f"{cob_id:03X}h" in world.faults[0].message
+
+
+def test_another_program_on_the_same_computer_is_another_master():
+    world = World().up()
+    world.master.echoed("can0", Frame(0x205, b"\x00"), world.now)
+    world.flush()
+    assert world.codes() == ["foreign-master"]
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (0x2320, "output short circuit (2320h)"),
+        (0x2345, "current at the output side (2345h)"),
+        (0x5112, "device hardware (5112h)"),
+        (0xFF01, "device specific (FF01h)"),
+        (0xB123, "unknown error (B123h)"),
+    ],
+)
+def test_an_emergency_is_reported_in_words(code, words):
+    world = World().up()
+    emergency = code.to_bytes(2, "little") + b"\x01\0\0\0\0\0"
+    world.say(0x085, emergency)
+    world.say(0x085, emergency)
+    world.run(0.01)
+    assert world.master.status().boards[0].emergency == words
+    world.say(0x085, bytes(8))
+    world.run(0.01)
+    assert world.master.status().boards[0].emergency is None
+    assert world.codes() == ["emergency"]
+    assert words in world.faults[0].message
+
+
+def test_a_storm_of_emergencies_is_one_fault():
+    world = World().up()
+    for code in range(0x2300, 0x2400):
+        world.say(0x085, code.to_bytes(2, "little") + bytes(6))
+    world.run(0.1)
+    assert world.master.status().boards[0].emergency == "current at the output side (23FFh)"
+    (fault,) = world.faults
+    assert fault.message == (
+        "board can0/5: it reports current at the output side (2300h): remove the cause, then reset"
+    )
+
+
+@pytest.mark.parametrize("data", [b"", b"\x03\x03", bytes(8)])
+def test_inputs_of_a_wrong_length_are_a_fault_and_no_state(data):
+    world = World().up()
+    world.say(0x185, data)
+    world.run(0.01)
+    assert world.codes() == ["wrong-length"]
+    assert f"its inputs came in {len(data)} bytes, not in 1" in world.faults[0].message
+    assert world.measured() == [0, 0]
+
+
+def test_error_frames_change_the_state_of_the_bus():
+    world = World().up()
+    for state in ("warning", "passive", "active"):
+        world.master.bus_changed("can0", state, "", (130, 7), world.now)
+        assert world.master.status().buses[0].state == state
+        assert [f.code for f in world.master.warnings()] == (["bus-passive"] if state == "passive" else [])
+    world.master.bus_changed("can0", None, "", (1, 2), world.now)
+    status = world.master.status().buses[0]
+    assert (status.state, status.tx_errors, status.rx_errors) == ("active", 1, 2)
+    assert world.faults == []
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_after_bus_off_nothing_is_sent_until_boot(told):
+    world = World().up()
+    world.boards["can0", 5].silent = True
+    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    world.flush()
+    assert world.codes() == ["bus-off"]
+    world.run(0.01)
+    world.buses["can0"].log.clear()
+    world.run(1)
+    with pytest.raises(Busy, match="bus-off"):
+        world.master.commit(1, world.now)
+    world.boot()
+    assert [fault.code for fault in world.master.boot_faults] == ["bus-off"]
+    assert world.buses["can0"].log == []
+    if told:
+        world.master.bus_changed("can0", "active", "", None, world.now)
+    world.boards["can0", 5].silent = False
+    world.run(0.2)  # its heartbeat shows that the bus is back
+    assert world.master.status().buses[0].state == "active"
+    with pytest.raises(Busy, match="booted"):
+        world.master.commit(1, world.now)
+    world.run(0.2)
+    assert world.master.back
+    world.up()
+    world.commit(1, 0)
+    world.run(0.1)
+    assert world.measured() == [1, 0]
+
+
+def test_a_bus_that_goes_down_loses_only_its_boards():
+    world = World(two_buses()).up()
+    world.master.bus_changed("can1", "down", "reading failed", None, world.now)
+    world.flush()
+    assert [(f.code, f.source, f.message) for f in world.faults] == [("bus-down", "can1", "can1: reading failed")]
+    assert world.measured() == [0, -1]
+    world.run(1)
+    world.master.bus_changed("can1", "active", "", None, world.now)
+    world.run(0.3)
+    assert world.master.back
+    world.up()
+
+
+def test_a_fault_is_reported_again_after_boot():
+    world = World().up()
+    for _ in range(2):
+        world.say(0x080)
+        world.say(0x080)
+        world.run(0.01)
+        world.up()
+    assert world.codes() == ["foreign-master"] * 2
+
+
+@pytest.mark.parametrize(("on_loss", "states"), [("hold", [1, 0]), ("contract", [0, 0])])
+def test_boards_without_their_master_hold_or_contract(on_loss, states):
+    world = World(on_loss=on_loss).up()
+    world.commit(1, 0)
+    world.run(0.2)
+    world.stalled = True
+    world.run(1)
+    assert world.positions() == states
+    world.say(0x205, b"\x03")
+    world.say(0x080)
+    world.run(0.1)
+    world.stalled = False
+    world.up()
+    assert world.positions() == states
+    assert world.measured() == states
+
+
+def test_a_question_reads_inputs_whose_tpdo_was_lost():
+    world = World(two_boards()).up()
+    world.lost = lambda bus, node, frame: frame.id == 0x185
+    world.commit(1, 0)
+    world.run(0.1)
+    assert world.measured() == [0, 0]
+    world.frames()
+    world.master.question(0, world.now)
+    assert world.master.questioning(0)
+    assert not world.master.questioning(1)
+    world.flush()
+    world.until(lambda: not world.master.questioning(0))
+    assert world.measured() == [1, 0]
+    assert world.frames(sdo=True) == [(0x605, "40 00 60 01 00 00 00 00"), (0x585, "4f 00 60 01 01 00 00 00")]
+
+
+def test_a_question_that_is_not_answered_times_out():
+    world = World(timing=Timing(heartbeat_timeout=60.0)).up()
+    world.boards["can0", 5].silent = True
+    world.master.question(0, world.now)
+    world.flush()
+    assert 0.5 < world.until(lambda: not world.master.questioning(0)) < 1.0
+
+
+def test_a_second_question_is_asked_after_the_first():
+    world = World().up()
+    world.frames()
+    world.master.question(0, world.now)
+    world.master.question(0, world.now)
+    world.flush()
+    world.until(lambda: not world.master.questioning(0))
+    world.run(0.01)
+    asked = [cob_id for cob_id, data in world.frames(sdo=True) if data[3:11] == "00 60 01"]
+    assert asked == [0x605, 0x585] * 2
+
+
+def test_status_counts_frames_and_load():
+    world = World().up()
+    before = world.master.status().buses[0]
+    for _ in range(1000):
+        world.say(0x300, bytes(8))
+    world.run(1.1)
+    world.master.ignore("can0", 100, world.now)
+    after = world.master.status().buses[0]
+    assert after.ignored == before.ignored + 1001
+    assert after.rx_frames >= before.rx_frames + 1001
+    assert 0.1 <= after.load < 0.2  # 1,000 frames of 135 bits in a second of 1 Mbit/s
+    assert after.worst_case.load > 0
+    assert world.master.status().boards[0].state == "operational"
+    assert world.master.status().boards[0].heartbeat_age < 0.2

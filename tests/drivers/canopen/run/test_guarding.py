@@ -1,0 +1,100 @@
+"""Node guarding: polls, the toggle bit, and timeouts on both sides."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.wire.cia301 import REMOTE, Frame, State
+from drivers.canopen.wiring import Channel, Timing
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import World, one_board
+
+POLL = Frame(REMOTE | 0x705)
+
+
+def guarded(**options: object) -> World:
+    return World(one_board(), variants={"can0/5": VARIANTS["guarding-only"]}, **options)
+
+
+def test_a_guarded_board_is_polled_and_its_answers_alternate():
+    world = guarded().up()
+    world.buses["can0"].log.clear()
+    world.run(1.0)
+    log = [frame for frame in world.buses["can0"].log if frame.id & 0x7FF == 0x705]
+    assert log[0::2] == [POLL] * 10
+    assert [frame.data for frame in log[1::2]] in ([b"\x05", b"\x85"] * 5, [b"\x85", b"\x05"] * 5)
+    assert world.master.status().boards[0].state == "operational"
+    assert world.faults == []
+
+
+def test_the_life_time_is_the_heartbeat_time_out_rounded_up():
+    world = World(variants={"can0/5": VARIANTS["guarding-only"]}, timing=Timing(heartbeat=0.1, heartbeat_timeout=0.35))
+    objects = world.up().boards["can0", 5].objects
+    assert (objects.number(0x100C), objects.number(0x100D)) == (88, 4)
+
+
+def test_a_guarded_board_that_falls_silent_is_lost():
+    world = guarded().up()
+    world.boards["can0", 5].silent = True
+    took = world.until(lambda: world.codes())
+    assert world.codes() == ["board-lost"]
+    assert "no answer to node guarding for 0.35 s" in world.faults[0].message
+    assert 0.2 < took < 0.5
+    world.boards["can0", 5].silent = False
+    world.run(0.2)
+    assert world.master.back
+    world.up()
+
+
+def test_answers_whose_bit_does_not_alternate_do_not_count():
+    world = guarded().up()
+    board = world.boards["can0", 5]
+    board.silent = True
+    for _ in range(5):
+        world.say(0x705, b"\x05")
+        world.run(0.1)
+    assert world.codes() == ["board-lost"]
+
+
+def test_a_guarded_board_without_polls_leaves_operational():
+    world = guarded().up()
+    world.commit(1, 0)
+    world.run(0.2)
+    world.stalled = True  # of the executor: no tick, no poll
+    world.until(lambda: world.boards["can0", 5].state is not State.OPERATIONAL)
+    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+    world.stalled = False
+    world.run(0.3)
+    world.up()
+    assert world.measured() == [1, 0]
+    assert world.switches() == [1, 0]
+
+
+def test_a_guarded_board_that_starts_anew_is_reported():
+    world = guarded().up()
+    world.boards["can0", 5].power_cut(world.now)
+    world.boards["can0", 5].power_on(world.now)
+    world.run(0.1)
+    assert world.codes() == ["board-rebooted"]
+    world.up()
+
+
+def test_a_second_master_leaves_a_guarded_board_alone():
+    world = guarded().up()
+    world.commit(1, 1)
+    world.run(0.1)
+    world.master = world.new_master()
+    world.boot()
+    assert world.master.boot_faults == []
+    assert not any(cob_id == 0 for cob_id, _ in world.frames())
+    assert world.switches() == [1, 1]
+
+
+@pytest.mark.parametrize("bitrate", [125_000, 1_000_000])
+def test_forty_guarded_boards_are_polled_in_time(bitrate):
+    channels = [Channel(f"{n}", "can0", n, 0, 0) for n in range(1, 41)]
+    variants = {f"can0/{n}": VARIANTS["guarding-only"] for n in range(1, 41)}
+    world = World(channels, variants=variants, bitrate=bitrate).up()
+    world.run(2.0)
+    assert world.faults == []
+    assert world.master.status().buses[0].dropped == 0

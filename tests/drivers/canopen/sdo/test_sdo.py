@@ -1,0 +1,202 @@
+"""The SDO client with scripted answers."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.faults import Fault
+from drivers.canopen.sdo import objects
+from drivers.canopen.sdo.objects import Need
+from drivers.canopen.sdo.procedure import Runner
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.link import Link
+from drivers.canopen.wiring import BusSettings
+
+TYPE = b"\x43\x00\x10\x00\x91\x01\x02\x00"
+OTHER = b"\x4f\x00\x62\x01\x01\x00\x00\x00"
+ABORT_OF_OTHER = b"\x80\x29\x10\x01\x00\x00\x02\x06"
+
+
+class Line:
+    """A bus with scripted answers to each request; None: it accepts no frame."""
+
+    def __init__(self, *answers: list[bytes] | None) -> None:
+        self.sent: list[Frame] = []
+        self.link = Link(BusSettings("can0", "none", ""), lambda bus, frame: self.sent.append(frame), 10.0)
+        self.link.changed("active", "", None, 0.0)
+        self.runner = Runner(5, self.link)
+        self.answers, self.now, self.requests = list(answers), 0.0, list[str]()
+        self.value: object = None
+        self.fault: Fault | None = None
+
+    def run(self, steps) -> object:
+        """Runs a part of a procedure to its end; returns its value, or its fault."""
+
+        def procedure():
+            self.value = yield from steps
+
+        def ended(fault: Fault | None, now: float) -> None:
+            self.fault = fault
+
+        self.runner.start(procedure(), ended, self.now)
+        while self.runner.running:
+            self.hand_over()
+            self.now += 0.01
+            self.link.tick(self.now, self.now)
+            self.runner.tick(self.now)
+            assert self.now < 100
+        return self.fault or self.value
+
+    def hand_over(self) -> None:
+        while self.sent:
+            frame = self.sent.pop(0)
+            self.requests.append(frame.data.hex(" "))
+            if frame.data[0] == 0x80:
+                continue  # an abort wants no answer
+            answers = self.answers.pop(0) if self.answers else []
+            if answers is None:
+                self.link.send_failed(frame, self.now)
+                continue
+            for answer in answers:
+                self.runner.receive_sdo(answer, self.now)
+                self.runner.check(self.now)
+
+
+@pytest.mark.parametrize("first", [[], [OTHER], [ABORT_OF_OTHER], [OTHER, TYPE], None])
+def test_asks_again_if_the_answer_is_late_or_missing_or_the_bus_full(first):
+    assert Line(first, [TYPE]).run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+
+
+def test_late_answers_to_another_object_are_dropped():
+    late = [b"\x60\x17\x10\x00\0\0\0\0", ABORT_OF_OTHER, OTHER, b"\x4f\x00\x10\x01\0\0\0\0"]
+    line = Line([*late, TYPE])
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+    assert line.now < 0.1
+
+
+def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another_no_confirmation():
+    need = Need(0x1017, 0, 600, 2, "period of its heartbeat")
+    fault = Line(*[[ABORT_OF_OTHER]] * 3).run(objects.ensure("can0/5", need, 0))
+    assert fault.code == "board-missing"
+    fault = Line([b"\x60\x16\x10\x01\0\0\0\0", b"\x80\x17\x10\x00\x30\x00\x09\x06"]).run(
+        objects.ensure("can0/5", need, 0)
+    )
+    assert fault.code == "sdo-refused"
+    assert fault.message == (
+        "board can0/5 has 0000h in 1017h sub 0 (period of its heartbeat); 0258h is needed, which it refuses:"
+        " value out of range (abort 06090030h)"
+    )
+
+
+def test_an_answer_to_a_read_is_none_to_a_write():
+    fault = Line(*[[OTHER]] * 3).run(objects.write("can0/5", Need(0x6200, 1, 7), 7))
+    assert fault.code == "board-missing"
+
+
+def test_gives_up_after_three_attempts():
+    line = Line()
+    fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
+    assert fault.code == "board-missing"
+    assert "can0/5 does not answer to 1000h sub 0: no SDO answer within 0.5 s, asked 3 times" in fault.message
+    assert line.requests == ["40 00 10 00 00 00 00 00"] * 3
+    assert 1.4 < line.now < 1.7
+
+
+def test_gives_up_if_the_bus_takes_no_frame():
+    line = Line(*[None] * 1000)
+    fault = line.run(objects.read("can0/5", 0x1000, 0, 4))
+    assert fault.code == "board-missing"
+    assert 1.4 < line.now < 1.7
+
+
+@pytest.mark.parametrize("absent", [0x06020000, 0x06090011])
+def test_an_absent_object_is_none_and_told_if_it_is_required(absent):
+    abort = b"\x80\x29\x10\x01" + absent.to_bytes(4, "little")
+    assert Line([abort]).run(objects.check("can0/5", Need(0x1029, 1, 2))) is None
+    fault = Line([abort]).run(
+        objects.check("can0/5", Need(0x1029, 1, 2, 1, "error behaviour", required="it must stop"))
+    )
+    assert fault.code == "wrong-device"
+    assert fault.message == "board can0/5 has no 1029h sub 1 (error behaviour); 02h is needed there: it must stop"
+
+
+def test_what_was_written_is_read_back():
+    need = Need(0x6206, 1, 0x01, 1, "error mode", mask=0x03)
+    line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfd\0\0\0"])
+    assert line.run(objects.ensure("can0/5", need, 0xFE)) is None
+    assert line.requests == ["2f 06 62 01 fd 00 00 00", "40 06 62 01 00 00 00 00"]
+    line = Line([b"\x60\x06\x62\x01\0\0\0\0"], [b"\x4f\x06\x62\x01\xfe\0\0\0"])
+    fault = line.run(objects.ensure("can0/5", need, 0xFE))
+    assert "has FEh in 6206h sub 1 (error mode) after FDh was written" in fault.message
+
+
+def test_a_late_confirmation_of_a_repeated_write_does_not_hide_a_refusal():
+    """The first write was answered late: the second answer to it comes while the next value is written."""
+    need = Need(0x1600, 0, 1)
+    confirmed, refused = b"\x60\x00\x16\x00\0\0\0\0", b"\x80\x00\x16\x00\x30\x00\x09\x06"
+    line = Line([], [confirmed], [confirmed], [refused])
+
+    def steps():
+        first = yield from objects.write("can0/5", need, 0)
+        second = yield from objects.write("can0/5", need, 1)
+        return first, second
+
+    assert line.run(steps()) == (None, 0x06090030)
+
+
+def test_answers_that_never_come_late_do_not_delay_what_follows():
+    need = Need(0x6206, 1, 1)
+    confirmed, present = b"\x60\x06\x62\x01\0\0\0\0", b"\x4f\x06\x62\x01\x01\0\0\0"
+    line = Line([], [confirmed], [present], [present])  # the answer to the first request was lost
+    begun = line.now
+    assert line.run(objects.ensure("can0/5", need, 0)) is None
+    assert line.now - begun < 0.6  # one time-out, of the first request
+    assert line.requests == ["2f 06 62 01 01 00 00 00"] * 2 + ["40 06 62 01 00 00 00 00"] * 2
+
+
+def test_a_slow_board_is_given_more_time():
+    slow = [[TYPE]]
+    line = Line([], *slow, [], [b"\x4f\x00\x62\x01\x07\0\0\0"])
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191  # after more than 0.5 s
+    begun = line.now
+    assert line.run(objects.read("can0/5", 0x6200, 1)) == 7
+    assert line.now - begun > 1.2
+
+
+def test_a_value_without_its_size_is_cut():
+    assert Line([b"\x42\x00\x62\x01\x07\xff\xff\xff"]).run(objects.read("can0/5", 0x6200, 1)) == 7
+
+
+def test_a_number_in_segments_is_read():
+    answers = [[b"\x41\x00\x10\x00\x04\x00\x00\x00"], [b"\x07\x91\x01\x02\x00\x00\x00\x00"]]
+    line = Line(*answers)
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+    assert line.requests == ["40 00 10 00 00 00 00 00", "60 00 00 00 00 00 00 00"]
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        [b"\x4b\x00\x62\x01\x07\x01\x00\x00"],
+        [b"\x41\x00\x62\x01\x06\x00\x00\x00", b"\x03\x01\x02\x03\x04\x05\x06\x00"],
+    ],
+    ids=["two bytes", "six bytes in a segment"],
+)
+def test_a_value_of_another_size_is_another_device(answers):
+    fault = Line(*([answer] for answer in answers)).run(objects.read("can0/5", 0x6200, 1))
+    assert fault.code == "wrong-device"
+    assert "bytes to 6200h sub 1; 1 are needed" in fault.message
+
+
+def test_segments_without_end_are_given_up():
+    segments = [[bytes([0x10 * (k % 2), *range(7)])] for k in range(1000)]
+    line = Line([b"\x40\x00\x62\x01\0\0\0\0"], *segments)
+    fault = line.run(objects.read("can0/5", 0x6200, 1))
+    assert "longer than 8 segments" in fault.message
+    assert line.requests[-1] == "80 00 62 01 05 00 04 05"
+
+
+def test_a_segment_that_does_not_come_is_aborted_and_all_is_asked_again():
+    line = Line([b"\x40\x00\x62\x01\0\0\0\0"], [], [OTHER])
+    assert line.run(objects.read("can0/5", 0x6200, 1)) == 1
+    assert line.requests[2:] == ["80 00 62 01 00 00 04 05", "40 00 62 01 00 00 00 00"]

@@ -1,0 +1,104 @@
+"""LSS master and simulated LSS slaves, frame by frame."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.tools.lss import Identity, Lss, Refused
+from drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
+from tests.drivers.canopen.world import World, two_boards
+
+ONE, TWO = Identity(0x21, 337, 0x10000, 0xDEADBEEF), Identity(0x21, 337, 0x10000, 0xDEADBEEE)
+
+
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canopen.lss.time.sleep", lambda seconds: None)
+
+
+class Wire:
+    """Slaves that answer at once."""
+
+    def __init__(self, *slaves: tuple[Identity, int]) -> None:
+        self.answers: list[bytes] = []
+        self.requests: list[bytes] = []
+        self.slaves = [LssSlave(identity, node, lambda _, data: self.answers.append(data)) for identity, node in slaves]
+        self.lss = Lss(self.exchange)
+
+    def exchange(self, request: bytes, patience: float) -> list[bytes]:
+        self.requests.append(request)
+        self.answers.clear()
+        for slave in self.slaves:
+            slave.receive(request)
+        return list(self.answers)
+
+
+def test_the_only_board_gets_its_node_id_and_bit_rate() -> None:
+    wire = Wire((ONE, UNCONFIGURED))
+    assert wire.lss.select(None) == (ONE, UNCONFIGURED)
+    wire.lss.configure(5, 500_000)
+    wire.lss.release()
+    [slave] = wire.slaves
+    assert (slave.stored, slave.node, slave.state) == ((5, 2), UNCONFIGURED, 0)
+    slave.reset()
+    assert slave.node == 5
+    told = [request.hex(" ") for request in wire.requests]
+    assert told[0] == "04 01 00 00 00 00 00 00"
+    assert told[-4:] == [
+        "11 05 00 00 00 00 00 00",
+        "13 00 02 00 00 00 00 00",
+        "17 00 00 00 00 00 00 00",
+        "04 00 00 00 00 00 00 00",
+    ]
+
+
+def test_one_of_several_is_named_by_its_identity() -> None:
+    wire = Wire((ONE, 3), (TWO, 4))
+    assert wire.lss.select(TWO) == (TWO, 4)
+    wire.lss.configure(9, None)
+    assert [slave.stored for slave in wire.slaves] == [(3, 0), (9, 0)]
+
+
+def test_several_boards_without_a_name_are_refused_and_keep_what_they_have() -> None:
+    wire = Wire((ONE, 3), (TWO, 4))
+    with pytest.raises(Refused, match="several boards answer"):
+        wire.lss.select(None)
+    assert [slave.stored for slave in wire.slaves] == [(3, 0), (4, 0)]
+
+
+def test_no_board_and_a_refusal_are_told() -> None:
+    with pytest.raises(Refused, match="no board answers by LSS"):
+        Wire().lss.select(None)
+    with pytest.raises(Refused, match="select 0x21:0x151:0x10000:0xdeadbeee: no board answers"):
+        Wire((ONE, 3)).lss.select(TWO)
+    wire = Wire((ONE, 3))
+    wire.lss.select(None)
+    with pytest.raises(Refused, match=r"node id 200: the board refuses \(LSS Error: 1\)"):
+        wire.lss.configure(200, None)
+
+
+def test_boards_without_a_node_id_are_listed() -> None:
+    other = Identity(1, 2, 3, 4)
+    wire = Wire((ONE, UNCONFIGURED), (Identity(7, 7, 7, 7), 5), (TWO, UNCONFIGURED), (other, UNCONFIGURED))
+    assert sorted(wire.lss.unconfigured()) == sorted([ONE, TWO, other])
+    assert all(slave.state == 0 for slave in wire.slaves)
+    assert Wire().lss.unconfigured() == []
+
+
+def test_a_simulated_board_has_its_new_node_id_after_power_on() -> None:
+    world = World(two_boards())
+    world.run(0.05)
+    board = world.boards["can0", 5]
+    for data in ("04 01", "11 21", "17"):
+        world.say(REQUEST, bytes.fromhex(data).ljust(8, b"\0"))
+        world.run(0.01)
+        world.boards["can0", 9].lss.state = 0  # which is not meant
+    assert [data for cob_id, data in world.frames() if cob_id == ANSWER] == ["11 00" + " 00" * 6, "17 00" + " 00" * 6]
+    assert board.node == 5
+    board.power_on(world.now)
+    assert board.node == 33
+    world.frames()
+    world.say(0x600 + 33, bytes.fromhex("40 00 10 00 00 00 00 00"))
+    world.run(0.01)
+    assert (0x5A1, "43 00 10 00 91 01 03 00") in world.frames(sdo=True)
+    assert board.objects.number(0x1400, 1) == 0x200 + 33

@@ -1,0 +1,153 @@
+"""The survey of a bus on simulated boards."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.canopen.faults import BusError
+from drivers.canopen.tools.survey import Found, Survey, survey
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame, State
+from drivers.canopen.wire.events import Changed, Echoed, Received
+from drivers.canopen.wiring import BusSettings, Channel
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import World, two_boards
+
+
+class Asking:
+    """Takes the place of the master in a world."""
+
+    def __init__(self, world: World, **options: bool) -> None:
+        outbox = world._outbox
+        self.survey = Survey(world.wiring.buses[0], lambda bus, frame: outbox.append((bus, frame)), **options)
+
+    def receive(self, bus, frame, now):
+        self.survey.take(Received(bus, frame), now)
+
+    def echoed(self, bus, frame, now):
+        self.survey.take(Echoed(bus, frame), now)
+
+    def send_failed(self, bus, frame, why, now):
+        self.survey.send_failed(bus, frame, now)
+
+    def tick(self, now):
+        self.survey.tick(now)
+
+    def take_faults(self):
+        return []
+
+    take_switched = take_faults
+
+
+def begun(world: World, **options: bool) -> Survey:
+    world.run(0.05)
+    world.master = asking = Asking(world, **options)
+    world.frames(sdo=True)
+    asking.survey.start(world.now)
+    world.flush()
+    return asking.survey
+
+
+def surveyed(world: World, **options: bool) -> Survey:
+    asking = begun(world, **options)
+    world.until(lambda: asking.over, 300.0)
+    return asking
+
+
+def test_all_nodes_are_found_and_nothing_is_written() -> None:
+    world = World(two_boards())
+    asking = surveyed(world)
+    assert asking.fault is None
+    five, nine = asking.found
+    assert (five.node, nine.node, five.answers, five.trouble) == (5, 9, True, None)
+    assert five.numbers[0x1000, 0] == 0x00030191
+    assert [five.numbers[0x1018, sub] for sub in range(5)] == [4, 0, 401, 1, 0]
+    assert five.texts[0x1008]
+    assert (five.numbers[0x6200, 0], five.numbers[0x6000, 0], five.numbers[0x1001, 0]) == (8, 8, 0)
+    assert [(pdo.parameters, pdo.valid, pdo.entries) for pdo in five.rpdos] == [(0x1400, True, 8)]
+    assert [(pdo.parameters, pdo.cob_id & 0x7FF) for pdo in nine.tpdos] == [(0x1800, 0x189)]
+    requests = [data for cob_id, data in world.frames(sdo=True) if cob_id < 0x580 or 0x600 < cob_id < 0x680]
+    assert requests
+    assert all(data.startswith(("40", "60", "70")) for data in requests), "uploads and their segments only"
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_each_variant_has_its_row(name: str) -> None:
+    world = World(two_boards(), variants={"can0/5": VARIANTS[name]})
+    world.run(6.0)
+    five = surveyed(world).found[0]
+    assert (five.node, five.answers, five.trouble) == (5, True, None)
+    board = world.boards["can0", 5].objects
+    for (index, sub), value in five.numbers.items():
+        assert value == board.number(index, sub), f"{index:04X}h sub {sub}"
+    assert [pdo.parameters for pdo in five.rpdos] == [i for i in range(0x1400, 0x1420) if board.has(i)]
+
+
+def test_a_survey_takes_no_longer_with_many_silent_nodes() -> None:
+    world = World([Channel(str(n), "can0", n, 0, 0) for n in range(1, 101)])
+    for board in list(world.boards.values())[1:]:
+        board.silent = True
+    begun_at = world.now
+    assert [node.node for node in surveyed(world).found] == [1]
+    assert world.now - begun_at < 2
+
+
+def test_a_stopped_board_is_heard_though_it_does_not_answer() -> None:
+    world = World(two_boards()).up()
+    world.say(cia301.NMT, bytes([cia301.Command.STOP, 9]))
+    world.run(0.1)
+    asking = surveyed(world)
+    assert [(node.node, node.answers, node.state) for node in asking.found] == [
+        (5, True, State.PRE_OPERATIONAL),
+        (9, False, State.STOPPED),
+    ]
+
+
+def test_a_boot_up_message_and_a_master_are_heard() -> None:
+    world = World()
+    asking = begun(world)
+    world.say(cia301.HEARTBEAT + 0x40, b"\x00")
+    world.say(cia301.HEARTBEAT + 0x7F, b"\x05")
+    world.until(lambda: asking.over)
+    assert [(node.node, node.state) for node in asking.found if not node.answers] == [
+        (0x40, State.BOOT_UP),
+        (0x7F, State.OPERATIONAL),
+    ]
+    assert asking.master_heard
+
+
+def test_a_short_survey_reads_the_identity_only() -> None:
+    [five] = surveyed(World(), in_full=False).found
+    assert {index for index, _ in five.numbers} == {0x1000, 0x1018}
+
+
+def test_a_node_that_stops_answering_is_reported() -> None:
+    world = World()
+    asking = begun(world)
+    world.until(lambda: (0x1005, 0) in asking._nodes[5].numbers)
+    world.boards["can0", 5].silent = True
+    world.until(lambda: asking.over, 60.0)
+    assert "it stopped answering at" in asking.found[0].trouble
+
+
+def test_a_bus_that_is_down_ends_the_survey() -> None:
+    world = World()
+    asking = begun(world)
+    asking.take(Changed("can0", "down", "it is down", None), world.now)
+    assert (asking.over, asking.fault.message) == (True, "can0: it is down")
+
+
+def test_strange_frames_do_no_harm() -> None:
+    world = World()
+    asking = begun(world)
+    for frame in (Frame(0x585, b"\x43"), Frame(0x585, b"\xff" * 8), Frame(0x705, b""), Frame(0x7FF, b"\x09")):
+        asking.take(Received("can0", frame), world.now)
+    world.until(lambda: asking.over, 60.0)
+    assert asking.found[0] == Found(5, **{k: v for k, v in vars(asking.found[0]).items() if k != "node"})
+    assert asking.found[0].answers
+
+
+def test_an_empty_bus() -> None:
+    assert survey(BusSettings("can0", "virtual", "test_survey")).found == []
+    with pytest.raises(BusError, match="no-such-interface"):
+        survey(BusSettings("can0", "socketcan", "no-such-interface"))
