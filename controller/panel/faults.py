@@ -29,6 +29,7 @@ ADVICE = {
     "executor-lost": "The executor is gone. systemd restarts it; without systemd run hyperbit execute.",
     "internal-error": "A defect of hyperbit: report it with the journal. " + RESET,
     "board-limits": "The board lacks this function; the arm works without it.",
+    "outputs-off": "The board may have switched outputs off itself. No action is needed; look where the arm is.",
     "clock-set": "The computer's clock was set. No action is needed.",
     "network-lost": "The Zenoh router is gone. The running goal continues.",
     "ledger-unwritten": "Free space on the disk, or correct the permissions of the ledger.",

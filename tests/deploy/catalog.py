@@ -7,7 +7,10 @@ from tests.keys import DEPLOY
 PATH = DEPLOY / "hyperbit.catalog"
 SUPPORT = "file:///opt/hyperbit/doc/README.md"
 FAULT = "At @HYPERBIT_SOURCE@ of the arm @HYPERBIT_ARM@. The running goal was ended, and the arm holds."
-WARNINGS = ("bus-passive", "board-limits", "clock-set", "network-lost", "degraded", "journal", "unknown-position")
+WARNINGS = (
+    *("bus-passive", "board-limits", "outputs-off", "clock-set", "network-lost", "degraded", "journal"),
+    "unknown-position",
+)
 OTHERS = {
     "mode-starting": "The boards of the arm @HYPERBIT_ARM@ are booting. Nothing moves.",
     "mode-ready": "The arm @HYPERBIT_ARM@ holds and accepts goals.",

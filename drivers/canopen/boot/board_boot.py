@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 
 from drivers.canopen.boot import configuration, inspection, pdo_search
 from drivers.canopen.boot.inspection import Inspection
+from drivers.canopen.boot.pins import settle
+from drivers.canopen.boot.undo import Undo
 from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, Pdo, subs_of, union
+from drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.run.outputs import Outputs
 from drivers.canopen.sdo import objects
@@ -20,6 +22,8 @@ from drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Ste
 from drivers.canopen.wire.cia301 import INVALID, Command, State
 from drivers.canopen.wiring import ErrorState, Timing
 
+_LAST_DUMMY = 7  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
+_TELL_STATE = (0x100C, 0x100D, 0x1017)
 _ERROR_PATIENCE = 0.5  # [s] in which an error may end after the board hears the master
 
 
@@ -34,8 +38,9 @@ class Boot:
         timing: heartbeat and boot times.
         error_state: field `error_state` of the arm's file, for boards without an error mode.
         it: values read from the board.
+        undo: changes of this boot.
         kind: device type, 1000h.
-        found: NMT state before the boot.
+        stopped: whether the board was found stopped, and has not been started since.
     """
 
     index: int
@@ -44,14 +49,28 @@ class Boot:
     timing: Timing
     error_state: ErrorState | None
     it: Inspection
+    undo: Undo
     kind: int = 0
-    found: State | None = None
+    stopped: bool = False
 
 
 def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
-    """Boots a board. A board that is operational and correctly configured is not written to."""
-    it = Inspection(board.layout)
-    boot = Boot(index, board, outputs, timing, error_state, it)
+    """Boots a board. A board that is operational and correctly configured is not written to.
+
+    A refused board gets its objects and its NMT state back, except outputs that were written off.
+    """
+    undo = Undo(board.layout.settings.object)
+    boot = Boot(index, board, outputs, timing, error_state, Inspection(board.layout), undo)
+    try:
+        yield from undo.recorded(_steps(boot))
+    except BoardError as error:
+        if error.fault.code != "board-missing":
+            board.guarded = False
+            yield from undo.restore()
+        raise
+
+
+def _steps(boot: Boot) -> Procedure:
     for step in _STEPS:
         yield from step(boot)
 
@@ -78,6 +97,8 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
         if stopped():
             yield from _order(layout, Command.PRE_OPERATIONAL)
             ordered = True
+        elif board is not None and board.frames == before and not board.guarded:
+            board.guard()  # a stopped board without heartbeats answers only the remote frames of node guarding
     if kind is not None:
         return kind, ordered
     text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
@@ -87,22 +108,22 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
 
 
 def _find(boot: Boot) -> Procedure:
-    boot.kind, stopped = yield from find(boot.board.layout, boot.timing.boot_timeout, boot.board)
-    boot.found = State.STOPPED if stopped else None
+    boot.board.guarded = False
+    boot.kind, boot.stopped = yield from find(boot.board.layout, boot.timing.boot_timeout, boot.board)
+    if boot.stopped:
+        boot.undo.left(State.STOPPED)
 
 
 def _inspect(boot: Boot) -> Procedure:
-    """Reads identity, configuration and PDOs of the board."""
-    it = boot.it
+    """Reads identity, configuration and PDOs of the board; writes nothing."""
+    board, it = boot.board, boot.it
     yield from inspection.inspect(it, boot.kind, boot.timing, boot.error_state)
-    board = boot.board
     yield from _learn_state(boot)
-    boot.found = boot.found or board.state
     yield from pdo_search.read_pdos(it, in_full=board.state is State.OPERATIONAL)
 
 
 def _learn_state(boot: Boot) -> Procedure:
-    """Waits for the first heartbeat or answer to node guarding, which tells the NMT state."""
+    """Waits for a heartbeat or an answer to node guarding, which tells the NMT state."""
     board, it, timing = boot.board, boot.it, boot.timing
     period = it.values.get((0x1017, 0), 0) / 1000
     if it.guarded:
@@ -110,7 +131,7 @@ def _learn_state(boot: Boot) -> Procedure:
         period = timing.heartbeat if ours else 0.0
         if ours and not board.guarded:
             board.guard()
-    elif period:
+    else:
         board.guarded = False
     if board.state is None and period:
         yield Wait(lambda: board.state is not None, min(2 * period, timing.boot_timeout))
@@ -125,64 +146,61 @@ def _configure(boot: Boot) -> Procedure:
         if not wrong and pdo_search.as_is(it):
             board.state = None  # its NMT state may have changed since its last heartbeat
             return
-    if board.state in (State.OPERATIONAL, None):
-        yield from _hold_outputs(it)
-    if board.state is not State.PRE_OPERATIONAL:
-        yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    if board.state is None:
+        yield from _make_it_tell(boot)
+    yield from _enter_pre_operational(boot)
+    if board.layout.outputs and (yield from settle(it, boot.error_state, boot.stopped)):
+        board.released = True
+    boot.undo.pins_known = True
     yield from inspection.ensure(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):
         yield from pdo_search.set_up_pdos(it, pdos)
     if not board.layout.loss[0]:
         yield from inspection.ensure(it, it.error_mode)
-    yield from _release(boot)
     board.guarded = False
     if it.guarded:
         board.guard()
-    board.state = None  # an earlier heartbeat must not count
+    board.state, boot.stopped = None, False  # an earlier heartbeat must not count
     yield from _order(board.layout, Command.START)
 
 
-def _hold_outputs(it: Inspection) -> Procedure:
-    """Sets the error mode 6206h to hold during the configuration.
+def _make_it_tell(boot: Boot) -> Procedure:
+    """Configures heartbeats or node guarding of a board that does not tell its NMT state, and waits for the state."""
+    yield from inspection.ensure(boot.it, [need for need in boot.it.needs if need.index in _TELL_STATE])
+    yield from _learn_state(boot)
 
-    Some boards apply 6207h as soon as they enter pre-operational. A board that does not accept this value may still be
-    correct: the final value of 6206h decides.
+
+def _enter_pre_operational(boot: Boot) -> Procedure:
+    """Enters pre-operational, in which the outputs hold.
+
+    Some boards apply 6207h as soon as they enter pre-operational. So 6206h is set to hold before, but only while the
+    board is operational: otherwise 6206h tells what the pins are.
     """
-    for need in it.unmet(configuration.hold_outputs(it.layout)):
+    board, it = boot.board, boot.it
+    if board.state is State.PRE_OPERATIONAL:
+        return
+    if board.state is State.OPERATIONAL and (unmet := it.unmet(configuration.hold_outputs(it.layout))):
+        before = {(need.index, need.sub): it.values[need.index, need.sub] for need in unmet}
+        yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
+        board.state = None
+        yield from _learn_state(boot)
+        if board.state is not State.OPERATIONAL:  # perhaps it had left operational before the write
+            yield from _write_error_mode(it, before, unmet)
+    before_order = board.state
+    yield from _order(board.layout, Command.PRE_OPERATIONAL)
+    boot.undo.left(before_order)
+
+
+def _write_error_mode(it: Inspection, values: dict[tuple[int, int], int], needs: list[Need]) -> Procedure:
+    """Writes 6206h and reads it back.
+
+    A board that does not accept a value may still be correct: the final value of 6206h decides.
+    """
+    for need in needs:
         place = need.index, need.sub
-        yield from objects.write(it.name, need, need.corrected(it.values[place]))
+        value = it.values[place] & ~need.mask | values[place] & need.mask
+        yield from objects.write(it.name, need, value & 0xFF)
         it.values[place] = yield from objects.read(it.name, *place, fresh=True)
-
-
-def _release(boot: Boot) -> Procedure:
-    """Writes off the outputs that the board may have switched off itself, so that its start energises nothing.
-
-    A board that lost its master has applied its error mode. Its 6200h may still hold the earlier values, which the
-    start would switch again.
-    """
-    board, it, layout = boot.board, boot.it, boot.board.layout
-    if it.has_error_mode:  # boards with a loss level enter stopped when they lose the master (1029h)
-        loss, levels = layout.loss if boot.found is State.STOPPED else (0, 0)
-        bits = union(b.place for b in layout.outputs if loss & b.place and b.inverted == bool(levels & b.place))
-    else:
-        bits = layout.output_bits
-        if (layout.settings.error_state or boot.error_state) == "hold" or not (yield from _lost_master(boot)):
-            bits = 0
-    off = union(b.place for b in layout.outputs if b.inverted)
-    for sub in subs_of(bits):
-        mask, value = (number >> 8 * (sub - 1) & 0xFF for number in (bits, off))
-        need = Need(layout.settings.object, sub, value & mask, 1, "outputs", mask=mask)
-        present = yield from objects.read(board.name, need.index, sub)
-        if not need.met(present):
-            yield from objects.ensure(board.name, need, present)
-
-
-def _lost_master(boot: Boot) -> Generator[Step, Outcome, bool]:
-    """Returns whether the board has left operational because it lost the master, not by an NMT command."""
-    if boot.found not in (State.STOPPED, State.PRE_OPERATIONAL):
-        return False
-    newest = yield from objects.find(boot.board.name, 0x1003, 1, 4)
-    return (newest or 0) & 0xFFFF == inspection.MASTER_LOST
 
 
 def _await_operational(boot: Boot) -> Procedure:
@@ -218,6 +236,7 @@ def _check_errors(boot: Boot) -> Procedure:
     for _ in range(6):
         register, text, lost = yield from inspection.read_errors(it, board)
         if not register:
+            board.emergency = None  # its end was missed
             return
         yield Wait(lambda: False, _ERROR_PATIENCE / 5)
     if not lost:
@@ -231,9 +250,7 @@ def _read_back(boot: Boot) -> Procedure:
     """Reads outputs and inputs, and adopts them."""
     board, it, inputs = boot.board, boot.it, dict[int, int]()
     rpdos, tpdos = pdo_search.adopt(it)
-    values = dict[int, int]()
-    for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > 7}:
-        values[entry] = yield from _value(board, entry)
+    values = yield from _carried_values(board, rpdos)
     board.take_inputs_from(tpdos)
     before = board.input_frames
     for sub in subs_of(board.layout.input_bits):
@@ -252,14 +269,26 @@ def _read_back(boot: Boot) -> Procedure:
     board.ready = True
 
 
-def _value(board: Board, entry: int) -> Generator[Step, Outcome, int]:
-    """Reads an object that an RPDO carries; returns 0 for an unused object that cannot be read."""
-    index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-    size = (count + 7) // 8
-    if index == board.layout.settings.object and board.layout.output_bits >> 8 * (sub - 1) & 0xFF:
-        return (yield from objects.read(board.name, index, sub))
-    outcome = yield Transfer(index, sub)
-    return int.from_bytes((outcome.data or b"")[:size], "little")
+def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, Outcome, dict[int, int]]:
+    """Reads what RPDOs carry, by mapping entry. Words and single bits of outputs are read as bytes.
+
+    Raises:
+        BoardError: an object cannot be read. The RPDO would overwrite its value, which nobody knows.
+    """
+    base, bytes_read, values = board.layout.settings.object, dict[int, int](), dict[int, int]()
+    for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > _LAST_DUMMY}:
+        index, sub, count = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        carried = carries((entry,), base)
+        if not carried:
+            values[entry] = yield from objects.read(board.name, index, sub, (count + 7) // 8)
+            continue
+        bit, _, width = carried[0]
+        for byte in range(bit // 8, (bit + width + 7) // 8):
+            if byte not in bytes_read:
+                bytes_read[byte] = yield from objects.read(board.name, base, 1 + byte)
+        whole = sum(value << 8 * byte for byte, value in bytes_read.items())
+        values[entry] = whole >> bit & (1 << width) - 1
+    return values
 
 
 def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:

@@ -31,21 +31,33 @@ def identity(settings: NodeSettings) -> list[Need]:
 
 
 def synchronisation() -> list[Need]:
-    """SYNC, 1005h, 1006h and 1019h: sent on demand with the COB-ID 080h and without a counter."""
+    """SYNC, 1005h to 1007h and 1019h: sent on demand with the COB-ID 080h, without a counter and a window."""
     return [
         Need(0x1006, 0, 0, 4, "period of SYNC"),  # SYNC comes on demand: a missing SYNC is no error
+        Need(0x1007, 0, 0, 4, "window after SYNC"),  # a board drops RPDOs that come after its window
         Need(0x1005, 0, 0, 4, "producing SYNC", mask=_PRODUCES),
         Need(0x1005, 0, _SYNC, 4, "COB-ID of SYNC", mask=0x7FFF_FFFF),
         Need(0x1019, 0, 0, 1, "counter of SYNC"),
     ]
 
 
-def heartbeats(timing: Timing) -> list[Need]:
-    """Supervision by heartbeats in both directions, 1016h and 1017h."""
+def heartbeats(timing: Timing, entry: int = 1) -> list[Need]:
+    """Supervision by heartbeats in both directions, 1016h and 1017h.
+
+    Args:
+        timing: heartbeat times.
+        entry: sub-index of 1016h that watches the master; two entries must not watch one node.
+    """
+    watched = MASTER << 16 | _ms(timing.heartbeat_timeout)
     return [
-        Need(0x1016, 1, MASTER << 16 | _ms(timing.heartbeat_timeout), 4, "heartbeat of the master"),
-        Need(0x1017, 0, _ms(timing.heartbeat), 2, "period of its heartbeat"),
+        Need(0x1016, entry, watched, 4, "heartbeat of the master", rounded=True),
+        Need(0x1017, 0, _ms(timing.heartbeat), 2, "period of its heartbeat", rounded=True),
     ]
+
+
+def emergencies(node: int) -> list[Need]:
+    """Emergencies, 1014h: sent with the COB-ID that the master listens to."""
+    return [Need(0x1014, 0, 0x80 + node, 4, "COB-ID of its emergencies")]
 
 
 def guarding(timing: Timing) -> list[Need]:
@@ -53,19 +65,24 @@ def guarding(timing: Timing) -> list[Need]:
     factor = math.ceil(timing.heartbeat_timeout / timing.heartbeat)
     time = math.ceil(_ms(timing.heartbeat_timeout) / factor)
     return [
-        Need(0x100C, 0, time, 2, "guard time"),
+        Need(0x100C, 0, time, 2, "guard time", rounded=True),
         Need(0x100D, 0, factor, 1, "life time factor"),
     ]
 
 
-def on_master_lost(board: BoardLayout) -> Need:
-    """Error behaviour, 1029h: the NMT state that the board enters when it loses the master."""
+def on_master_lost(board: BoardLayout, required: bool = True) -> Need:
+    """Error behaviour, 1029h: the NMT state that the board enters when it loses the master.
+
+    Args:
+        board: wiring of the board.
+        required: whether a board whose outputs must go off needs the object.
+    """
     # A board that lost the master must leave operational: otherwise RPDOs and SYNC of a dying master still switch it.
     # Boards that hold enter pre-operational, in which they answer SDO. Boards that contract enter stopped, the only
     # state in which the boards of every vendor apply 6207h.
     falls = board.loss[0] != 0
     state = _STOPPED if falls else _PRE_OPERATIONAL
-    return Need(0x1029, 1, state, 1, "error behaviour", required=_CONTRACT if falls else None)
+    return Need(0x1029, 1, state, 1, "error behaviour", required=_CONTRACT if falls and required else None)
 
 
 def polarity(board: BoardLayout) -> list[Need]:
@@ -83,15 +100,20 @@ def hold_outputs(board: BoardLayout) -> list[Need]:
     return [Need(0x6206, sub, 0, 1, "error mode", mask=_byte(bits, sub)) for sub in subs_of(bits)]
 
 
-def error_mode(board: BoardLayout) -> list[Need]:
-    """Error mode and value, 6206h and 6207h: the outputs take their loss level when the board loses the master."""
-    bits, (taken, levels) = board.output_bits, board.loss
+def error_mode(board: BoardLayout, required: bool = True) -> list[Need]:
+    """Error mode and value, 6206h and 6207h: the outputs take their loss level when the board loses the master.
+
+    Args:
+        board: wiring of the board.
+        required: whether a board whose outputs must go off needs the objects.
+    """
+    bits, (taken, levels), why = board.output_bits, board.loss, _CONTRACT if required else None
     needs = [
-        Need(0x6207, sub, _byte(levels, sub), 1, "error value", mask=_byte(taken, sub), required=_CONTRACT)
+        Need(0x6207, sub, _byte(levels, sub), 1, "error value", mask=_byte(taken, sub), required=why)
         for sub in subs_of(taken)
     ]
     for sub in subs_of(bits):
-        must = _CONTRACT if _byte(taken, sub) else None
+        must = why if _byte(taken, sub) else None
         needs.append(Need(0x6206, sub, _byte(taken, sub), 1, "error mode", mask=_byte(bits, sub), required=must))
     return needs
 

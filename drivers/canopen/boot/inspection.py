@@ -13,14 +13,16 @@ from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.client import Outcome, Transfer
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import ErrorState, Timing
+from drivers.canopen.wiring import MASTER, ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
-MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # error code, and the bits of 1001h that it sets
+_NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)
+_MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # error code, and the bits of 1001h that it sets
+_MOST_ENTRIES = 8  # of the error history that are read
 
 
 @dataclass
@@ -90,12 +92,13 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     yield from _identify(it)
     yield from _check_type(it, kind)
     yield from _supervision(it, timing)
-    yield from _read(it, configuration.synchronisation())
+    yield from _read(it, configuration.synchronisation() + configuration.emergencies(it.layout.node))
     if (0x1005, 0) not in it.values:
         it.synchronous = False
         it.warn("it has no 1005h sub 0 (COB-ID of SYNC): its outputs switch at once with their frame, not on SYNC")
     if it.layout.outputs:
         yield from _outputs(it, error_state)
+    yield from _error_behaviour(it)
     yield from _read(it, configuration.interrupts(it.layout))
 
 
@@ -112,13 +115,25 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
         return 0, "", False
     lost = False
     text = f"error register 1001h sub 0 is {register:02X}h; 00h is needed"
-    history = yield from objects.find(it.name, 0x1003, 1, 4)
-    if history:
-        text += f"; 1003h sub 1 is {history:08X}h, {cia301.emergency_words(history & 0xFFFF)}"
-        lost = history & 0xFFFF == MASTER_LOST and not register & ~_COMMUNICATION
+    sub, entry = yield from _newest_error(it)
+    if entry:
+        text += f"; 1003h sub {sub} is {entry:08X}h, {cia301.emergency_words(entry & 0xFFFF)}"
+        lost = entry & 0xFFFF == _MASTER_LOST and not register & ~_COMMUNICATION
     if board is not None and board.emergency is not None:
         text += f"; it reported {cia301.emergency_words(board.emergency)}"
     return register, text, lost
+
+
+def _newest_error(it: Inspection) -> Generator[Step, Outcome, tuple[int, int]]:
+    """Returns sub-index and value of the newest error in 1003h; value 0 if there is none, or it cannot be read.
+
+    Some stacks also enter the ends of errors, with the code 0000h.
+    """
+    for sub in range(1, 1 + _MOST_ENTRIES):
+        entry = (yield Transfer(0x1003, sub, fresh=True)).data
+        if not entry or int.from_bytes(entry, "little") & 0xFFFF:
+            return sub, int.from_bytes(entry or b"", "little")
+    return 0, 0
 
 
 def ensure(it: Inspection, needs: list[Need]) -> Reading:
@@ -144,12 +159,7 @@ def _check_type(it: Inspection, kind: int) -> Reading:
     """
     settings = it.layout.settings
     if settings.object == OUTPUTS and kind & 0xFFFF != _PROFILE:
-        text = (
-            f"board {it.name} has {kind:08X}h in 1000h sub 0 (device type), not the profile 0191h of CiA 401 with"
-            " outputs in 6200h: is the node id right? A board with outputs in an object of its maker needs `object` in"
-            " the arm's file"
-        )
-        raise BoardError(Fault("wrong-device", it.name, text))
+        yield from _check_without_profile(it, kind)
     for bits, base, flag, what in (
         (it.layout.output_bits, settings.object, _HAS_OUTPUTS, "outputs"),
         (it.layout.input_bits, INPUTS, _HAS_INPUTS, "inputs"),
@@ -157,6 +167,7 @@ def _check_type(it: Inspection, kind: int) -> Reading:
         if not bits:
             continue
         count = yield from objects.find(it.name, base, 0)
+        it.values[base, 0] = count or 0
         subs = subs_of(bits)
         if not count or count < subs[-1]:
             has = "no" if not count else f"{count} bytes of"
@@ -166,9 +177,21 @@ def _check_type(it: Inspection, kind: int) -> Reading:
             it.warn(f"1000h sub 0 is {kind:08X}h, without the bit of digital {what}, but {base:04X}h is there")
 
 
+def _check_without_profile(it: Inspection, kind: int) -> Reading:
+    """Accepts a device type without the profile 401, if it names no other profile and the objects are there."""
+    bits, base = (it.layout.output_bits, OUTPUTS) if it.layout.outputs else (it.layout.input_bits, INPUTS)
+    text = f"{kind:08X}h in 1000h sub 0 (device type), not the profile 0191h of CiA 401"
+    if kind & 0xFFFF in _NO_PROFILE and (yield from objects.find(it.name, base, 0)):
+        it.warn(f"it has {text}, but {base:04X}h sub {subs_of(bits)[-1]} is there")
+        return
+    advice = "is the node id right? A board with outputs in an object of its maker needs `object` in the arm's file"
+    text = f"board {it.name} has {text} with outputs in 6200h: {advice}"
+    raise BoardError(Fault("wrong-device", it.name, text))
+
+
 def _supervision(it: Inspection, timing: Timing) -> Reading:
     """Selects heartbeats, or node guarding if the board lacks 1016h or 1017h."""
-    beats, guard = configuration.heartbeats(timing), configuration.guarding(timing)
+    beats, guard = configuration.heartbeats(timing, (yield from _entry(it))), configuration.guarding(timing)
     yield from _read(it, [*beats, guard[0]], [])
     if (guard[0].index, guard[0].sub) in it.values:
         yield from _read(it, guard[1:], [])
@@ -183,7 +206,22 @@ def _supervision(it: Inspection, timing: Timing) -> Reading:
     # Some boards allow only one of the two: the other one is switched off first.
     off = [Need(n.index, n.sub, 0, n.size, n.what) for n in (beats if it.guarded else guard)]
     it.needs = [*off, *(guard if it.guarded else beats), *it.needs]
-    lost = configuration.on_master_lost(it.layout)
+
+
+def _entry(it: Inspection) -> Generator[Step, Outcome, int]:
+    """Returns the entry of 1016h that watches the master already, else the first free one, else the first."""
+    count = yield from objects.find(it.name, 0x1016, 0)
+    for sub in range(1, 1 + (count or 0)):
+        entry = it.values[0x1016, sub] = yield from objects.read(it.name, 0x1016, sub, 4)
+        if entry >> 16 & 0x7F == MASTER:
+            return sub
+    free = [sub for sub in range(1, 1 + (count or 0)) if not it.values[0x1016, sub] & 0xFFFF]
+    return free[0] if free else 1
+
+
+def _error_behaviour(it: Inspection) -> Reading:
+    """Reads 1029h, which a board with an error mode needs if its outputs must go off."""
+    lost = configuration.on_master_lost(it.layout, required=it.has_error_mode)
     yield from _read(it, [lost])
     if (lost.index, lost.sub) not in it.values:
         it.warn(f"it has no {lost.place}; CiA 301 makes it enter pre-operational when the master is lost")
@@ -191,18 +229,20 @@ def _supervision(it: Inspection, timing: Timing) -> Reading:
 
 def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     """Checks polarity, filter and error mode of the outputs; a maker's object has none of these."""
-    layout = it.layout
+    layout, (taken, levels) = it.layout, it.layout.loss
+    state = layout.settings.error_state or error_state
+    goes_off = state == "off" and not levels  # by itself, as it must
     if layout.settings.object == OUTPUTS:
         yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
-        yield from _read(it, configuration.error_mode(layout), it.error_mode)
+        yield from _read(it, configuration.error_mode(layout, required=not goes_off), it.error_mode)
     it.has_error_mode = any(index == 0x6206 for index, _ in it.values)
     if it.has_error_mode:
         return
     missing = "6206h (error mode)" if layout.settings.object == OUTPUTS else "error mode for its maker's object"
-    if layout.loss[0]:
+    if taken and not goes_off:
         text = f"board {it.name} has no {missing}; it is needed: with on_loss: contract, or with pulses, its outputs"
-        raise BoardError(Fault("wrong-device", it.name, f"{text} must go off when the master is lost"))
-    state = layout.settings.error_state or error_state
+        text += " must go off when the master is lost; if they do so by themselves, set boards.error_state to off"
+        raise BoardError(Fault("wrong-device", it.name, text))
     if state is None:
         text = (
             f"board {it.name} has no {missing}, so what its outputs do when the master is lost cannot be read or"

@@ -16,6 +16,7 @@ from drivers.canopen.wire.cia301 import INVALID, NO_REMOTE
 
 _MOST_ENTRIES = 64  # of a mapping; in sub-index 0, FEh and FFh have other meanings
 ON_SYNC, ON_CHANGE = (1, 0), (255, 254)  # transmission types, the wanted one first
+EVENT_TIME = 1000  # [ms] after which a TPDO is sent again: a lost message is noticed
 
 
 _Put = Callable[[int, int, int, int, int | None], Generator[Step, Outcome, bool]]
@@ -28,7 +29,7 @@ class PdoState(NamedTuple):
         parameters: index of its communication parameters, from 1400h or 1800h.
         cob_id: COB-ID with its flags, sub-index 1.
         kind: transmission type, sub-index 2.
-        timer: sub-index 5: a deadline of an RPDO, a period of a TPDO; None if absent. Neither is used.
+        timer: sub-index 5: a deadline of an RPDO, which is not used, or the event time of a TPDO [ms]; None if absent.
         inhibit: inhibit time of a TPDO, sub-index 3; None if absent.
         mapping: entries of its mapping that were read.
         entries: number of entries of its mapping.
@@ -65,7 +66,12 @@ class PdoState(NamedTuple):
         """Returns whether nothing must be changed."""
         right = self.valid and self.cob_id & 0x3FFF_FFFF == wanted.cob_id and self.maps(wanted)
         kinds = ON_SYNC if wanted.parameters < 0x1800 else ON_CHANGE
-        return right and self.kind in kinds and not self.timer and not self.inhibit
+        return right and self.kind in kinds and self.timer in (None, self.wanted_timer) and not self.inhibit
+
+    @property
+    def wanted_timer(self) -> int:
+        """The needed value of sub-index 5."""
+        return 0 if self.parameters < 0x1800 else EVENT_TIME
 
 
 def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generator[Step, Outcome, PdoState | None]:
@@ -121,7 +127,7 @@ def usable(board: BoardLayout, wanted: Pdo, present: PdoState) -> str | None:
         return f"{number} has the transmission type {present.kind}, not 255 ({present.parameters:04X}h sub 2)"
     if base != INPUTS and present.kind not in (*ON_SYNC, *ON_CHANGE):
         return f"{number} has the transmission type {present.kind}, not 1 ({present.parameters:04X}h sub 2)"
-    if present.timer:
+    if base != INPUTS and present.timer:
         return f"{number} has the timer {present.timer} ms, not 0 ({present.parameters:04X}h sub 5)"
     return None
 
@@ -167,7 +173,8 @@ def set_up(board: BoardLayout, wanted: Pdo, present: PdoState, synchronous: bool
     if not accepted and rpdo and present.kind not in ON_CHANGE:
         yield from put(parameters, 2, ON_CHANGE[0], 1, present.kind)
     yield from put(parameters, 3, 0, 2, present.inhibit or 0)
-    yield from put(parameters, 5, 0, 2, present.timer or 0)
+    if present.timer is not None:
+        yield from put(parameters, 5, present.wanted_timer, 2, present.timer)
     if changeable:
         disabled = present.cob_id | INVALID
         if not (yield from put(parameters, 1, flags | wanted.cob_id, 4, disabled)) and present.valid:

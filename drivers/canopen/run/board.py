@@ -43,6 +43,7 @@ class Board:
         ignored_errors: bits of the error register 1001h that are no fault.
         warnings: sentences on the board's limits from its last boot, without its name.
         expected: values of its objects at the end of the last boot.
+        released: whether outputs were written off before the last start.
 
     Args:
         layout: wiring of the board.
@@ -64,6 +65,7 @@ class Board:
         self.ignored_errors = 0
         self.warnings: tuple[str, ...] = ()
         self.expected: tuple[Need, ...] = ()
+        self.released = False
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
         self.take_inputs_from(layout.tpdos)
@@ -99,6 +101,7 @@ class Board:
 
     def forget(self) -> None:
         """Marks outputs, inputs and NMT state as unknown until the next boot."""
+        self.released &= not self._booted  # an attempt that failed is not the last start
         self.ready = self._booted = False
         self.state = None
 

@@ -95,9 +95,14 @@ class Network:
         return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
 
     def warnings(self) -> tuple[Fault, ...]:
-        """Returns a warning for each ready board with limits."""
-        boards = [station.board for station in self.stations if station.board.ready and station.board.warnings]
-        return tuple(Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards)
+        """Returns the warnings of ready boards: limits, and outputs that were written off before the start."""
+        boards = [station.board for station in self.stations if station.board.ready]
+        limits = (
+            Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
+        )
+        text = "outputs may have been switched off by the board; written off before start"
+        released = (Fault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
+        return (*limits, *released)
 
     def rearm(self) -> dict[str, Fault]:
         """Arms all buses; returns a fault for each unusable bus, by its name."""

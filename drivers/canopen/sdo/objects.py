@@ -11,14 +11,18 @@ from drivers.canopen.sdo.procedure import BoardError, Step
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
 NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002
-_ABSENT = (NO_OBJECT, NO_SUB_INDEX)
+UNSUPPORTED, GENERAL, NO_DATA = 0x0601_0000, 0x0800_0000, 0x0800_0024
+# Stacks answer a read of an absent object with each of these. CANopenNode answers NO_DATA to an empty history.
+ABSENT = frozenset({NO_OBJECT, NO_SUB_INDEX, UNSUPPORTED, GENERAL, NO_DATA})
+
+_ROUNDING = 10  # [ms] by which a board may round a time, at most half of it
 
 _WORDS = {
     0x0503_0000: "toggle bit not alternated",
     0x0504_0000: "SDO protocol timed out",
     0x0504_0001: "command specifier not valid",
     0x0504_0005: "out of memory",
-    0x0601_0000: "unsupported access to an object",
+    UNSUPPORTED: "unsupported access to an object",
     0x0601_0001: "attempt to read a write only object",
     READ_ONLY: "attempt to write a read only object",
     NO_OBJECT: "object does not exist",
@@ -36,12 +40,12 @@ _WORDS = {
     0x0609_0032: "value too low",
     0x0609_0036: "maximum is less than minimum",
     0x060A_0023: "resource not available",
-    0x0800_0000: "general error",
+    GENERAL: "general error",
     0x0800_0020: "value cannot be stored",
     0x0800_0021: "value cannot be stored because of local control",
     0x0800_0022: "value cannot be stored in the present state of the device",
     0x0800_0023: "no object dictionary present",
-    0x0800_0024: "no data available",
+    NO_DATA: "no data available",
 }
 
 
@@ -63,6 +67,7 @@ class Need:
         mask: mask of the bits that matter; the others are not changed.
         required: why the object must exist, as a sentence; None: it may be absent.
         fixed: what the user must do if the value differs, as a sentence; None: the boot writes it.
+        rounded: whether the board may round the low 16 bits, a time in [ms].
     """
 
     index: int
@@ -73,6 +78,7 @@ class Need:
     mask: int = 0xFFFF_FFFF
     required: str | None = None
     fixed: str | None = None
+    rounded: bool = False
 
     @property
     def place(self) -> str:
@@ -85,7 +91,11 @@ class Need:
 
     def met(self, present: int) -> bool:
         """Returns whether a value meets the need."""
-        return present & self.mask == self.value & self.mask
+        if not self.rounded:
+            return present & self.mask == self.value & self.mask
+        wanted, time = self.value & 0xFFFF, present & 0xFFFF
+        off = abs(time - wanted) > min(wanted // 2, max(_ROUNDING, wanted // 8))
+        return present >> 16 == self.value >> 16 and not off
 
     def corrected(self, present: int) -> int:
         """Returns the value to write in place of the present one."""
@@ -109,7 +119,7 @@ def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Out
         BoardError: the board refuses, does not answer, or answers in another size.
     """
     outcome = yield Transfer(index, sub)
-    if outcome.abort in _ABSENT:
+    if outcome.abort in ABSENT:
         return None
     return number(board, index, sub, size, outcome)
 

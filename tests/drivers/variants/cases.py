@@ -92,7 +92,7 @@ CASES = (
     Case("no-error-behaviour", _NO_BEHAVIOUR_REFUSED, options=_CONTRACT, label="contract"),
     Case("canopennode", _NO_MODE),
     Case("canopennode", (), (_NO_BEHAVIOUR, "(error_state) its outputs hold"), _HOLD, "hold"),
-    Case("canopennode", _NO_BEHAVIOUR_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
+    Case("canopennode", _NO_VALUE_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
     Case("deaf-error-mode", ("has FFh in 6206h sub 1 (error mode) after FCh was written",)),
     Case("hidden-error-state"),
     Case("hidden-error-state", options=_CONTRACT, label="contract"),

@@ -184,6 +184,7 @@ def test_a_second_master_with_another_configuration_switches_nothing(on_loss):
 
 def test_outputs_that_are_no_actuators_keep_their_values():
     world = World()
+    world.boards["can0", 5].objects.put(0x6206, 1, 0x00)  # its outputs hold in the error state
     world.boards["can0", 5].objects.put(0x6200, 1, 0x50)
     world.up()
     world.commit(1, 0)
@@ -280,7 +281,7 @@ def test_a_boot_after_an_interrupted_one_switches_nothing():
     world = World(on_loss="contract").up()
     world.commit(1, 1)
     world.run(0.1)
-    world.timing = Timing(heartbeat=0.09)  # so that the next master has something to write
+    world.timing = Timing(heartbeat=0.05)  # so that the next master has something to write
     world.master = world.new_master()
     world.master.boot(world.now)
     world.flush()

@@ -56,6 +56,7 @@ def test_nothing_is_written_to_a_board_that_holds_it_already():
 
 def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
+    world.boards["can0", 5].objects.put(0x6206, 3, 0x00)  # its outputs hold in the error state
     world.boards["can0", 5].objects.put(0x6200, 3, 0x40)
     world.up()
     world.commit(1, 0)

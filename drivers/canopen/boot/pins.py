@@ -1,0 +1,86 @@
+"""The pins of a board before its start: START changes no pin.
+
+START applies the stored outputs, 6200h, to the pins. In the error state the pins may differ from 6200h. So 6200h gets
+the levels that the pins are known to have, and "off" where nobody can know them. The boot writes this before it
+overwrites 6206h and 6207h. From then on the board itself stores what was learnt, also for a later boot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import NamedTuple
+
+from drivers.canopen.boot.inspection import Inspection
+from drivers.canopen.pdo import OUTPUTS, subs_of, union
+from drivers.canopen.sdo import objects
+from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.objects import Need
+from drivers.canopen.sdo.procedure import Step
+from drivers.canopen.wiring import ErrorState
+
+_ALL = 0xFF
+
+
+class ErrorMode(NamedTuple):
+    """What one byte of outputs does in the error state.
+
+    Attributes:
+        taken: mask of the bits that may take their error value; the others hold (6206h).
+        value: error value (6207h).
+        told: whether the board tells both; otherwise they follow from `error_state` of the arm's file.
+    """
+
+    taken: int
+    value: int
+    told: bool
+
+
+def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Generator[Step, Outcome, bool]:
+    """Writes the outputs so that START changes no pin. Call in state pre-operational, before 6206h is overwritten.
+
+    Args:
+        it: the board's inspection.
+        error_state: field `error_state` of the arm's file, for boards without an error mode.
+        stopped: whether the board was found stopped: then its pins have their error values.
+
+    Returns:
+        Whether outputs were written that the board may have switched itself.
+
+    Raises:
+        BoardError: the board refuses, or does not answer.
+    """
+    layout, written = it.layout, False
+    off = union(bit.place for bit in layout.outputs if bit.inverted)
+    for sub in _subs(it):
+        used = sub in subs_of(layout.output_bits)
+        present = yield from objects.read(it.name, layout.settings.object, sub, fresh=True)
+        if not (present or used):
+            continue
+        mode = yield from _error_mode(it, sub, error_state)
+        if not mode.taken:
+            continue
+        unsure = mode.taken & (mode.value ^ present)
+        value = mode.value if stopped and mode.told else off >> 8 * (sub - 1)
+        need = Need(layout.settings.object, sub, value & unsure, 1, "outputs", mask=unsure)
+        # Written even if it is met: the object may show the command while the pins differ, or the pins while the
+        # command differs.
+        yield from objects.ensure(it.name, need, present)
+        written |= not need.met(present)
+    return written
+
+
+def _subs(it: Inspection) -> range:
+    """Returns the sub-indices of all output bytes of the board, also of those that the wiring does not use."""
+    count = it.values.get((it.layout.settings.object, 0), 0)
+    return range(1, 1 + max(count, *subs_of(it.layout.output_bits), 0))
+
+
+def _error_mode(it: Inspection, sub: int, error_state: ErrorState | None) -> Generator[Step, Outcome, ErrorMode]:
+    """Reads what a byte of outputs does in the error state, as the board has it now."""
+    if it.layout.settings.object == OUTPUTS:
+        mode = yield from objects.find(it.name, 0x6206, sub)
+        if mode is not None:
+            value = (yield from objects.find(it.name, 0x6207, sub)) if mode else 0
+            return ErrorMode(mode, value or 0, told=value is not None)
+    holds = (it.layout.settings.error_state or error_state) == "hold"
+    return ErrorMode(0 if holds else _ALL, 0, told=False)

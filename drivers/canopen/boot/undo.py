@@ -1,0 +1,69 @@
+"""What a boot has changed on a board, so that a refused boot leaves the board as it was found."""
+
+from __future__ import annotations
+
+from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.procedure import Order, Procedure, Step
+from drivers.canopen.wire.cia301 import Command, State
+
+_COMMANDS = {State.OPERATIONAL: Command.START, State.STOPPED: Command.STOP}
+
+
+class Undo:
+    """Records the changes of a boot.
+
+    Attributes:
+        pins_known: whether 6200h holds what the pins are known to be, so that a START changes none.
+
+    Args:
+        spared: index of the outputs. They are never written back: nothing must be energised.
+    """
+
+    def __init__(self, spared: int) -> None:
+        self.pins_known = False
+        self._spared = spared
+        self._seen: dict[tuple[int, int], bytes] = {}  # last value of each object
+        self._back: list[Transfer | Order] = []  # the steps that take each change back
+
+    def recorded(self, procedure: Procedure) -> Procedure:
+        """Runs a procedure, and records what it writes. An object that it has not read is read before its write."""
+        outcome: Outcome | None = None
+        while True:
+            try:
+                step = next(procedure) if outcome is None else procedure.send(outcome)
+            except StopIteration:
+                return
+            if isinstance(step, Transfer) and step.data is not None and (step.index, step.sub) not in self._seen:
+                self._see(step.index, step.sub, (yield Transfer(step.index, step.sub)).data)
+            outcome = yield step
+            self._note(step, outcome)
+
+    def left(self, before: State | None) -> None:
+        """Records that the board leaves an NMT state for pre-operational by a command of the boot."""
+        if before is not None and before in _COMMANDS:
+            self._back.append(Order(_COMMANDS[before]))
+
+    def restore(self) -> Procedure:
+        """Takes the changes back, the last one first. Ends early if the board does not answer."""
+        for step in reversed(self._back):
+            if step == Order(Command.START) and not self.pins_known:
+                continue
+            if (yield step).silence is not None:
+                return
+
+    def _note(self, step: Step, outcome: Outcome) -> None:
+        if isinstance(step, Order) and step.command is Command.START:
+            self._back.append(Order(Command.PRE_OPERATIONAL))
+        if not isinstance(step, Transfer) or outcome.abort is not None:
+            return
+        if step.data is None:
+            self._see(step.index, step.sub, outcome.data)
+        elif step.index != self._spared:  # also after silence: the board may have taken the value
+            before = self._seen.get((step.index, step.sub), step.data)[: len(step.data)]
+            if before != step.data:
+                self._back.append(Transfer(step.index, step.sub, before))
+            self._seen[step.index, step.sub] = step.data
+
+    def _see(self, index: int, sub: int, data: bytes | None) -> None:
+        if data is not None:
+            self._seen[index, sub] = data

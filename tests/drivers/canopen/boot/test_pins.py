@@ -1,0 +1,176 @@
+"""START changes no pin: what 6200h gets before it, by the state in which the board is found and by its error mode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, State
+from drivers.simulation import dictionary
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import Channel, World, one_board
+
+HIDDEN = {"can0/5": VARIANTS["hidden-error-state"]}
+
+
+def extended(**options: object) -> World:
+    """An arm whose two actuators are extended; its boards then lose the master."""
+    world = World(one_board(), **{"variants": HIDDEN, **options}).up()
+    world.commit(1, 1)
+    world.run(0.3)
+    lose_master(world)
+    return world
+
+
+def lose_master(world: World) -> None:
+    world.stalled = True
+    world.run(1.0)
+    world.stalled = False
+    world.master = world.new_master()
+
+
+def boot(world: World) -> list[str]:
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: not world.master.booting)
+    return [fault.message for fault in world.master.boot_faults]
+
+
+def lose_answers(world: World, state: State) -> None:
+    """Boots until the board is in a state; then its SDO answers are lost, and the boot fails."""
+    board = world.boards["can0", 5]
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: board.state is state)
+    world.lost = lambda bus, node, frame: frame.id & 0x780 == cia301.SDO_ANSWER
+    world.until(lambda: not world.master.booting)
+    assert world.master.boot_faults
+    world.lost = lambda bus, node, frame: False
+
+
+def outputs(world: World) -> int:
+    return world.boards["can0", 5].objects.number(0x6200, 1)
+
+
+def test_outputs_that_the_error_state_switched_off_are_written_off_and_told():
+    world = extended(on_loss="contract")
+    assert world.boards["can0", 5].state is State.STOPPED
+    assert boot(world) == []
+    assert outputs(world) == 0
+    told = [(fault.code, fault.message) for fault in world.master.warnings()]
+    text = "can0/5: outputs may have been switched off by the board; written off before start"
+    assert told == [("outputs-off", text)]
+    assert boot(world) == []
+    assert world.master.warnings() == ()
+
+
+def test_outputs_that_held_keep_their_values():
+    world = extended(on_loss="hold")
+    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+    assert boot(world) == []
+    assert (outputs(world), world.measured(), world.master.warnings()) == (0b11, [1, 1], ())
+
+
+def test_a_boot_that_is_tried_again_still_writes_them_off():
+    world = extended(on_loss="contract")
+    lose_answers(world, State.PRE_OPERATIONAL)
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+    assert [fault.code for fault in world.master.warnings()] == ["outputs-off"]
+
+
+def test_another_process_writes_them_off_after_an_interrupted_boot():
+    world = extended(on_loss="contract")
+    lose_answers(world, State.PRE_OPERATIONAL)
+    world.master = world.new_master()
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_another_program_may_have_made_a_stopped_board_pre_operational():
+    world = extended(on_loss="contract")
+    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
+    world.run(0.2)
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_the_error_mode_is_read_before_another_one_is_written():
+    world = extended(on_loss="contract")
+    world.wiring = replace(world.wiring, on_loss="hold")
+    world.master = world.new_master()
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+@pytest.mark.parametrize(("error_state", "left"), [("off", 0), ("device", 0), ("hold", 0b11)])
+def test_without_an_error_mode_the_arms_file_tells(error_state, left):
+    name = "no-error-mode" if error_state == "hold" else "no-error-mode-off"
+    variant = replace(VARIANTS[name], shows_error_state=False)
+    world = extended(variants={"can0/5": variant}, error_state=error_state)
+    assert boot(world) == []
+    assert outputs(world) == left
+
+
+def test_no_entry_of_the_history_keeps_outputs_on():
+    variant = replace(VARIANTS["no-error-mode-off"], shows_error_state=False)
+    world = extended(variants={"can0/5": variant}, error_state="device")
+    board = world.boards["can0", 5]
+    board.objects.put(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
+    board.objects.put(0x1003, 2, 0x8130)
+    assert boot(world) == []
+    assert outputs(world) == 0
+
+
+def test_the_coil_that_contracts_on_loss_stays_on():
+    channels = [Channel("5.left", "can0", 5, 0, None, output_off=1)]
+    world = World(channels, variants=HIDDEN, on_loss="contract").up()
+    world.commit(1, 0)
+    world.run(0.3)
+    lose_master(world)
+    assert world.boards["can0", 5].state is State.STOPPED
+    assert boot(world) == []
+    assert (outputs(world), world.positions()) == (0b10, [0.0])
+
+
+def test_outputs_are_not_written_while_the_board_is_operational():
+    world = World(one_board(), on_loss="contract").up()
+    world.commit(1, 1)
+    world.run(0.3)
+    world.wiring = replace(world.wiring, on_loss="hold")
+    world.master = world.new_master()
+    world.frames(sdo=True)
+    assert boot(world) == []
+    written = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data.startswith("2f 00 62")]
+    assert (written, outputs(world), world.measured()) == ([], 0b11, [1, 1])
+
+
+def test_words_that_cannot_be_read_are_read_as_bytes():
+    words = {
+        **dictionary.array(0x6300, [0] * 4, size=2, mappable=True, readable=False),
+        **dictionary.pdo(0x1400, 0x200, [0x6300 << 16 | sub << 8 | 16 for sub in range(1, 5)], fixed=True),
+    }
+    world = World(
+        [Channel("1.a", "can0", 5, 0, None)], variants={"can0/5": replace(VARIANTS["standard"], changes=words)}
+    )
+    world.boards["can0", 5].objects.put(0x6200, 1, 1)
+    world.boards["can0", 5].objects.put(0x6206, 1, 0)
+    world.boot()
+    assert (world.master.boot_faults, world.master.outputs) == ([], 1)
+
+
+def test_a_foreign_object_that_cannot_be_read_is_not_overwritten():
+    variant = VARIANTS["many-outputs"]
+    mapped = dictionary.pdo(0x1400, 0x200, [0x62000108, 0x64110110], fixed=True)
+    variant = replace(variant, changes={**variant.changes, **mapped})
+    world = World(one_board(), variants={"can0/5": variant})
+    world.boards["can0", 5].objects.refused[0x6411, 1] = 0x06010001
+    world.boot()
+    [fault] = world.master.boot_faults
+    assert fault.message.startswith("board can0/5 refuses to read 6411h sub 1")

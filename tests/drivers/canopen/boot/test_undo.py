@@ -1,0 +1,75 @@
+"""A refused board stays as it was found: its objects and its NMT state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from drivers.canopen.wire.cia301 import State
+from drivers.simulation.variants import VARIANTS, StandingError
+from tests.drivers.canopen.boot.test_pins import HIDDEN, boot, extended
+from tests.drivers.canopen.world import World, one_board
+
+CHANGING = (0x1001, 0x1003, 0x6000)  # values that the board sets itself
+
+
+def values(world: World) -> dict[tuple[int, int], bytes]:
+    board = world.boards["can0", 5]
+    places = [(index, sub) for index, subs in board.variant.objects.items() for sub in subs if index not in CHANGING]
+    return {place: board.objects._value(*place) for place in places}
+
+
+def refused_at(world: World, index: int, sub: int) -> None:
+    """The board refuses each write of an object with the value that the boot needs."""
+    objects = world.boards["can0", 5].objects
+    objects.deaf = frozenset({(index, sub)})
+
+
+@pytest.mark.parametrize("deaf", [0x1016, 0x1029, 0x6206, 0x1006])
+def test_a_board_that_ignores_a_write_gets_its_objects_back(deaf):
+    variant = replace(VARIANTS["sync-period"], deaf=frozenset({deaf}))
+    world = World(one_board(), variants={"can0/5": variant}, on_loss="contract")
+    world.run(0.05)
+    before = values(world)
+    [sentence] = boot(world)
+    assert f"{deaf:04X}h" in sentence
+    assert values(world) == before
+    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+
+
+def test_a_board_with_an_error_is_pre_operational_again():
+    variant = replace(VARIANTS["standard"], errors=(StandingError(0xFF00, 0x80),))
+    world = World(one_board(), variants={"can0/5": variant}, on_loss="contract")
+    world.run(0.05)
+    before = values(world)
+    [sentence] = boot(world)
+    assert "1001h sub 0 is 80h" in sentence
+    assert values(world) == before
+    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+
+
+def test_a_stopped_board_is_stopped_again_and_its_outputs_stay_off():
+    world = extended(on_loss="contract")
+    board = world.boards["can0", 5]
+    board.objects.refused[0x6005, 0] = 0x06060000
+    [sentence] = boot(world)
+    assert "6005h" in sentence
+    assert board.state is State.STOPPED
+    world.run(0.5)
+    assert world.positions() == [0.0, 0.0]
+
+
+def test_an_operational_board_is_operational_again_and_its_outputs_hold():
+    world = World(one_board(), variants=HIDDEN, on_loss="hold").up()
+    world.commit(1, 1)
+    world.run(0.3)
+    world.wiring = replace(world.wiring, on_loss="contract")
+    world.master = world.new_master()
+    board = world.boards["can0", 5]
+    board.variant = board.objects._variant = replace(board.variant, deaf=frozenset({0x1029}))
+    before = values(world)
+    [sentence] = boot(world)
+    assert "1029h" in sentence
+    assert (board.state, world.positions()) == (State.OPERATIONAL, [1.0, 1.0])
+    assert values(world) == before
