@@ -65,6 +65,7 @@ class SimulatedBoard:
         contacts: levels of inputs other than end-stops, by bit; changes take effect at the next `step`.
         silent: whether it is disconnected from the bus.
         ignored: number of frames that were not understood.
+        started: levels of the pins before and after each START that made it operational.
         lss: LSS slave with the node id.
     """
 
@@ -79,6 +80,7 @@ class SimulatedBoard:
         self.contacts: dict[int, int] = {}
         self.silent = False
         self.ignored = 0
+        self.started: list[tuple[int, int]] = []
         self.emergencies = Emergencies(self.objects, self._send_emergency)
         self._bus = send
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
@@ -122,6 +124,11 @@ class SimulatedBoard:
     def powered(self) -> bool:
         """Whether the board has its supply."""
         return self.state is not None or self._boots_at < math.inf
+
+    @property
+    def pins(self) -> int:
+        """Levels of the output pins, which the coils see; bit k is output k."""
+        return self._outputs.pins(self.state) if self.powered else 0
 
     @property
     def timer(self) -> float:
@@ -182,7 +189,7 @@ class SimulatedBoard:
         self._forget()
         self.state = None
         self.objects.reset()
-        self._outputs.reset()
+        self._outputs.recover()
         self._boots_at = self._now + self.variant.boot_time
         self._drive()
         if self._boots_at <= self._now:
@@ -235,20 +242,25 @@ class SimulatedBoard:
         elif order == Command.RESET_COMMUNICATION:
             if not self.variant.keeps_outputs:
                 self.objects.reset(self.variant.output_object, self.variant.output_object)
-                self._outputs.reset()
+                self._outputs.recover()
             self._boot(0x1000, 0x1FFF)
         else:
             self.ignored += 1
 
     def _enter(self, state: State) -> None:
-        if state is not self.state:
-            self.state = state
-            self._pdos.forget()
-            if state is State.STOPPED:
-                self._fail_safe()
-            if state is State.OPERATIONAL:
-                self.emergencies.recover(_SYNC_LOST)
-                self._pdos.publish()
+        if state is self.state:
+            return
+        before, self.state = self.pins, state
+        self._pdos.forget()
+        if state is State.STOPPED:
+            self._outputs.fail_safe()
+        if state is State.OPERATIONAL:
+            self._outputs.recover()
+            self.started.append((before, self.pins))
+        self._drive()
+        if state is State.OPERATIONAL:
+            self.emergencies.recover(_SYNC_LOST)
+            self._pdos.publish()
 
     def _hear_master(self) -> None:
         self.emergencies.recover(_MASTER_LOST)
@@ -257,20 +269,17 @@ class SimulatedBoard:
         self._fall(_MASTER_LOST)
 
     def _fall(self, code: int) -> None:
-        """Applies the error mode, and enters the NMT state that 1029h gives."""
+        """Begins the error state, and enters the NMT state that 1029h gives."""
         self.emergencies.report(code)
-        self._fail_safe()
+        self._outputs.fail_safe()
+        self._drive()
         if (behaviour := self.objects.number(0x1029, 1)) == 0 and self.state is State.OPERATIONAL:
             self._enter(State.PRE_OPERATIONAL)
         elif behaviour == 2:
             self._enter(State.STOPPED)
 
-    def _fail_safe(self) -> None:
-        self._outputs.fail_safe()
-        self._drive()
-
     def _drive(self) -> None:
-        levels = self._outputs.levels if self.powered else 0
+        levels = self.pins
         for actuator, output, _, output_off, _, inverted in self.wired:
             on, off = levels >> output & 1, 0
             if output_off is not None:
@@ -307,7 +316,7 @@ class SimulatedBoard:
             self._pdos.configure()
         elif index == 0x1003:
             self.emergencies.clear_history()
-        elif self._outputs.written(index):
+        elif self._outputs.written(index, sub):
             self._drive()
         else:
             self._supervision.written(index, self._now)

@@ -35,6 +35,7 @@ class Objects:
 
     Attributes:
         refused: abort codes of objects that refuse every SDO, by index and sub-index.
+        shown: functions whose number an SDO upload returns in place of the value, by index and sub-index.
         node: node id.
         flash_writes: number of writes to the flash memory.
     """
@@ -43,6 +44,7 @@ class Objects:
 
     def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
         self.refused: dict[tuple[int, int], int] = {}
+        self.shown: dict[tuple[int, int], Callable[[], int]] = {}
         self.flash_writes = 0
         self.node = node
         self._variant = variant
@@ -84,6 +86,8 @@ class Objects:
         self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
+        if (index, sub) in self.shown:
+            return self.shown[index, sub]().to_bytes(self._find(index, sub).size, "little")
         return self._value(index, sub)
 
     def set_data(self, index: int, sub: int, data: bytes, check_writable: bool = False) -> None:

@@ -45,7 +45,8 @@ class Variant:
         one_supervision: whether it allows only one of node guarding and heartbeats.
         saves: whether each SDO write goes to the flash memory.
         error_state: outputs in the error state: as 6206h and 6207h say, hold, or off.
-        shows_error_state: whether 6200h shows the outputs in the error state, not the last command.
+        shows_error_state: whether an SDO read of 6200h shows the outputs in the error state, not the last command.
+        off_outside_operational: whether the outputs are off in all NMT states but operational.
         keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
         errors: standing errors.
         starts: whether it obeys the NMT command that makes it operational.
@@ -64,7 +65,8 @@ class Variant:
     one_supervision: bool = False
     saves: bool = False
     error_state: Literal["modes", "hold", "off"] = "modes"
-    shows_error_state: bool = True
+    shows_error_state: bool = False
+    off_outside_operational: bool = False
     keeps_outputs: bool = True
     errors: tuple[StandingError, ...] = ()
     starts: bool = True
@@ -165,13 +167,19 @@ VARIANTS: Mapping[str, Variant] = {
     ),
     "no-error-behaviour": Variant("no 1029h: pre-operational in the error state", absent=frozenset({0x1029})),
     "canopennode": Variant(
-        "no 6206h, 6207h and 1029h: outputs hold in the error state (CANopenNode's example of CiA 401)",
+        "no 6206h, 6207h and 1029h: outputs go off in the error state (CANopenNode's example of CiA 401)",
         absent=_ERROR_MODES | {0x1029},
-        error_state="hold",
+        error_state="off",
     ),
     "deaf-error-mode": Variant("confirms writes of 6206h and 6207h, and ignores them", deaf=_ERROR_MODES),
-    "hidden-error-state": Variant(
-        "6200h shows the last command, not the outputs in the error state", shows_error_state=False
+    "shows-error-state": Variant(
+        "6200h shows the outputs in the error state, and keeps the last command for the start", shows_error_state=True
+    ),
+    "off-in-preoperational": Variant(
+        "no 6206h and 6207h: outputs are off in each state but operational",
+        absent=_ERROR_MODES,
+        error_state="off",
+        off_outside_operational=True,
     ),
     "resets-outputs": Variant("an NMT reset of communication switches the outputs off", keeps_outputs=False),
     "slow-answers": Variant("SDO answers take 0.6 s", answer_delay=0.6),

@@ -14,11 +14,12 @@ from drivers.simulation.variants import VARIANTS, Variant
 # Variants of boards that boot and obey each SYNC; HOLDING only if no output must go off when the master is lost.
 ORDINARY = (
     *("standard", "one-supervision", "outputs-in-rpdo5", "many-outputs", "fixed-mapping", "saves-writes"),
-    *("no-output-bit", "all-bits", "hidden-error-state", "resets-outputs"),
+    *("no-output-bit", "all-bits", "shows-error-state", "resets-outputs"),
     *("foreign-sync", "sync-counter", "sync-period", "masked-inputs"),
 )
 HOLDING = (
     *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
+    "off-in-preoperational",
 )
 UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object")  # cannot map dummy bytes, so no shared RPDO
 

@@ -43,12 +43,14 @@ class Case(NamedTuple):
 
 
 _CONTRACT, _HOLD, _OFF = {"on_loss": "contract"}, {"error_state": "hold"}, {"error_state": "off"}
+_DEVICE = {"error_state": "device"}
 _MAKER = {"nodes": (NodeSettings("can0", 5, object=0x2201, error_state="off"),)}
 _MAKER_UNKNOWN = {"nodes": (NodeSettings("can0", 5, object=0x2201),)}
 _NO_MODE = ("has no 6206h (error mode)", "set boards.error_state to off, hold or device")
 _NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); CiA 301 makes it enter pre-operational when the master is lost"
 _NO_BEHAVIOUR_REFUSED = ("has no 1029h sub 1 (error behaviour); 02h is needed", "on_loss: contract")
 _NO_VALUE_REFUSED = ("has no 6207h sub 1 (error value); 00h is needed", "on_loss: contract")
+_GOES_OFF = "by the arm's file (error_state) its outputs go off"
 
 IN_VAIN = "did not become operational within 8 s; it is pre-operational"  # which only a start can tell
 
@@ -87,15 +89,22 @@ CASES = (
     ),
     Case("no-error-mode", _NO_VALUE_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
     Case("no-error-mode-off", _NO_MODE),
-    Case("no-error-mode-off", (), ("by the arm's file (error_state) its outputs go off",), _OFF, "off"),
+    Case("no-error-mode-off", (), (_GOES_OFF,), _OFF, "off"),
+    Case("no-error-mode-off", (), (_GOES_OFF,), {**_OFF, **_CONTRACT}, "contract"),
+    Case("off-in-preoperational", _NO_MODE),
+    Case("off-in-preoperational", (), (_GOES_OFF,), _OFF, "off"),
+    Case("off-in-preoperational", (), ("do what the device is set to",), _DEVICE, "device"),
+    Case("off-in-preoperational", (), (_GOES_OFF,), {**_OFF, **_CONTRACT}, "contract"),
     Case("no-error-behaviour", warned=(_NO_BEHAVIOUR,)),
     Case("no-error-behaviour", _NO_BEHAVIOUR_REFUSED, options=_CONTRACT, label="contract"),
     Case("canopennode", _NO_MODE),
-    Case("canopennode", (), (_NO_BEHAVIOUR, "(error_state) its outputs hold"), _HOLD, "hold"),
-    Case("canopennode", _NO_BEHAVIOUR_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
+    Case("canopennode", (), (_NO_BEHAVIOUR, "do what the device is set to"), _DEVICE, "device"),
+    Case("canopennode", (), (_NO_BEHAVIOUR, _GOES_OFF), _OFF, "off"),
+    Case("canopennode", (), (_GOES_OFF,), {**_OFF, **_CONTRACT}, "contract"),
+    Case("canopennode", _NO_BEHAVIOUR_REFUSED, (), _CONTRACT, "undeclared"),
     Case("deaf-error-mode", ("has FFh in 6206h sub 1 (error mode) after FCh was written",)),
-    Case("hidden-error-state"),
-    Case("hidden-error-state", options=_CONTRACT, label="contract"),
+    Case("shows-error-state"),
+    Case("shows-error-state", options=_CONTRACT, label="contract"),
     Case("resets-outputs"),
     Case("slow-answers"),
     Case("late-boot"),
