@@ -81,7 +81,7 @@ class SimulatedBoard:
         self.silent = False
         self.ignored = 0
         self.started: list[tuple[int, int]] = []
-        self.emergencies = Emergencies(self.objects, self._send_emergency)
+        self.emergencies = Emergencies(self.objects, self._send_emergency, logs_ends=variant.logs_ends)
         self._bus = send
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
         self.lss = LssSlave(identity, node, self.send_message)

@@ -13,13 +13,14 @@ from drivers.simulation.variants import Variant
 
 # Abort codes (CiA 301, 7.2.4.3.17).
 _UNSUPPORTED, _WRITE_ONLY, _READ_ONLY = 0x0601_0000, 0x0601_0001, 0x0601_0002
-_NO_OBJECT, _NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
+_NO_SUB_INDEX, _NO_DATA = 0x0609_0011, 0x0800_0024
 _NOT_MAPPABLE, _TOO_LONG, _WRONG_LENGTH, _WRONG_VALUE = 0x0604_0041, 0x0604_0042, 0x0607_0010, 0x0609_0030
 _INCOMPATIBLE = 0x0604_0043
 
 _RPDOS, _RPDO_MAPS = range(0x1400, 0x1600), range(0x1600, 0x1800)
 _TPDOS, _TPDO_MAPS = range(0x1800, 0x1A00), range(0x1A00, 0x1C00)
 _MOST_BITS = 64  # of a PDO
+_HISTORY = 0x1003
 
 # The library logs each SDO, with a traceback if it is malformed, and anybody on the bus can send such frames.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
@@ -86,6 +87,8 @@ class Objects:
         self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
+        if index == _HISTORY and self.number(_HISTORY) < sub in self.subs(_HISTORY):
+            raise SdoAbortedError(_NO_DATA)
         if (index, sub) in self.shown:
             return self.shown[index, sub]().to_bytes(self._find(index, sub).size, "little")
         return self._value(index, sub)
@@ -112,7 +115,7 @@ class Objects:
         if index in self._variant.deaf:
             return
         self._values[index, sub] = bytes(data)
-        if self._variant.saves and index not in (0x1003, self._variant.output_object):
+        if self._variant.saves and index not in (_HISTORY, self._variant.output_object):
             self.flash_writes += 1
             self._stored[index, sub] = bytes(data)
         self._on_write(index, sub)
@@ -170,7 +173,7 @@ class Objects:
 
     def _find(self, index: int, sub: int) -> Object:
         if index not in self._described:
-            raise SdoAbortedError(_NO_OBJECT)
+            raise SdoAbortedError(self._variant.no_object)
         if sub not in self._described[index]:
             raise SdoAbortedError(_NO_SUB_INDEX)
         return self._described[index][sub]

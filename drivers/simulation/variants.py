@@ -48,6 +48,8 @@ class Variant:
         shows_error_state: whether an SDO read of 6200h shows the outputs in the error state, not the last command.
         off_outside_operational: whether the outputs are off in all NMT states but operational.
         keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
+        no_object: abort code of an SDO to an object that it does not have.
+        logs_ends: whether the end of an error is an entry of 1003h too.
         errors: standing errors.
         starts: whether it obeys the NMT command that makes it operational.
         answer_delay: delay of its SDO answers [s].
@@ -68,6 +70,8 @@ class Variant:
     shows_error_state: bool = False
     off_outside_operational: bool = False
     keeps_outputs: bool = True
+    no_object: int = 0x0602_0000
+    logs_ends: bool = False
     errors: tuple[StandingError, ...] = ()
     starts: bool = True
     answer_delay: float = 0.0
@@ -167,10 +171,14 @@ VARIANTS: Mapping[str, Variant] = {
     ),
     "no-error-behaviour": Variant("no 1029h: pre-operational in the error state", absent=frozenset({0x1029})),
     "canopennode": Variant(
-        "no 6206h, 6207h and 1029h: outputs go off in the error state (CANopenNode's example of CiA 401)",
+        "no 6206h, 6207h and 1029h: outputs go off in the error state, 1003h has the ends of errors (CANopenNode)",
         absent=_ERROR_MODES | {0x1029},
         error_state="off",
+        logs_ends=True,
     ),
+    "absent-unsupported": Variant("answers 06010000h for absent objects", no_object=0x0601_0000),
+    "absent-general": Variant("answers 08000000h for absent objects", no_object=0x0800_0000),
+    "logged-ends": Variant("1003h has the ends of errors too (CANopenNode)", logs_ends=True),
     "deaf-error-mode": Variant("confirms writes of 6206h and 6207h, and ignores them", deaf=_ERROR_MODES),
     "shows-error-state": Variant(
         "6200h shows the outputs in the error state, and keeps the last command for the start", shows_error_state=True

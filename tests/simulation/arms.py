@@ -15,6 +15,7 @@ from drivers.simulation.variants import VARIANTS, Variant
 ORDINARY = (
     *("standard", "one-supervision", "outputs-in-rpdo5", "many-outputs", "fixed-mapping", "saves-writes"),
     *("no-output-bit", "all-bits", "shows-error-state", "resets-outputs"),
+    *("absent-unsupported", "absent-general", "logged-ends"),
     *("foreign-sync", "sync-counter", "sync-period", "masked-inputs"),
 )
 HOLDING = (

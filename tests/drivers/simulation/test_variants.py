@@ -41,7 +41,8 @@ def test_each_variant_boots_when_its_time_has_come_and_answers_what_it_is(name):
     assert VARIANTS[name].text
     for index, subs in VARIANTS[name].objects.items():
         for sub in subs:
-            it.board.objects.get_data(index, sub)
+            if index != 0x1003:
+                it.board.objects.get_data(index, sub)
 
 
 def test_guarding_answers_with_a_toggle_bit_and_the_state():
@@ -185,6 +186,44 @@ def test_without_error_modes_the_device_decides(name, driven):
     assert (it.driven(), it.board.state) == (driven, State.PRE_OPERATIONAL)
     it.nmt(Command.START)
     assert it.driven() == [1, 1], "a start applies 6200h"
+
+
+@pytest.mark.parametrize(
+    ("name", "abort"),
+    [("standard", NO_OBJECT), ("absent-unsupported", "00 00 01 06"), ("absent-general", "00 00 00 08")],
+)
+def test_the_answer_for_an_absent_object(name, abort):
+    it = bench(name)
+    assert it.sdo("40 19 10 00") == "80 19 10 00 " + abort
+    assert it.sdo("2f 19 10 00 00") == "80 19 10 00 " + abort
+    assert it.sdo("40 00 62 09") == "80 00 62 09 11 00 09 06"
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "over"),
+    [
+        ("standard", ["30 81 00 00"], ["30 81 00 00"]),
+        ("logged-ends", ["30 81 00 1b"], ["00 00 00 1b", "30 81 00 1b"]),
+        ("canopennode", ["30 81 00 1b"], ["00 00 00 1b", "30 81 00 1b"]),
+    ],
+)
+def test_the_history_after_the_loss_of_the_master_and_its_return(name, lost, over):
+    it = bench(name)
+    assert history(it) == []
+    lose_master(it)
+    assert history(it) == lost
+    assert it.say(0x77F, "05") == [OVER]
+    assert history(it) == over
+    assert it.write(0x1003, 0, 0) == 0
+    assert history(it) == []
+
+
+def history(it: Bench) -> list[str]:
+    """The entries of 1003h as on the wire; those above their count answer that there are no data."""
+    count = int(it.sdo("40 03 10 00").split()[4], 16)
+    for sub in range(count + 1, 9):
+        assert it.sdo(f"40 03 10 {sub:02x}") == f"80 03 10 {sub:02x} 24 00 00 08"
+    return [it.sdo(f"40 03 10 {sub:02x}")[12:] for sub in range(1, count + 1)]
 
 
 def test_without_error_behaviour_it_goes_pre_operational():
