@@ -23,7 +23,7 @@ from drivers.simulation.supervision import Supervision
 from drivers.simulation.variants import STANDARD, Variant
 
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
-_INPUTS = 0x6000
+_EMERGENCY, _INPUTS = 0x1014, 0x6000
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
 _MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code for more
 _MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
@@ -125,6 +125,10 @@ class SimulatedBoard:
         """Whether the board has its supply."""
         return self.state is not None or self._boots_at < math.inf
 
+    def lose_tpdo(self) -> None:
+        """Keeps its next TPDO from the bus."""
+        self._pdos.losing += 1
+
     @property
     def pins(self) -> int:
         """Levels of the output pins, which the coils see; bit k is output k."""
@@ -135,7 +139,7 @@ class SimulatedBoard:
         """Time when `step` must be called at the latest [s]."""
         answer = self._requests[0][0] if self._requests else math.inf
         actuators = min((wired.actuator.due for wired in self.wired), default=math.inf)
-        return min(self._boots_at, answer, self._supervision.due, self._pdos.sync_due, actuators)
+        return min(self._boots_at, answer, self._supervision.due, self._pdos.due, actuators)
 
     def step(self, now: float) -> None:
         """Advances to `now` [s]: moves actuators, sends and checks heartbeats, answers delayed requests."""
@@ -153,6 +157,7 @@ class SimulatedBoard:
         if now >= self._pdos.sync_due:
             self._pdos.forget()
             self._fall(_SYNC_LOST)
+        self._pdos.repeat(now)
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
         """Takes a frame with an 11 bit identifier from the bus; `now` in [s]."""
@@ -171,7 +176,7 @@ class SimulatedBoard:
             self.lss.receive(data)
         elif cob_id & ~0x7F in (cia301.HEARTBEAT, cia301.HEARTBEAT | cia301.REMOTE):
             self._supervision.hear(cob_id, data, now, self.state)
-        elif self.state is State.OPERATIONAL and self._pdos.receive(cob_id, data):
+        elif self.state is State.OPERATIONAL and self._pdos.receive(cob_id, data, now):
             self._drive()
 
     def _forget(self) -> None:
@@ -260,10 +265,11 @@ class SimulatedBoard:
         self._drive()
         if state is State.OPERATIONAL:
             self.emergencies.recover(_SYNC_LOST)
-            self._pdos.publish()
+            self._pdos.start(self._now)
 
     def _hear_master(self) -> None:
-        self.emergencies.recover(_MASTER_LOST)
+        if not self.variant.keeps_loss:
+            self.emergencies.recover(_MASTER_LOST)
 
     def _lose_master(self) -> None:
         self._fall(_MASTER_LOST)
@@ -296,7 +302,7 @@ class SimulatedBoard:
         for sub in changed:
             self.objects.put(_INPUTS, sub, self._inputs >> 8 * (sub - 1) & 0xFF)
         if self.state is State.OPERATIONAL:
-            self._pdos.publish(changed)
+            self._pdos.publish(changed, self._now)
 
     def _sense(self) -> int:
         inputs = sum(level << bit for bit, level in self.contacts.items())
@@ -308,8 +314,9 @@ class SimulatedBoard:
         return inputs
 
     def _send_emergency(self, data: bytes) -> None:
-        if self.state is not State.STOPPED:
-            self.send_message(cia301.EMERGENCY + self.node, data)
+        cob_id = self.objects.number(_EMERGENCY)
+        if self.state is not State.STOPPED and not cob_id & cia301.INVALID:
+            self.send_message(cob_id & 0x7FF, data)
 
     def _written(self, index: int, sub: int) -> None:
         if index in _PDO_PARAMETERS:

@@ -20,7 +20,8 @@ _INCOMPATIBLE = 0x0604_0043
 _RPDOS, _RPDO_MAPS = range(0x1400, 0x1600), range(0x1600, 0x1800)
 _TPDOS, _TPDO_MAPS = range(0x1800, 0x1A00), range(0x1A00, 0x1C00)
 _MOST_BITS = 64  # of a PDO
-_HISTORY = 0x1003
+_HISTORY, _CONSUMER = 0x1003, 0x1016
+_TIMES = (0x100C, _CONSUMER, 0x1017)  # their low words are times [ms]
 
 # The library logs each SDO, with a traceback if it is malformed, and anybody on the bus can send such frames.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
@@ -112,9 +113,13 @@ class Objects:
             self._check_mapping(index, sub, value)
         elif self._variant.one_supervision:
             self._check_supervision(index, value)
+        elif index == _CONSUMER:
+            self._check_consumer(sub, value)
         if index in self._variant.deaf:
             return
-        self._values[index, sub] = bytes(data)
+        if index in _TIMES:
+            value -= (value & 0xFFFF) % self._variant.time_step
+        self._values[index, sub] = value.to_bytes(entry.size, "little")
         if self._variant.saves and index not in (_HISTORY, self._variant.output_object):
             self.flash_writes += 1
             self._stored[index, sub] = bytes(data)
@@ -160,6 +165,12 @@ class Objects:
         guarding, heartbeat = self.number(0x100C) * self.number(0x100D), self.number(0x1017)
         others = {0x1017: guarding, 0x100C: heartbeat, 0x100D: heartbeat}
         if value and others.get(index):
+            raise SdoAbortedError(_INCOMPATIBLE)
+
+    def _check_consumer(self, sub: int, value: int) -> None:
+        """Refuses a second heartbeat time for one node (CiA 301, 7.5.2.19)."""
+        others = (self.number(_CONSUMER, other) for other in self.subs(_CONSUMER) if other != sub)
+        if value & 0xFFFF and any(other & 0xFFFF and (other ^ value) >> 16 & 0x7F == 0 for other in others):
             raise SdoAbortedError(_INCOMPATIBLE)
 
     def _value(self, index: int, sub: int) -> bytes:
