@@ -25,12 +25,8 @@ HOLDING = (
     *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
     "off-in-preoperational",
 )
-UNSHARED = (
-    "fixed-mapping",
-    "outputs-in-rpdo5",
-    "maker-object",
-    "short-mapping",
-)  # cannot map 8 bytes with dummies, so no shared RPDO
+# They cannot map 8 bytes with dummies, so that the arm has no shared RPDO.
+UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object", "short-mapping")
 
 
 def draw_arm(random: Random) -> ExecutedArm:
