@@ -145,7 +145,7 @@ VARIANTS: Mapping[str, Variant] = {
     "rounded-heartbeats": Variant("heartbeat times are rounded down to 10 ms", time_step=10),
     "watched-already": Variant(
         "1016h sub 2 watches node 127 already, and no other sub-index may (CiA 301)",
-        changes=array(0x1016, [0, 127 << 16 | 500], size=4),
+        changes=array(0x1016, [0, 127 << 16 | 5000], size=4),
     ),
     "one-supervision": Variant(
         "guarding or heartbeats, not both at once; guarding as delivered (ifm)",
