@@ -141,6 +141,10 @@ class SimulatedBuses:
         """Connects a board to the bus again."""
         self.board(board).silent = False
 
+    def lose_tpdo(self, board: str) -> None:
+        """Loses the next TPDO of a board."""
+        self.board(board).lose_tpdo()
+
     def power_cut(self, board: str) -> None:
         """Cuts the supply of a board; springs return its actuators."""
         it = self.board(board)

@@ -12,6 +12,7 @@ _GENERIC = 0x01
 _GROUPS = {2: 0x02, 3: 0x04, 4: 0x08, 8: 0x10}  # bits of 1001h by first digit: current, voltage, temperature, CAN
 _MAKER, _MAKER_BIT = 0xFF, 0x80
 _HISTORY = range(1, 9)  # entries of 1003h
+_ERROR_NUMBERS = {0x8130: 0x1B}  # CANopenNode's number of an error, in the highest byte of the entry
 
 
 class Emergencies:
@@ -20,9 +21,11 @@ class Emergencies:
     Args:
         objects: object dictionary with 1001h and 1003h.
         send: takes the 8 bytes of an emergency.
+        logs_ends: whether the end of an error is an entry of 1003h too, with the error code 0000h.
     """
 
-    def __init__(self, objects: Objects, send: Callable[[bytes], None]) -> None:
+    def __init__(self, objects: Objects, send: Callable[[bytes], None], *, logs_ends: bool) -> None:
+        self._logs_ends = logs_ends
         self._objects = objects
         self._send = send
         self._present: dict[int, int] = {}  # bits of 1001h by code
@@ -48,6 +51,8 @@ class Emergencies:
         if code in self._present:
             del self._present[code]
             self._set_register()
+            if self._logs_ends:
+                self._log(_ERROR_NUMBERS.get(code, 0) << 24)
             self._tell(0)
 
     def clear_history(self) -> None:
@@ -57,11 +62,14 @@ class Emergencies:
 
     def _note(self, code: int, register: int) -> None:
         self._present[code] = register
-        history = [code, *(self._objects.number(0x1003, sub) for sub in _HISTORY[:-1])]
+        self._log((_ERROR_NUMBERS.get(code, 0) << 24 | code) if self._logs_ends else code)
+        self._set_register()
+
+    def _log(self, newest: int) -> None:
+        history = [newest, *(self._objects.number(0x1003, sub) for sub in _HISTORY[:-1])]
         for sub, entry in zip(_HISTORY, history, strict=True):
             self._objects.put(0x1003, sub, entry)
-        self._objects.put(0x1003, 0, sum(entry != 0 for entry in history))
-        self._set_register()
+        self._objects.put(0x1003, 0, min(self._objects.number(0x1003) + 1, len(_HISTORY)))
 
     def _set_register(self) -> int:
         register = 0

@@ -7,10 +7,11 @@ from drivers.simulation.buses import SimulatedBuses
 HELP = """\
 Faults on demand, a line each: stick 5.left 1 | jam 5.left | jam 5.left 0.5 | release 5.left | slow 5.left 4 |
 lose_sensor 5.left | cut_wires 5.left | short_wires 5.left | restore_sensor 5.left | silence can0/5 | unsilence can0/5 |
-power_cut can0/5 | power_on can0/5 | error can0/5 2320 | error_over can0/5 2320 | open door | close door"""
+lose_tpdo can0/5 | power_cut can0/5 | power_on can0/5 | error can0/5 2320 | error_over can0/5 2320 |
+open door | close door"""
 
 _ACTUATOR = ("jam", "release", "lose_sensor", "cut_wires", "short_wires", "restore_sensor")
-_OTHERS = ("silence", "unsilence", "power_cut", "power_on", "open", "close")
+_OTHERS = ("silence", "unsilence", "lose_tpdo", "power_cut", "power_on", "open", "close")
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:

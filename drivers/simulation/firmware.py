@@ -23,7 +23,7 @@ from drivers.simulation.supervision import Supervision
 from drivers.simulation.variants import STANDARD, Variant
 
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
-_INPUTS = 0x6000
+_EMERGENCY, _INPUTS = 0x1014, 0x6000
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
 _MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code for more
 _MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
@@ -65,6 +65,7 @@ class SimulatedBoard:
         contacts: levels of inputs other than end-stops, by bit; changes take effect at the next `step`.
         silent: whether it is disconnected from the bus.
         ignored: number of frames that were not understood.
+        started: levels of the pins before and after each START that made it operational.
         lss: LSS slave with the node id.
     """
 
@@ -79,7 +80,8 @@ class SimulatedBoard:
         self.contacts: dict[int, int] = {}
         self.silent = False
         self.ignored = 0
-        self.emergencies = Emergencies(self.objects, self._send_emergency)
+        self.started: list[tuple[int, int]] = []
+        self.emergencies = Emergencies(self.objects, self._send_emergency, logs_ends=variant.logs_ends)
         self._bus = send
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
         self.lss = LssSlave(identity, node, self.send_message)
@@ -123,12 +125,21 @@ class SimulatedBoard:
         """Whether the board has its supply."""
         return self.state is not None or self._boots_at < math.inf
 
+    def lose_tpdo(self) -> None:
+        """Keeps its next TPDO from the bus."""
+        self._pdos.losing += 1
+
+    @property
+    def pins(self) -> int:
+        """Levels of the output pins, which the coils see; bit k is output k."""
+        return self._outputs.pins(self.state) if self.powered else 0
+
     @property
     def timer(self) -> float:
         """Time when `step` must be called at the latest [s]."""
         answer = self._requests[0][0] if self._requests else math.inf
         actuators = min((wired.actuator.due for wired in self.wired), default=math.inf)
-        return min(self._boots_at, answer, self._supervision.due, self._pdos.sync_due, actuators)
+        return min(self._boots_at, answer, self._supervision.due, self._pdos.due, actuators)
 
     def step(self, now: float) -> None:
         """Advances to `now` [s]: moves actuators, sends and checks heartbeats, answers delayed requests."""
@@ -146,6 +157,7 @@ class SimulatedBoard:
         if now >= self._pdos.sync_due:
             self._pdos.forget()
             self._fall(_SYNC_LOST)
+        self._pdos.repeat(now)
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
         """Takes a frame with an 11 bit identifier from the bus; `now` in [s]."""
@@ -164,7 +176,7 @@ class SimulatedBoard:
             self.lss.receive(data)
         elif cob_id & ~0x7F in (cia301.HEARTBEAT, cia301.HEARTBEAT | cia301.REMOTE):
             self._supervision.hear(cob_id, data, now, self.state)
-        elif self.state is State.OPERATIONAL and self._pdos.receive(cob_id, data):
+        elif self.state is State.OPERATIONAL and self._pdos.receive(cob_id, data, now):
             self._drive()
 
     def _forget(self) -> None:
@@ -182,7 +194,7 @@ class SimulatedBoard:
         self._forget()
         self.state = None
         self.objects.reset()
-        self._outputs.reset()
+        self._outputs.recover()
         self._boots_at = self._now + self.variant.boot_time
         self._drive()
         if self._boots_at <= self._now:
@@ -235,42 +247,45 @@ class SimulatedBoard:
         elif order == Command.RESET_COMMUNICATION:
             if not self.variant.keeps_outputs:
                 self.objects.reset(self.variant.output_object, self.variant.output_object)
-                self._outputs.reset()
+                self._outputs.recover()
             self._boot(0x1000, 0x1FFF)
         else:
             self.ignored += 1
 
     def _enter(self, state: State) -> None:
-        if state is not self.state:
-            self.state = state
-            self._pdos.forget()
-            if state is State.STOPPED:
-                self._fail_safe()
-            if state is State.OPERATIONAL:
-                self.emergencies.recover(_SYNC_LOST)
-                self._pdos.publish()
+        if state is self.state:
+            return
+        before, self.state = self.pins, state
+        self._pdos.forget()
+        if state is State.STOPPED:
+            self._outputs.fail_safe()
+        if state is State.OPERATIONAL:
+            self._outputs.recover()
+            self.started.append((before, self.pins))
+        self._drive()
+        if state is State.OPERATIONAL:
+            self.emergencies.recover(_SYNC_LOST)
+            self._pdos.start(self._now)
 
     def _hear_master(self) -> None:
-        self.emergencies.recover(_MASTER_LOST)
+        if not self.variant.keeps_loss:
+            self.emergencies.recover(_MASTER_LOST)
 
     def _lose_master(self) -> None:
         self._fall(_MASTER_LOST)
 
     def _fall(self, code: int) -> None:
-        """Applies the error mode, and enters the NMT state that 1029h gives."""
+        """Begins the error state, and enters the NMT state that 1029h gives."""
         self.emergencies.report(code)
-        self._fail_safe()
+        self._outputs.fail_safe()
+        self._drive()
         if (behaviour := self.objects.number(0x1029, 1)) == 0 and self.state is State.OPERATIONAL:
             self._enter(State.PRE_OPERATIONAL)
         elif behaviour == 2:
             self._enter(State.STOPPED)
 
-    def _fail_safe(self) -> None:
-        self._outputs.fail_safe()
-        self._drive()
-
     def _drive(self) -> None:
-        levels = self._outputs.levels if self.powered else 0
+        levels = self.pins
         for actuator, output, _, output_off, _, inverted in self.wired:
             on, off = levels >> output & 1, 0
             if output_off is not None:
@@ -287,7 +302,7 @@ class SimulatedBoard:
         for sub in changed:
             self.objects.put(_INPUTS, sub, self._inputs >> 8 * (sub - 1) & 0xFF)
         if self.state is State.OPERATIONAL:
-            self._pdos.publish(changed)
+            self._pdos.publish(changed, self._now)
 
     def _sense(self) -> int:
         inputs = sum(level << bit for bit, level in self.contacts.items())
@@ -299,15 +314,16 @@ class SimulatedBoard:
         return inputs
 
     def _send_emergency(self, data: bytes) -> None:
-        if self.state is not State.STOPPED:
-            self.send_message(cia301.EMERGENCY + self.node, data)
+        cob_id = self.objects.number(_EMERGENCY)
+        if self.state is not State.STOPPED and not cob_id & cia301.INVALID:
+            self.send_message(cob_id & 0x7FF, data)
 
     def _written(self, index: int, sub: int) -> None:
         if index in _PDO_PARAMETERS:
             self._pdos.configure()
         elif index == 0x1003:
             self.emergencies.clear_history()
-        elif self._outputs.written(index):
+        elif self._outputs.written(index, sub):
             self._drive()
         else:
             self._supervision.written(index, self._now)

@@ -13,13 +13,15 @@ from drivers.simulation.variants import Variant
 
 # Abort codes (CiA 301, 7.2.4.3.17).
 _UNSUPPORTED, _WRITE_ONLY, _READ_ONLY = 0x0601_0000, 0x0601_0001, 0x0601_0002
-_NO_OBJECT, _NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
+_NO_SUB_INDEX, _NO_DATA = 0x0609_0011, 0x0800_0024
 _NOT_MAPPABLE, _TOO_LONG, _WRONG_LENGTH, _WRONG_VALUE = 0x0604_0041, 0x0604_0042, 0x0607_0010, 0x0609_0030
 _INCOMPATIBLE = 0x0604_0043
 
 _RPDOS, _RPDO_MAPS = range(0x1400, 0x1600), range(0x1600, 0x1800)
 _TPDOS, _TPDO_MAPS = range(0x1800, 0x1A00), range(0x1A00, 0x1C00)
 _MOST_BITS = 64  # of a PDO
+_HISTORY, _CONSUMER = 0x1003, 0x1016
+_TIMES = (0x100C, _CONSUMER, 0x1017)  # their low words are times [ms]
 
 # The library logs each SDO, with a traceback if it is malformed, and anybody on the bus can send such frames.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
@@ -35,6 +37,7 @@ class Objects:
 
     Attributes:
         refused: abort codes of objects that refuse every SDO, by index and sub-index.
+        shown: functions whose number an SDO upload returns in place of the value, by index and sub-index.
         node: node id.
         flash_writes: number of writes to the flash memory.
     """
@@ -43,6 +46,7 @@ class Objects:
 
     def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
         self.refused: dict[tuple[int, int], int] = {}
+        self.shown: dict[tuple[int, int], Callable[[], int]] = {}
         self.flash_writes = 0
         self.node = node
         self._variant = variant
@@ -84,6 +88,10 @@ class Objects:
         self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
+        if index == _HISTORY and self.number(_HISTORY) < sub in self.subs(_HISTORY):
+            raise SdoAbortedError(_NO_DATA)
+        if (index, sub) in self.shown:
+            return self.shown[index, sub]().to_bytes(self._find(index, sub).size, "little")
         return self._value(index, sub)
 
     def set_data(self, index: int, sub: int, data: bytes, check_writable: bool = False) -> None:
@@ -105,10 +113,14 @@ class Objects:
             self._check_mapping(index, sub, value)
         elif self._variant.one_supervision:
             self._check_supervision(index, value)
+        elif index == _CONSUMER:
+            self._check_consumer(sub, value)
         if index in self._variant.deaf:
             return
-        self._values[index, sub] = bytes(data)
-        if self._variant.saves and index not in (0x1003, self._variant.output_object):
+        if index in _TIMES:
+            value -= (value & 0xFFFF) % self._variant.time_step
+        self._values[index, sub] = value.to_bytes(entry.size, "little")
+        if self._variant.saves and index not in (_HISTORY, self._variant.output_object):
             self.flash_writes += 1
             self._stored[index, sub] = bytes(data)
         self._on_write(index, sub)
@@ -155,6 +167,12 @@ class Objects:
         if value and others.get(index):
             raise SdoAbortedError(_INCOMPATIBLE)
 
+    def _check_consumer(self, sub: int, value: int) -> None:
+        """Refuses a second heartbeat time for one node (CiA 301, 7.5.2.19)."""
+        others = (self.number(_CONSUMER, other) for other in self.subs(_CONSUMER) if other != sub)
+        if value & 0xFFFF and any(other & 0xFFFF and (other ^ value) >> 16 & 0x7F == 0 for other in others):
+            raise SdoAbortedError(_INCOMPATIBLE)
+
     def _value(self, index: int, sub: int) -> bytes:
         for values in (self._values, self._stored):
             if (index, sub) in values:
@@ -166,7 +184,7 @@ class Objects:
 
     def _find(self, index: int, sub: int) -> Object:
         if index not in self._described:
-            raise SdoAbortedError(_NO_OBJECT)
+            raise SdoAbortedError(self._variant.no_object)
         if sub not in self._described[index]:
             raise SdoAbortedError(_NO_SUB_INDEX)
         return self._described[index][sub]

@@ -22,6 +22,7 @@ class _Pdo:
     index: int
     cob_id: int
     synchronous: bool
+    period: float  # event timer of a TPDO [s]; 0: none
     entries: list[tuple[int, int, int]]  # index, sub-index, bits
 
     @property
@@ -40,12 +41,16 @@ class Pdos:
 
     Attributes:
         sync_due: latest time of the next SYNC [s]; infinity if none is expected.
+        losing: number of the next TPDOs that do not reach the bus.
     """
 
     def __init__(
         self, objects: Objects, outputs: Outputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
     ) -> None:
         self.sync_due = math.inf
+        self.losing = 0
+        self._window_ends = math.inf  # time after which synchronous RPDOs come too late [s]
+        self._sent_at: dict[int, float] = {}  # last time of each TPDO since the start, by its index [s]
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send
         self._latched: dict[int, bytes] = {}  # data that the next SYNC applies, by index of the RPDO
         self._received = [index for index in _RPDOS if objects.has(index)]
@@ -58,12 +63,21 @@ class Pdos:
         self._tpdos = self._pdos(self._sent)
 
     def forget(self) -> None:
-        """Drops latched data, and expects no SYNC."""
+        """Drops latched data, expects no SYNC, and sends no TPDO by its event timer."""
         self._latched.clear()
-        self.sync_due = math.inf
+        self._sent_at.clear()
+        self.sync_due = self._window_ends = math.inf
 
-    def receive(self, cob_id: int, data: bytes) -> bool:
-        """Takes the frame of an RPDO; returns whether outputs may have changed."""
+    @property
+    def due(self) -> float:
+        """Time when a SYNC is missing or an event timer ends [s]."""
+        return min([self.sync_due, *(self._event_due(pdo) for pdo in self._tpdos)])
+
+    def receive(self, cob_id: int, data: bytes, now: float) -> bool:
+        """Takes the frame of an RPDO; returns whether outputs may have changed.
+
+        A synchronous RPDO after the synchronous window, 1007h, of the last SYNC is dropped.
+        """
         changed = False
         for pdo in self._rpdos:
             if pdo.cob_id != cob_id:
@@ -77,7 +91,8 @@ class Pdos:
                 self._emergencies.recover(_TOO_SHORT)
                 self._emergencies.recover(_TOO_LONG)
             if pdo.synchronous:
-                self._latched[pdo.index] = data
+                if now <= self._window_ends:
+                    self._latched[pdo.index] = data
             else:
                 self._outputs.take(pdo.entries, data)
                 changed = True
@@ -87,6 +102,8 @@ class Pdos:
         """Applies a SYNC; returns whether outputs may have changed."""
         period = self._objects.number(0x1006) / 1e6
         self.sync_due = now + _SYNC_TOLERANCE * period if period else math.inf
+        window = self._objects.number(0x1007) / 1e6
+        self._window_ends = now + window if window else math.inf
         if len(data) != (self._objects.number(0x1019) != 0):  # with a counter, a SYNC has one byte
             self._emergencies.report(_SYNC_LENGTH)
             return False
@@ -98,20 +115,36 @@ class Pdos:
         self._latched.clear()
         return changed
 
-    def publish(self, changed: Mapping[int, int] | None = None) -> None:
-        """Sends TPDOs.
-
-        Args:
-            changed: changed bits of 6000h by sub-index; sends the TPDOs that carry them. None: sends all TPDOs.
-        """
-        if not self._objects.number(0x6005):
-            return
+    def start(self, now: float) -> None:
+        """Sends all TPDOs unless 6005h masks the inputs, and starts their event timers."""
         for pdo in self._tpdos:
-            if changed is None or self._wakes(pdo, changed):
-                values = (
-                    self._objects.number(index, sub).to_bytes(bits // 8, "little") for index, sub, bits in pdo.entries
-                )
-                self._send(pdo.cob_id, b"".join(values))
+            self._sent_at[pdo.index] = now
+            if self._objects.number(0x6005):
+                self._transmit(pdo, now)
+
+    def publish(self, changed: Mapping[int, int], now: float) -> None:
+        """Sends the TPDOs that carry changed bits of 6000h, which are given by sub-index."""
+        if self._objects.number(0x6005):
+            for pdo in self._tpdos:
+                if self._wakes(pdo, changed):
+                    self._transmit(pdo, now)
+
+    def repeat(self, now: float) -> None:
+        """Sends the TPDOs whose event timers have ended."""
+        for pdo in self._tpdos:
+            if now >= self._event_due(pdo):
+                self._transmit(pdo, now)
+
+    def _event_due(self, pdo: _Pdo) -> float:
+        return self._sent_at.get(pdo.index, math.inf) + pdo.period if pdo.period else math.inf
+
+    def _transmit(self, pdo: _Pdo, now: float) -> None:
+        self._sent_at[pdo.index] = now
+        if self.losing:
+            self.losing -= 1
+            return
+        values = (self._objects.number(index, sub).to_bytes(bits // 8, "little") for index, sub, bits in pdo.entries)
+        self._send(pdo.cob_id, b"".join(values))
 
     def _wakes(self, pdo: _Pdo, changed: Mapping[int, int]) -> bool:
         """Returns whether a TPDO carries a changed input that 6006h does not mask."""
@@ -125,5 +158,6 @@ class Pdos:
             cob_id = self._objects.number(index, 1)
             if not cob_id & cia301.INVALID:
                 synchronous = self._objects.number(index, 2) <= _LAST_SYNCHRONOUS
-                pdos.append(_Pdo(index, cob_id & 0x7FF, synchronous, self._objects.mapping(index)))
+                period = self._objects.number(index, 5) / 1000
+                pdos.append(_Pdo(index, cob_id & 0x7FF, synchronous, period, self._objects.mapping(index)))
         return pdos

@@ -45,8 +45,13 @@ class Variant:
         one_supervision: whether it allows only one of node guarding and heartbeats.
         saves: whether each SDO write goes to the flash memory.
         error_state: outputs in the error state: as 6206h and 6207h say, hold, or off.
-        shows_error_state: whether 6200h shows the outputs in the error state, not the last command.
+        shows_error_state: whether an SDO read of 6200h shows the outputs in the error state, not the last command.
+        off_outside_operational: whether the outputs are off in all NMT states but operational.
+        time_step: times of heartbeats and guarding are rounded down to multiples of it [ms].
+        keeps_loss: whether the loss of the master stands until a reset, without an emergency 0000h.
         keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
+        no_object: abort code of an SDO to an object that it does not have.
+        logs_ends: whether the end of an error is an entry of 1003h too.
         errors: standing errors.
         starts: whether it obeys the NMT command that makes it operational.
         answer_delay: delay of its SDO answers [s].
@@ -64,8 +69,13 @@ class Variant:
     one_supervision: bool = False
     saves: bool = False
     error_state: Literal["modes", "hold", "off"] = "modes"
-    shows_error_state: bool = True
+    shows_error_state: bool = False
+    off_outside_operational: bool = False
+    time_step: int = 1
+    keeps_loss: bool = False
     keeps_outputs: bool = True
+    no_object: int = 0x0602_0000
+    logs_ends: bool = False
     errors: tuple[StandingError, ...] = ()
     starts: bool = True
     answer_delay: float = 0.0
@@ -96,6 +106,14 @@ _ANALOG = {  # RPDO2 to 4 and TPDO2 to 4 of couplers with analog modules (CiA 40
     **pdo(0x1402, 0x400, _entries(0x6411, 5, 4, 16), fixed=True),
     **pdo(0x1403, 0x500, _entries(0x6411, 9, 4, 16), fixed=True),
 }
+_SHORT = {
+    key: entry
+    for key, entry in {
+        **pdo(0x1400, 0x200, _entries(0x6200, 1, 4)),
+        **pdo(0x1800, _NO_REMOTE | 0x180, _entries(0x6000, 1, 4)),
+    }.items()
+    if key[1] <= 4 or key[0] in (0x1400, 0x1800)
+}
 _SIXTEEN_BYTES = {
     **array(0x6000, [0] * 16, writable=False, mappable=True),
     **array(0x6200, [0] * 16, mappable=True),
@@ -112,6 +130,22 @@ VARIANTS: Mapping[str, Variant] = {
         "node guarding with life time, no heartbeats (Buerkert 8640)",
         absent=frozenset({0x1016, 0x1017, 0x1029}),
         changes=_GUARDING,
+    ),
+    "guarding-with-1029h": Variant(
+        "node guarding, no heartbeats, and 1029h: stopped boards only answer remote frames",
+        absent=frozenset({0x1016, 0x1017}),
+        changes=_GUARDING,
+    ),
+    "rounded-guarding": Variant(
+        "node guarding, no heartbeats; the guard time is rounded down to 10 ms",
+        absent=frozenset({0x1016, 0x1017, 0x1029}),
+        changes=_GUARDING,
+        time_step=10,
+    ),
+    "rounded-heartbeats": Variant("heartbeat times are rounded down to 10 ms", time_step=10),
+    "watched-already": Variant(
+        "1016h sub 2 watches node 127 already, and no other sub-index may (CiA 301)",
+        changes=array(0x1016, [0, 127 << 16 | 5000], size=4),
     ),
     "one-supervision": Variant(
         "guarding or heartbeats, not both at once; guarding as delivered (ifm)",
@@ -140,11 +174,14 @@ VARIANTS: Mapping[str, Variant] = {
         },
     ),
     "fixed-mapping": Variant("mappings are read-only", read_only=_MAPPINGS),
+    "short-mapping": Variant("mappings have 4 entries, not 8", changes=_SHORT),
     "no-sync": Variant("refuses synchronous transmission types: outputs follow each RPDO at once", synchronous=False),
     "saves-writes": Variant("each SDO write goes to the flash memory (ifm)", saves=True),
     "no-output-bit": Variant(
         "1000h without the bit of digital outputs (Beckhoff with special terminals)", changes=_device_type(0x0000_0191)
     ),
+    "no-device-type": Variant("1000h is 0, though 6200h is there", changes=_device_type(0)),
+    "many-profiles": Variant("1000h is 0000FFFFh: several profiles, 6200h is there", changes=_device_type(0xFFFF)),
     "all-bits": Variant("1000h with all bits (Festo CPX, ifm)", changes=_device_type(0x000F_0191)),
     "maker-object": Variant(
         "outputs in 2201h of the maker, no objects of CiA 401 but inputs",
@@ -165,13 +202,23 @@ VARIANTS: Mapping[str, Variant] = {
     ),
     "no-error-behaviour": Variant("no 1029h: pre-operational in the error state", absent=frozenset({0x1029})),
     "canopennode": Variant(
-        "no 6206h, 6207h and 1029h: outputs hold in the error state (CANopenNode's example of CiA 401)",
+        "no 6206h, 6207h and 1029h: outputs go off in the error state, 1003h has the ends of errors (CANopenNode)",
         absent=_ERROR_MODES | {0x1029},
-        error_state="hold",
+        error_state="off",
+        logs_ends=True,
     ),
+    "absent-unsupported": Variant("answers 06010000h for absent objects", no_object=0x0601_0000),
+    "absent-general": Variant("answers 08000000h for absent objects", no_object=0x0800_0000),
+    "logged-ends": Variant("1003h has the ends of errors too (CANopenNode)", logs_ends=True),
     "deaf-error-mode": Variant("confirms writes of 6206h and 6207h, and ignores them", deaf=_ERROR_MODES),
-    "hidden-error-state": Variant(
-        "6200h shows the last command, not the outputs in the error state", shows_error_state=False
+    "shows-error-state": Variant(
+        "6200h shows the outputs in the error state, and keeps the last command for the start", shows_error_state=True
+    ),
+    "off-in-preoperational": Variant(
+        "no 6206h and 6207h: outputs are off in each state but operational",
+        absent=_ERROR_MODES,
+        error_state="off",
+        off_outside_operational=True,
     ),
     "resets-outputs": Variant("an NMT reset of communication switches the outputs off", keeps_outputs=False),
     "slow-answers": Variant("SDO answers take 0.6 s", answer_delay=0.6),
@@ -183,6 +230,17 @@ VARIANTS: Mapping[str, Variant] = {
     "sync-period": Variant(
         "a SYNC period is stored: 1006h = 100 ms; if SYNCs stop, that is an error state (CANopenNode)",
         stored={(0x1006, 0): 100_000},
+    ),
+    "sync-window": Variant(
+        "a synchronous window is stored, 1007h = 10 ms; RPDOs later after a SYNC are dropped",
+        changes={(0x1007, 0): number(4)},
+        stored={(0x1007, 0): 10_000},
+    ),
+    "no-emergencies": Variant(
+        "1014h is disabled: no emergencies", changes={(0x1014, 0): number(4, _DISABLED | 0x80, relative=True)}
+    ),
+    "kept-loss": Variant(
+        "1001h = 11h stands after the loss of the master, also when its heartbeats return (Lely)", keeps_loss=True
     ),
     "inverted-outputs": Variant(
         "an inverted polarity is stored: 6202h = FFh", stored={(0x6202, sub): 0xFF for sub in range(1, 9)}

@@ -12,15 +12,21 @@ from drivers.simulation.buses import board_names
 from drivers.simulation.variants import VARIANTS, Variant
 
 # Variants of boards that boot and obey each SYNC; HOLDING only if no output must go off when the master is lost.
+# rounded-guarding is left out: its life time is 40 ms where the arm's time-out is 70 ms.
 ORDINARY = (
     *("standard", "one-supervision", "outputs-in-rpdo5", "many-outputs", "fixed-mapping", "saves-writes"),
-    *("no-output-bit", "all-bits", "hidden-error-state", "resets-outputs"),
+    *("no-output-bit", "all-bits", "shows-error-state", "resets-outputs"),
+    *("absent-unsupported", "absent-general", "logged-ends", "kept-loss", "no-emergencies", "sync-window"),
+    *("guarding-with-1029h", "rounded-heartbeats", "watched-already", "no-device-type", "many-profiles"),
+    "short-mapping",
     *("foreign-sync", "sync-counter", "sync-period", "masked-inputs"),
 )
 HOLDING = (
     *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
+    "off-in-preoperational",
 )
-UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object")  # cannot map dummy bytes, so no shared RPDO
+# They cannot map 8 bytes with dummies, so that the arm has no shared RPDO.
+UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object", "short-mapping")
 
 
 def draw_arm(random: Random) -> ExecutedArm:

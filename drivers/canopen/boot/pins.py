@@ -52,14 +52,14 @@ def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Gen
     layout, written = it.layout, False
     off = union(bit.place for bit in layout.outputs if bit.inverted)
     for sub in _subs(it):
-        used = sub in subs_of(layout.output_bits)
+        used = layout.output_bits >> 8 * (sub - 1) & _ALL
         present = yield from objects.read(it.name, layout.settings.object, sub, fresh=True)
         if not (present or used):
             continue
         mode = yield from _error_mode(it, sub, error_state)
-        if not mode.taken:
-            continue
         unsure = mode.taken & (mode.value ^ present)
+        if not (unsure or mode.taken & used):
+            continue
         value = mode.value if stopped and mode.told else off >> 8 * (sub - 1)
         need = Need(layout.settings.object, sub, value & unsure, 1, "outputs", mask=unsure)
         # Written even if it is met: the object may show the command while the pins differ, or the pins while the

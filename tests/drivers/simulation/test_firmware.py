@@ -151,7 +151,7 @@ def test_loss_of_the_master(bench, mode, value, behaviour, outputs, state):
     bench.say(0x77F, b"\x05")
     assert bench.wait(0.29) == []
     assert (0x085, "30 81 11 00 00 00 00 00") in bench.wait(0.02)
-    assert (bench.outputs(), bench.board.state) == (outputs, state)
+    assert (bench.board.pins, bench.outputs(), bench.board.state) == (outputs, 3, state)
     recovery = [] if state is cia301.State.STOPPED else [(0x085, "00 00 00 00 00 00 00 00")]
     assert bench.say(0x77F, b"\x05") == recovery
 
@@ -160,7 +160,7 @@ def test_stopping_takes_the_error_values_and_ends_sdo(bench):
     bench.nmt(cia301.Command.START)
     bench.say(0x205, b"\x03" + bytes(7))
     bench.nmt(cia301.Command.STOP)
-    assert bench.outputs() == 0
+    assert (bench.board.pins, bench.outputs()) == (0, 3)
     assert bench.say(0x605, b"\x40\x00\x10\x00\0\0\0\0") == []
 
 

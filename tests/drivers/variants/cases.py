@@ -22,6 +22,7 @@ class Case(NamedTuple):
         warned: what the warnings hold, one each.
         options: of the wiring.
         label: of these options.
+        timing: heartbeat times.
     """
 
     variant: str
@@ -29,6 +30,7 @@ class Case(NamedTuple):
     warned: tuple[str, ...] = ()
     options: Mapping[str, Any] = _NONE
     label: str = ""
+    timing: Timing = Timing(boot_timeout=8.0)
 
     @property
     def name(self) -> str:
@@ -39,16 +41,19 @@ class Case(NamedTuple):
         """A master, and the board as can0/5 with two actuators: one with both end-stops, one without any."""
         far = 64 if self.variant == "many-outputs" else 1
         channels = [Channel("5.left", "can0", 5, 0, 0, input_contracted=1), Channel("5.right", "can0", 5, far, None)]
-        return World(channels, Timing(boot_timeout=8.0), variants={"can0/5": VARIANTS[self.variant]}, **self.options)
+        return World(channels, self.timing, variants={"can0/5": VARIANTS[self.variant]}, **self.options)
 
 
 _CONTRACT, _HOLD, _OFF = {"on_loss": "contract"}, {"error_state": "hold"}, {"error_state": "off"}
+_ODD = Timing(boot_timeout=8.0, heartbeat=0.088, heartbeat_timeout=0.355)
+_DEVICE = {"error_state": "device"}
 _MAKER = {"nodes": (NodeSettings("can0", 5, object=0x2201, error_state="off"),)}
 _MAKER_UNKNOWN = {"nodes": (NodeSettings("can0", 5, object=0x2201),)}
 _NO_MODE = ("has no 6206h (error mode)", "set boards.error_state to off, hold or device")
 _NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); CiA 301 makes it enter pre-operational when the master is lost"
 _NO_BEHAVIOUR_REFUSED = ("has no 1029h sub 1 (error behaviour); 02h is needed", "on_loss: contract")
 _NO_VALUE_REFUSED = ("has no 6207h sub 1 (error value); 00h is needed", "on_loss: contract")
+_GOES_OFF = "by the arm's file (error_state) its outputs go off"
 
 IN_VAIN = "did not become operational within 8 s; it is pre-operational"  # which only a start can tell
 
@@ -57,11 +62,17 @@ CASES = (
     Case("standard", options=_CONTRACT, label="contract"),
     Case("guarding-only", warned=(_NO_BEHAVIOUR,)),
     Case("guarding-only", _NO_BEHAVIOUR_REFUSED, options=_CONTRACT, label="contract"),
+    Case("guarding-with-1029h"),
+    Case("guarding-with-1029h", options=_CONTRACT, label="contract"),
+    Case("rounded-guarding", warned=(_NO_BEHAVIOUR,)),
+    Case("rounded-heartbeats", timing=_ODD),
+    Case("watched-already"),
     Case("one-supervision"),
     Case("unsupervised", ("neither 1016h sub 1 and 1017h (heartbeats) nor 100Ch and 100Dh (node guarding)",)),
     Case("outputs-in-rpdo5"),
     Case("many-outputs"),
     Case("fixed-mapping"),
+    Case("short-mapping"),
     Case("no-sync", warned=("RPDO1 refuses to wait for SYNC (1400h sub 2)",)),
     Case("saves-writes"),
     Case(
@@ -71,6 +82,8 @@ CASES = (
             "1000h sub 0 is 00000191h, without the bit of digital inputs",
         ),
     ),
+    Case("no-device-type", warned=("1000h", "00000000h")),
+    Case("many-profiles", warned=("1000h", "0000FFFFh")),
     Case("all-bits"),
     Case("maker-object", ("has 00000000h in 1000h sub 0 (device type), not the profile 0191h", "needs `object`")),
     Case(
@@ -87,21 +100,36 @@ CASES = (
     ),
     Case("no-error-mode", _NO_VALUE_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
     Case("no-error-mode-off", _NO_MODE),
-    Case("no-error-mode-off", (), ("by the arm's file (error_state) its outputs go off",), _OFF, "off"),
+    Case("no-error-mode-off", (), (_GOES_OFF,), _OFF, "off"),
+    Case("no-error-mode-off", (), (_GOES_OFF,), {**_OFF, **_CONTRACT}, "contract"),
+    Case("off-in-preoperational", _NO_MODE),
+    Case("off-in-preoperational", (), (_GOES_OFF,), _OFF, "off"),
+    Case("off-in-preoperational", (), ("do what the device is set to",), _DEVICE, "device"),
+    Case("off-in-preoperational", (), (_GOES_OFF,), {**_OFF, **_CONTRACT}, "contract"),
     Case("no-error-behaviour", warned=(_NO_BEHAVIOUR,)),
     Case("no-error-behaviour", _NO_BEHAVIOUR_REFUSED, options=_CONTRACT, label="contract"),
     Case("canopennode", _NO_MODE),
-    Case("canopennode", (), (_NO_BEHAVIOUR, "(error_state) its outputs hold"), _HOLD, "hold"),
-    Case("canopennode", _NO_VALUE_REFUSED, (), {**_HOLD, **_CONTRACT}, "contract"),
+    Case("canopennode", (), (_NO_BEHAVIOUR, "do what the device is set to"), _DEVICE, "device"),
+    Case("canopennode", (), (_NO_BEHAVIOUR, _GOES_OFF), _OFF, "off"),
+    Case("canopennode", (), (_GOES_OFF,), {**_OFF, **_CONTRACT}, "contract"),
+    Case("canopennode", _NO_VALUE_REFUSED, (), _CONTRACT, "undeclared"),
     Case("deaf-error-mode", ("has FFh in 6206h sub 1 (error mode) after FCh was written",)),
-    Case("hidden-error-state"),
-    Case("hidden-error-state", options=_CONTRACT, label="contract"),
+    Case("absent-unsupported"),
+    Case("absent-general"),
+    Case("logged-ends"),
+    Case("logged-ends", options=_CONTRACT, label="contract"),
+    Case("shows-error-state"),
+    Case("shows-error-state", options=_CONTRACT, label="contract"),
     Case("resets-outputs"),
     Case("slow-answers"),
     Case("late-boot"),
     Case("foreign-sync"),
     Case("sync-counter"),
     Case("sync-period"),
+    Case("sync-window"),
+    Case("no-emergencies"),
+    Case("kept-loss"),
+    Case("kept-loss", options=_CONTRACT, label="contract"),
     Case("inverted-outputs", ("has FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
     Case("masked-inputs"),
     Case(

@@ -8,7 +8,6 @@ import pytest
 
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wiring import Channel, Timing
-from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
@@ -296,7 +295,7 @@ def test_a_boot_after_an_interrupted_one_switches_nothing():
 
 def test_a_start_energises_nothing_that_the_error_state_has_switched_off():
     """Some boards keep the last command in 6200h."""
-    world = World(on_loss="contract", variants={"can0/5": VARIANTS["hidden-error-state"]}).up()
+    world = World(on_loss="contract").up()
     world.commit(1, 1)
     world.run(0.1)
     world.stalled = True

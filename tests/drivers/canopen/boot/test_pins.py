@@ -12,12 +12,12 @@ from drivers.simulation import dictionary
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import Channel, World, one_board
 
-HIDDEN = {"can0/5": VARIANTS["hidden-error-state"]}
+BOARD = {"can0/5": VARIANTS["standard"]}
 
 
 def extended(**options: object) -> World:
     """An arm whose two actuators are extended; its boards then lose the master."""
-    world = World(one_board(), **{"variants": HIDDEN, **options}).up()
+    world = World(one_board(), **{"variants": BOARD, **options}).up()
     world.commit(1, 1)
     world.run(0.3)
     lose_master(world)
@@ -112,14 +112,14 @@ def test_the_error_mode_is_read_before_another_one_is_written():
 @pytest.mark.parametrize(("error_state", "left"), [("off", 0), ("device", 0), ("hold", 0b11)])
 def test_without_an_error_mode_the_arms_file_tells(error_state, left):
     name = "no-error-mode" if error_state == "hold" else "no-error-mode-off"
-    variant = replace(VARIANTS[name], shows_error_state=False)
+    variant = VARIANTS[name]
     world = extended(variants={"can0/5": variant}, error_state=error_state)
     assert boot(world) == []
     assert outputs(world) == left
 
 
 def test_no_entry_of_the_history_keeps_outputs_on():
-    variant = replace(VARIANTS["no-error-mode-off"], shows_error_state=False)
+    variant = VARIANTS["no-error-mode-off"]
     world = extended(variants={"can0/5": variant}, error_state="device")
     board = world.boards["can0", 5]
     board.objects.put(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
@@ -130,7 +130,7 @@ def test_no_entry_of_the_history_keeps_outputs_on():
 
 def test_the_coil_that_contracts_on_loss_stays_on():
     channels = [Channel("5.left", "can0", 5, 0, None, output_off=1)]
-    world = World(channels, variants=HIDDEN, on_loss="contract").up()
+    world = World(channels, variants=BOARD, on_loss="contract").up()
     world.commit(1, 0)
     world.run(0.3)
     lose_master(world)

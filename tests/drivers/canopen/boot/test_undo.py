@@ -8,7 +8,7 @@ import pytest
 
 from drivers.canopen.wire.cia301 import State
 from drivers.simulation.variants import VARIANTS, StandingError
-from tests.drivers.canopen.boot.test_pins import HIDDEN, boot, extended
+from tests.drivers.canopen.boot.test_pins import BOARD, boot, extended
 from tests.drivers.canopen.world import World, one_board
 
 CHANGING = (0x1001, 0x1003, 0x6000)  # values that the board sets itself
@@ -20,16 +20,12 @@ def values(world: World) -> dict[tuple[int, int], bytes]:
     return {place: board.objects._value(*place) for place in places}
 
 
-def refused_at(world: World, index: int, sub: int) -> None:
-    """The board refuses each write of an object with the value that the boot needs."""
-    objects = world.boards["can0", 5].objects
-    objects.deaf = frozenset({(index, sub)})
-
-
-@pytest.mark.parametrize("deaf", [0x1016, 0x1029, 0x6206, 0x1006])
-def test_a_board_that_ignores_a_write_gets_its_objects_back(deaf):
+@pytest.mark.parametrize(
+    ("deaf", "on_loss"), [(0x1016, "contract"), (0x1029, "contract"), (0x6206, "hold"), (0x1006, "hold")]
+)
+def test_a_board_that_ignores_a_write_gets_its_objects_back(deaf, on_loss):
     variant = replace(VARIANTS["sync-period"], deaf=frozenset({deaf}))
-    world = World(one_board(), variants={"can0/5": variant}, on_loss="contract")
+    world = World(one_board(), variants={"can0/5": variant}, on_loss=on_loss)
     world.run(0.05)
     before = values(world)
     [sentence] = boot(world)
@@ -61,7 +57,7 @@ def test_a_stopped_board_is_stopped_again_and_its_outputs_stay_off():
 
 
 def test_an_operational_board_is_operational_again_and_its_outputs_hold():
-    world = World(one_board(), variants=HIDDEN, on_loss="hold").up()
+    world = World(one_board(), variants=BOARD, on_loss="hold").up()
     world.commit(1, 1)
     world.run(0.3)
     world.wiring = replace(world.wiring, on_loss="contract")
