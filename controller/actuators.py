@@ -4,13 +4,11 @@ import csv
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path, PurePath
-from typing import Literal
 
+from controller.error_states import check_error_states
 from controller.settings import (
     ActuatorSettings,
     ArmSettings,
-    BitSettings,
-    ErrorState,
     ModuleSettings,
     PlatformSettings,
     PrismaticSettings,
@@ -21,6 +19,7 @@ from controller.settings import (
     read_settings,
 )
 from controller.strict import InputFaults
+from controller.terminals import check_terminals, named_boards, no_bus
 
 VGT: tuple[str, ...] = ("left", "diagonal", "right")  # of a truss module
 MOST_ROWS = 4096  # of a table
@@ -119,7 +118,6 @@ def map_actuators(
     buses = [bus.name for bus in settings.buses]
     faults += [f"buses[{k}].name: {b!r} is already taken" for k, b in enumerate(buses) if b in buses[:k]]
     found: dict[str, ActuatorSettings] = {}
-    taken: dict[tuple[str, str, int, int], str] = {}
     for k, entry in enumerate(settings.actuators):
         path, label = f"actuators[{k}]", f"{entry.module}.{entry.actuator}"
         if entry.module > len(modules):
@@ -131,38 +129,14 @@ def map_actuators(
             faults.append(f"{path}: actuator {label} is mapped already")
         else:
             found[label] = entry
-        if entry.bus not in buses:
-            faults.append(f"{path}.bus: {entry.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
-        for field, bit in terminals(entry):
-            kind = field.split("_")[0]
-            where = (kind, entry.bus, entry.node, bit.bit)
-            if where in taken:
-                place = f"{kind} {bit.bit} of {entry.bus}/{entry.node}"
-                faults.append(f"{path}.{field}: {place} is {taken[where]}'s already")
-            taken.setdefault(where, label)
-    check_interlocks(settings, buses, taken, faults)
+    check_terminals(settings, faults)
     check_kinds(settings, faults)
+    check_error_states(settings, faults)
     check_nodes(settings, buses, faults)
     every = labels(modules)
     if settings.actuators or settings.buses:
         faults += [f"actuators: {label} is not mapped" for label in every if label not in found]
     return tuple(found[label] for label in every if label in found)
-
-
-def terminals(entry: ActuatorSettings) -> list[tuple[str, BitSettings]]:
-    """Returns the outputs and inputs of an actuator, each with the name of its field."""
-    fields = {
-        "output": entry.output,
-        "output_off": entry.output_off,
-        "input": entry.input,
-        "input_contracted": entry.input_contracted,
-    }
-    return [(name, bit_settings(bit)) for name, bit in fields.items() if bit is not None]
-
-
-def bit_settings(bit: int | BitSettings) -> BitSettings:
-    """Returns the settings of an output or input that may be given as its number alone."""
-    return BitSettings(bit) if isinstance(bit, int) else bit
 
 
 def travel_times(settings: ArmSettings, entry: ActuatorSettings) -> tuple[float, float]:
@@ -190,38 +164,9 @@ def ending_time(settings: ArmSettings, actuators: int) -> float:
     return stages * (longest_travel(settings) + margin + settings.rest_time + STAGE)
 
 
-def error_state(setting: ErrorState | None) -> Literal["off", "hold", "device"] | None:
-    """Returns the meaning of the setting: YAML reads a plain `off` as false; true has no meaning."""
-    if isinstance(setting, bool):
-        return None if setting else "off"
-    return setting
-
-
-def check_interlocks(
-    settings: ArmSettings, buses: Sequence[str], taken: dict[tuple[str, str, int, int], str], faults: list[str]
-) -> None:
-    """Appends the faults of the interlocks' inputs.
-
-    Args:
-        settings: of the arm.
-        buses: their names.
-        taken: owner of each output and input so far, by kind, bus, node and bit; added to.
-        faults: appended to.
-    """
-    for name, lock in settings.interlocks.items():
-        if lock.bus not in buses:
-            faults.append(f"interlocks.{name}.bus: {lock.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
-        where = ("input", lock.bus, lock.node, lock.input)
-        if where in taken:
-            place = f"input {lock.input} of {lock.bus}/{lock.node}"
-            faults.append(f"interlocks.{name}.input: {place} is {taken[where]}'s already")
-        taken.setdefault(where, f"interlock {name}")
-
-
 def check_kinds(settings: ArmSettings, faults: list[str]) -> None:
     """Appends the faults of fields that an actuator's kind does not allow."""
     boards = settings.boards
-    nodes = {(node.bus, node.node): node for node in boards.nodes}
     for k, entry in enumerate(settings.actuators):
         path, on_loss = f"actuators[{k}]", entry.on_loss or boards.on_loss
         field = "boards.on_loss" if entry.on_loss is None else f"{path}.on_loss"
@@ -235,47 +180,22 @@ def check_kinds(settings: ArmSettings, faults: list[str]) -> None:
                 f"{field}: contract, but the outputs of actuator {entry.module}.{entry.actuator} are off between"
                 f" pulses, so it stays where it is; {path}.on_loss: hold is needed"
             )
-        node = nodes.get((entry.bus, entry.node))
-        state = error_state(boards.error_state if node is None or node.error_state is None else node.error_state)
-        where = "boards" if node is None or node.error_state is None else f"boards.nodes[{boards.nodes.index(node)}]"
-        contradiction = contradicted(entry, on_loss, state)
-        if contradiction:
-            label = f"{entry.module}.{entry.actuator}"
-            faults.append(f"{where}.error_state: {state}, but actuator {label} {contradiction}")
-
-
-def contradicted(entry: ActuatorSettings, on_loss: str, state: str | None) -> str:
-    """Returns why an actuator cannot do what `on_loss` asks if its board does `state`; empty if it can."""
-    inverted = bit_settings(entry.output).inverted
-    if state is None:
-        return ""
-    if entry.pulse is not None:
-        return "" if state == "off" else "has pulses: an output that is on then would stay on; off is needed"
-    if on_loss == "contract":
-        off = state == "off" and entry.output_off is None and not inverted
-        return "" if off else "is to contract (on_loss), which only 6206h and 6207h can ensure; no error_state is right"
-    if state == "off" and entry.output_off is None and not inverted:
-        return "is to hold (on_loss), and would contract; hold is needed, or on_loss: contract"
-    if state == "off" and entry.output_off is None:
-        return "is to hold (on_loss), and would extend, since its output is inverted; hold is needed"
-    return ""
 
 
 def check_nodes(settings: ArmSettings, buses: Sequence[str], faults: list[str]) -> None:
     """Appends the faults of the entries on single boards."""
-    wired = {(entry.bus, entry.node) for entry in settings.actuators}
-    wired |= {(lock.bus, lock.node) for lock in settings.interlocks.values()}
+    wired = named_boards(settings)
     seen: set[tuple[str, int]] = set()
     if settings.boards.error_state is True:
         faults.append("boards.error_state: true, but off, hold or device is needed")
     for k, node in enumerate(settings.boards.nodes):
         path, place = f"boards.nodes[{k}]", (node.bus, node.node)
         if node.bus not in buses:
-            faults.append(f"{path}.bus: {node.bus!r} is none of the buses {', '.join(buses) or '(none)'}")
+            faults.append(f"{path}.bus: {no_bus(node.bus, buses)}")
         elif place in seen:
             faults.append(f"{path}: board {node.bus}/{node.node} is there already; one entry a board is needed")
         elif place not in wired:
-            faults.append(f"{path}.node: board {node.bus}/{node.node} has neither an actuator nor an interlock")
+            faults.append(f"{path}.node: board {node.bus}/{node.node} has no output, end-stop or interlock")
         if 0x5FFF < node.object < 0x6200:
             faults.append(f"{path}.object: {node.object:#x}, but 0x6200 or an object from 0x2000 to 0x5fff is needed")
         if node.error_state is True:

@@ -213,6 +213,14 @@ class BitSettings(Struct, forbid_unknown_fields=True, frozen=True):
     inverted: bool = False
 
 
+class InputSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One end-stop; `board` such as "can0/9" is its board, if it is another one than that of the outputs."""
+
+    bit: Bit
+    inverted: bool = False
+    board: str | None = None
+
+
 class TravelSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Longest times of an actuator from end to end, one for each direction [s]."""
 
@@ -244,8 +252,8 @@ class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
     output: Bit | BitSettings
     output_off: Bit | BitSettings | None = None
     pulse: Annotated[float, Meta(ge=0.01, le=10)] | None = None
-    input: Bit | BitSettings | None = None
-    input_contracted: Bit | BitSettings | None = None
+    input: Bit | InputSettings | None = None
+    input_contracted: Bit | InputSettings | None = None
     travel_time: Travel | TravelSettings | None = None
     settle_margin: Margin | None = None
     on_loss: OnLoss | None = None

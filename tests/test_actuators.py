@@ -90,4 +90,5 @@ def test_the_file_is_read_without_the_other_rooms() -> None:
     assert not loaded & {"numba", "scipy", "numpy", "zenoh", "typer", "rich", "can", "canopen"}
     script = "import sys, controller.actuators; print([n for n in sys.modules if n.startswith('controller')])"
     loaded = eval(subprocess.run([sys.executable, "-c", script], capture_output=True, check=True, text=True).stdout)
-    assert set(loaded) == {"controller", "controller.actuators", "controller.settings", "controller.strict"}
+    rooms = ("actuators", "error_states", "settings", "strict", "terminals")
+    assert set(loaded) == {"controller", *(f"controller.{room}" for room in rooms)}

@@ -186,7 +186,7 @@ def test_faults_of_the_wiring_come_together(read):
     value["actuators"][2]["bus"] = "can7"
     value["actuators"][5]["actuator"] = "up"
     paths = [fault.split(":")[0] for fault in faults(read, value)]
-    assert paths == ["buses[1].name", "actuators[1].output", "actuators[2].bus", "actuators[5].actuator", "actuators"]
+    assert paths == ["buses[1].name", "actuators[5].actuator", "actuators[2].bus", "actuators[1].output", "actuators"]
 
 
 def test_a_file_that_is_missing_or_says_nothing(tmp_path):

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from controller.executor.arm import ExecutedArm, read_arm
 from controller.strict import InputFaults
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, Line, NodeSettings, Wiring
+from drivers.canopen.layout import lay_out
+from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Line, NodeSettings, Wiring
 from tests.documents import document
 
 DOUBLE = {"output_off": 8}
@@ -55,6 +56,35 @@ FAULTS = [
     (with_actuator(output={"bit": 0, "invert": True}), "actuators[0].output.invert: unknown field; known are bit, inv"),
     (with_actuator(input={"inverted": True}), "actuators[0].input.bit: required, but missing"),
     (with_actuator(input={"bit": 0, "inverted": 1}), "actuators[0].input.inverted: Expected `bool`, got `int`"),
+    (
+        with_actuator(input={"bit": 0, "board": "can0-9"}),
+        "actuators[0].input.board: 'can0-9', but a bus and a node id from 1 to 126 are needed, as can0/9",
+    ),
+    (
+        with_actuator(input_contracted={"bit": 0, "board": "can0/127"}),
+        "actuators[0].input_contracted.board: 'can0/127', but a bus and a node id from 1 to 126 are needed, as can0/9",
+    ),
+    (
+        with_actuator(input={"bit": 0, "board": "can7/9"}),
+        "actuators[0].input.board: 'can7/9', but 'can7' is none of the buses can0, spare",
+    ),
+    (
+        with_actuator(input={"bit": 1, "board": "can0/2"}),
+        "actuators[4].input: input 1 of can0/2 is 1.left's already",
+    ),
+    (
+        with_actuator(input_contracted={"bit": 0, "board": "can0/1"}),
+        "actuators[0].input_contracted: input 0 of can0/1 is 1.left's already",
+    ),
+    (
+        with_actuator(input={"bit": 2032, "board": "can0/9"}),
+        "actuators[0].input.bit: Expected `int` <= 2031 (given: 20",
+    ),
+    (with_actuator(input={"bit": 0, "board": 9}), "actuators[0].input.board: Expected `str | null`, got `int`"),
+    (
+        with_actuator(output={"bit": 0, "board": "can0/9"}),
+        "actuators[0].output.board: unknown field; known are bit, in",
+    ),
     (with_actuator(output="0"), "actuators[0].output: Expected `int | object`, got `str` (given: '0')"),
     (with_actuator(pulse=0.05), "actuators[0].pulse: 0.05 s, but an actuator without `output_off` returns when its"),
     (with_actuator(output_off=8, pulse=0), "actuators[0].pulse: Expected `float` >= 0.01 (given: 0)"),
@@ -92,7 +122,7 @@ FAULTS = [
     (with_boards(nodes=[{"bus": "can7", "node": 1}]), "boards.nodes[0].bus: 'can7' is none of the buses can0, spare"),
     (
         with_boards(nodes=[{"bus": "can0", "node": 7}]),
-        "boards.nodes[0].node: board can0/7 has neither an actuator nor an interlock",
+        "boards.nodes[0].node: board can0/7 has no output, end-stop or interlock",
     ),
     (with_node(object=0x6000), "boards.nodes[0].object: 0x6000, but 0x6200 or an object from 0x2000 to 0x5fff is need"),
     (with_node(object=0x6300), "boards.nodes[0].object: Expected `int` <= 25088 (given: 25344)"),
@@ -100,7 +130,8 @@ FAULTS = [
     (with_node(error_state=True), "boards.nodes[0].error_state: true, but off, hold or device is needed"),
     (
         with_node({"on_loss": "contract"}, error_state="hold"),
-        "boards.nodes[0].error_state: hold, but actuator 1.left is to contract (on_loss), which only 6206h and 6207h",
+        "boards.nodes[0].error_state: hold, but actuator 1.left is to contract (on_loss), which `hold` does not ensure;"
+        " off is needed, or a board with 6206h and 6207h, without error_state",
     ),
     (
         with_node(BISTABLE, error_state="device"),
@@ -117,23 +148,120 @@ def test_each_fault_names_field_value_and_need(tmp_path: Path, value: dict[str, 
     assert fault.startswith(beginning)
 
 
-@pytest.mark.parametrize(
-    ("inverted", "needed"),
-    [
-        (False, "would contract; hold is needed, or on_loss: contract"),
-        (True, "would extend, since its output is inver"),
-    ],
-)
-def test_a_board_that_switches_off_without_the_master_holds_no_spring_return_actuator(
-    tmp_path: Path, inverted: bool, needed: str
+INVERTED = {"bit": 0, "inverted": True}
+OFF = [  # an actuator, `on_loss`, and what is wrong and needed where its outputs go off without the master
+    ({}, "contract", None),
+    (
+        {},
+        "hold",
+        "is to hold (on_loss), and would contract when its outputs go off; on_loss: contract is needed, or a b",
+    ),
+    (
+        {"output": INVERTED},
+        "contract",
+        "is to contract (on_loss), and would extend when its outputs go off, for `outpu",
+    ),
+    (
+        {"output": INVERTED},
+        "hold",
+        "is to hold (on_loss), and would extend when its outputs go off, for `output` is in",
+    ),
+    (DOUBLE, "hold", None),
+    (
+        DOUBLE,
+        "contract",
+        "is to contract (on_loss), and would stay where it is when both its outputs go off; on_loss: h",
+    ),
+    (BISTABLE, "hold", None),
+    (
+        {**DOUBLE, "output": INVERTED},
+        "hold",
+        "is to hold (on_loss), and would extend when its outputs go off, for `out",
+    ),
+    ({"output_off": {**INVERTED, "bit": 8}}, "contract", None),
+    (
+        {"output_off": {**INVERTED, "bit": 8}},
+        "hold",
+        "is to hold (on_loss), and would contract when its outputs go off",
+    ),
+    (
+        {"output_off": {**INVERTED, "bit": 8}, "pulse": 0.05},
+        "hold",
+        "is to hold (on_loss), and would contract when its outputs go off; outputs that are not inverted are needed",
+    ),
+    (
+        {"output": INVERTED, "output_off": {**INVERTED, "bit": 8}},
+        "hold",
+        "is to hold (on_loss), and would have both its outputs on, for both are inverted; outputs that are not inv",
+    ),
+]
+
+
+@pytest.mark.parametrize(("actuator", "on_loss", "wrong"), OFF, ids=[f"{one} {loss}" for one, loss, _ in OFF])
+def test_off_is_right_where_it_does_what_on_loss_asks(
+    tmp_path: Path, actuator: dict[str, Any], on_loss: str, wrong: str | None
 ) -> None:
-    value = with_boards({"output": {"bit": 0, "inverted": inverted}}, error_state=False)
-    value["actuators"][1:] = [{**entry, "output_off": 40 + entry["output"]} for entry in value["actuators"][1:]]
+    value = with_node(actuator, error_state=False)
+    value["actuators"][1:3] = [
+        {**entry, "node": 2, "output": 8 + k, "input": 8 + k} for k, entry in enumerate(value["actuators"][1:3])
+    ]
+    value["boards"]["on_loss"] = on_loss
+    if wrong is None:
+        arm = loaded(tmp_path, value)
+        assert lay_out(arm.wiring).boards[0].loss_is_off
+        return
     with pytest.raises(InputFaults) as caught:
         loaded(tmp_path, value)
     (fault,) = caught.value.faults
-    assert fault.startswith("boards.error_state: off, but actuator 1.left is to hold (on_loss), and ")
-    assert needed in fault
+    assert fault.startswith(f"boards.nodes[0].error_state: off, but actuator 1.left {wrong}")
+
+
+def test_a_whole_arm_of_plain_outputs_may_be_on_boards_that_switch_off(tmp_path: Path) -> None:
+    arm = loaded(tmp_path, with_boards(error_state=False, on_loss="contract"))
+    assert arm.wiring.error_state == "off"
+    assert all(board.loss_is_off for board in lay_out(arm.wiring).boards)
+
+
+def test_end_stops_may_be_on_boards_without_outputs_and_on_other_buses(tmp_path: Path) -> None:
+    value = with_actuator(
+        input={"board": "can0/9", "bit": 3, "inverted": True},
+        input_contracted={"board": "spare/1", "bit": 40},
+    )
+    value["actuators"][1]["input"] = {"bit": 1, "board": "can0/1"}  # that of its output
+    value["boards"]["nodes"] = [{"bus": "can0", "node": 9, "serial": 7}]
+    wiring = loaded(tmp_path, value).wiring
+    first, second, *_ = wiring.channels
+    assert first.lines == {
+        "output": Line("can0", 1, 0),
+        "input": Line("can0", 9, 3, inverted=True),
+        "input_contracted": Line("spare", 1, 40),
+    }
+    assert (first.input_board, first.input_contracted_board) == (BoardId("can0", 9), BoardId("spare", 1))
+    assert (second.line("input"), second.input_board) == (Line("can0", 1, 1), None)
+    assert [str(board) for board in wiring.boards] == ["can0/1", "can0/2", "can0/9", "spare/1"]
+
+
+@pytest.mark.parametrize(
+    ("field", "kind", "bytes_before", "extra"),
+    [("output", "outputs", 32, 300), ("input", "inputs", 32, {"bit": 300, "board": "can0/1"})],
+)
+def test_process_data_that_do_not_fit_on_a_board_are_refused_with_the_field(
+    tmp_path: Path, field: str, kind: str, bytes_before: int, extra: Any
+) -> None:
+    value = document(12)
+    for k, entry in enumerate(value["actuators"]):
+        entry.update(node=1, output=k, input=k)
+    for k, entry in enumerate(value["actuators"][:bytes_before]):
+        entry[field] = 8 * k
+    for k, entry in enumerate(value["actuators"][bytes_before:]):
+        entry[field] = 8 * k + 1
+    loaded(tmp_path, value)
+    value["actuators"][35][field] = extra
+    with pytest.raises(InputFaults) as caught:
+        loaded(tmp_path, value)
+    assert caught.value.faults == (
+        f"actuators[35].{field}: 300, but board can0/1: its {kind} are in 33 bytes; 32 fit in four PDOs",
+    )
 
 
 def test_all_that_can_be_said_of_an_actuator(tmp_path: Path) -> None:
@@ -195,14 +323,18 @@ def test_lines_are_those_of_the_extending_side_then_the_others_then_interlocks()
 bits = st.integers(0, 40) | st.builds(
     lambda bit, inverted: {"bit": bit, "inverted": inverted}, *[st.integers(0, 40), st.booleans()]
 )
+elsewhere = st.builds(
+    lambda bit, board: {"bit": bit, "board": board},
+    *[st.integers(0, 40), st.sampled_from(["can0/1", "can0/9", "spare/1", "can7/1", "x"])],
+)
 times = st.floats(0.01, 1) | st.fixed_dictionaries({"extend": st.floats(0.01, 1), "contract": st.floats(0.01, 1)})
 entries = st.fixed_dictionaries(
     {"output": bits},
     optional={
         "output_off": bits,
         "pulse": st.floats(0.01, 1),
-        "input": bits,
-        "input_contracted": bits,
+        "input": bits | elsewhere,
+        "input_contracted": bits | elsewhere,
         "travel_time": times,
         "settle_margin": st.floats(0, 1),
         "on_loss": st.sampled_from(["hold", "contract"]),

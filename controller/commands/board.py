@@ -15,6 +15,7 @@ from controller.program import VERSION, Hello, encode
 from controller.settings import ArmSettings
 from controller.sockets import found_sockets, socket_path
 from controller.strict import InputFaults
+from controller.terminals import named_boards
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.node_reset import reset_node
 from drivers.canopen.tools.survey import Survey, survey
@@ -35,9 +36,8 @@ def board(
     as_json: AsJson = False,
 ) -> None:
     """Read the errors of one board, or reset it, while the arm's executor is stopped."""
-    settings, _, wired = read_wired(file)
-    places = {f"{entry.bus}/{entry.node}" for entry in wired}
-    places |= {f"{lock.bus}/{lock.node}" for lock in settings.interlocks.values()}
+    settings, _, _ = read_wired(file)
+    places = {f"{bus}/{node}" for bus, node in named_boards(settings)}
     if name not in places:
         known = ", ".join(sorted(places, key=lambda place: (place.partition("/")[0], int(place.partition("/")[2]))))
         raise InputFaults(Path("board"), [f"{name!r} is no board of {file}, which has {known}"])

@@ -10,6 +10,7 @@ import typer
 from controller.commands import common
 from controller.commands.common import ArmFile, AsJson, Failed, print_json
 from controller.strict import InputFaults
+from controller.terminals import actuator_terminals
 
 if TYPE_CHECKING:
     from controller.config import Arm
@@ -29,12 +30,15 @@ def check(
     Example: hyperbit check my-arm.yaml --eds 750-337.eds --node can0/5
     """
     from controller.config import load
+    from controller.executor.arm import read_arm
 
     if node is not None and eds is None:
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
 
     try:
         arm = load(file)
+        if arm.wiring:
+            read_arm(file)  # refuses process data that do not fit on the boards
     except InputFaults as error:
         if as_json:
             print_json({"ok": False, "faults": list(error.faults)})
@@ -46,7 +50,7 @@ def check(
     if as_json:
         print_json({"ok": not missing, "faults": missing, "boards": boards})
     else:
-        count = len({(a.bus, a.node) for a in arm.wiring})
+        count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
         common.console.print(
             f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
             f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"

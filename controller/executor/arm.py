@@ -6,9 +6,13 @@ from pathlib import Path
 
 import msgspec
 
-from controller.actuators import ending_time, error_state, longest_travel, read_wired, terminals, travel_times
+from controller.actuators import ending_time, longest_travel, read_wired, travel_times
+from controller.error_states import error_state
 from controller.settings import ActuatorSettings, ArmSettings, RealTimeSettings
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
+from controller.strict import InputFaults
+from controller.terminals import actuator_terminals, owned_terminals
+from drivers.canopen.layout import Unfit, lay_out
+from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
 
 WORDS = ("contracted", "extended")  # of the states 0 and 1
 
@@ -62,10 +66,13 @@ def read_arm(path: Path) -> ExecutedArm:
         InputFaults: the file is missing or wrong; one line for each fault, with the path of its field.
     """
     settings, actuators, wired = read_wired(path)
+    wiring = wiring_of(settings, actuators, wired)
+    if faults := layout_faults(settings, wiring):
+        raise InputFaults(path, faults)
     return ExecutedArm(
         name=settings.name,
         actuators=actuators,
-        wiring=wiring_of(settings, actuators, wired),
+        wiring=wiring,
         timing=timing_of(settings),
         inrush=settings.inrush,
         rest=settings.rest_time,
@@ -78,6 +85,17 @@ def read_arm(path: Path) -> ExecutedArm:
         real_time=settings.real_time,
         digest=hashlib.sha256(path.read_bytes()).hexdigest(),
     )
+
+
+def layout_faults(settings: ArmSettings, wiring: Wiring) -> list[str]:
+    """Returns why the process data do not fit on the boards, with the first field that does not; empty if they do."""
+    try:
+        lay_out(wiring)
+    except Unfit as misfit:
+        for path, _, it in owned_terminals(settings):
+            if (it.kind, it.board, it.bit // 8) == (misfit.kind, misfit.board, misfit.byte):
+                return [f"{path}: {it.bit}, but {misfit}"]
+    return []
 
 
 def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[ActuatorSettings, ...]) -> Wiring:
@@ -102,8 +120,10 @@ def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[Ac
 
 def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:
     """Returns one actuator as the drivers need it."""
-    lines = dict(terminals(entry))
+    lines = {terminal.field: terminal for terminal in actuator_terminals(entry)}
     bits = {name: line.bit for name, line in lines.items()}
+    own = entry.bus, entry.node
+    others = {name: BoardId(*line.board) for name, line in lines.items() if line.board != own}
     return Channel(
         actuator=label,
         bus=entry.bus,
@@ -117,6 +137,8 @@ def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Ch
         travel=travel_times(settings, entry),
         settle_margin=entry.settle_margin,
         on_loss=entry.on_loss,
+        input_board=others.get("input"),
+        input_contracted_board=others.get("input_contracted"),
     )
 
 

@@ -25,8 +25,8 @@ class MotionSupervision:
 
     An end-stop reads 1 only while the actuator is at its end. An actuator has arrived when the end-stop at its new end
     reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. An actuator that
-    has not arrived in time is not "stuck" at once: first its board is asked for its inputs by SDO, and has answered or
-    has not answered in time.
+    has not arrived in time is not "stuck" at once: first the boards of its end-stops are asked for their inputs by
+    SDO, and have answered or have not answered in time.
 
     Args:
         boards: CANopen master of the boards.
@@ -108,7 +108,7 @@ class MotionSupervision:
 
         Args:
             ends: what the end-stops read.
-            known: mask of the actuators whose board is operational.
+            known: mask of the actuators whose boards are operational.
             clock: awake time of the executor [s]; a stall of its loop is no delay of an actuator.
             now: time for the questions [s].
 
@@ -152,8 +152,8 @@ class MotionSupervision:
     def _contradicted(self, both: int, now: float) -> int:
         """Returns the mask of the actuators whose end-stops both read 1 again after their boards were asked."""
         for k in indices(both & ~self._doubtful & ~self._reported):
-            self._boards.question(self._boards.board_of[k], now)
-        asked = (k for k in indices(both & self._doubtful) if not self._boards.questioning(self._boards.board_of[k]))
+            self._question(k, now)
+        asked = (k for k in indices(both & self._doubtful) if not self._questioning(k))
         certain = sum(1 << k for k in asked)
         self._doubtful = both & ~certain
         return certain
@@ -168,7 +168,7 @@ class MotionSupervision:
                 if over >= margin:
                     self._pending &= ~bit
             elif self._final & bit:
-                if not self._boards.questioning(self._boards.board_of[k]):
+                if not self._questioning(k):
                     stuck |= bit
             elif over >= 0 and clock >= self._ask_at[k]:
                 self._ask(k, clock, now)
@@ -179,7 +179,7 @@ class MotionSupervision:
 
     def _unreliable(self, readable: int) -> int:
         """Returns the mask of the actuators that missed MOST_MISSED commands and whose boards have answered."""
-        asked = [k for k in indices(self._suspect & readable) if not self._boards.questioning(self._boards.board_of[k])]
+        asked = [k for k in indices(self._suspect & readable) if not self._questioning(k)]
         mask = sum(1 << k for k in asked)
         self._suspect &= ~mask
         self._pending &= ~mask
@@ -193,7 +193,7 @@ class MotionSupervision:
                 self._missed[k] += 1
                 if self._missed[k] >= MOST_MISSED and not self._suspect >> k & 1:
                     self._suspect |= 1 << k
-                    self._boards.question(self._boards.board_of[k], now)
+                    self._question(k, now)
 
     def _forgive(self, ends: Ends) -> None:
         """Forgets the missed commands of actuators whose end-stops have changed."""
@@ -205,10 +205,19 @@ class MotionSupervision:
         self._last = ends
 
     def _ask(self, actuator: int, clock: float, now: float) -> None:
-        board = self._boards.board_of[actuator]
         self._ask_at[actuator] = clock + max(self._kinds.margin[actuator] / 3, ASK_EVERY)
-        if not self._boards.questioning(board):
+        for board in self._boards.input_boards_of[actuator]:
+            if not self._boards.questioning(board):
+                self._boards.question(board, now)
+
+    def _question(self, actuator: int, now: float) -> None:
+        """Asks the boards of an actuator's end-stops for their inputs, after running questions once more."""
+        for board in self._boards.input_boards_of[actuator]:
             self._boards.question(board, now)
+
+    def _questioning(self, actuator: int) -> bool:
+        """Returns whether a board of an actuator's end-stops has not answered yet."""
+        return any(self._boards.questioning(board) for board in self._boards.input_boards_of[actuator])
 
     def _reads(self, k: int, ends: Ends) -> str:
         """Returns in words what the end-stops of a late actuator read."""

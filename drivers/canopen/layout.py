@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
 from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import Line, NodeSettings, Wiring
+from drivers.canopen.wiring import BoardId, Line, NodeSettings, Wiring
 
 _PDO_BYTES = 8
-_MOST_PDOS = 4  # of one board and direction: four COB-IDs contain its node id
+MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain its node id
 
 
 @dataclass(frozen=True)
@@ -25,9 +24,10 @@ class BoardLayout:
         rpdos: the RPDOs that carry its outputs.
         tpdos: the TPDOs that carry its inputs.
         shared: whether other boards share its RPDO.
-        actuators: mask of its actuators.
-        sensed: mask of its output lines whose actuators have an end-stop.
-        loss: mask of the output bits with a loss level, and these levels.
+        actuators: mask of the actuators with an output or an end-stop on it.
+        sensed: mask of its output lines whose actuators have an end-stop, on this board or another one.
+        pairs: masks of the output bits `output` and `output_off` of each actuator with two outputs.
+        loss: mask of the output bits with a loss level, and these levels as the board has them in 6207h.
     """
 
     settings: NodeSettings
@@ -38,6 +38,7 @@ class BoardLayout:
     shared: bool
     actuators: int
     sensed: int
+    pairs: tuple[tuple[int, int], ...]
     loss: tuple[int, int]
 
     @property
@@ -66,9 +67,19 @@ class BoardLayout:
         return sum(bit.place for bit in self.outputs)
 
     @property
+    def input_lines(self) -> int:
+        """Mask of its input lines."""
+        return sum(bit.line for bit in self.inputs)
+
+    @property
     def input_bits(self) -> int:
         """Mask of the used bits of its inputs."""
         return sum(bit.place for bit in self.inputs)
+
+    @property
+    def loss_is_off(self) -> bool:
+        """Whether each output bit with a loss level goes electrically off, as `error_state: off` ensures."""
+        return self.loss[1] == 0
 
 
 @dataclass(frozen=True)
@@ -77,35 +88,45 @@ class Layout:
 
     Attributes:
         boards: all boards, by bus in the order of the wiring, then by node id.
-        board_of: index of the board of each actuator.
+        board_of: index of the board with the outputs of each actuator.
+        input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
     """
 
     boards: tuple[BoardLayout, ...]
     board_of: tuple[int, ...]
+    input_boards_of: tuple[tuple[int, ...], ...]
 
 
-class _Place(NamedTuple):
-    bus: str
-    node: int
+class Unfit(ValueError):
+    """A board's outputs or inputs do not fit in its PDOs.
+
+    Attributes:
+        board: the board.
+        kind: "output" or "input".
+        byte: index of the first byte that does not fit, counted from 0.
+    """
+
+    def __init__(self, board: BoardId, kind: str, subs: tuple[int, ...]) -> None:
+        super().__init__(f"board {board}: its {kind}s are in {len(subs)} bytes; {MOST_BYTES} fit in four PDOs")
+        self.board, self.kind, self.byte = board, kind, subs[MOST_BYTES] - 1
 
 
 def lay_out(wiring: Wiring) -> Layout:
     """Assigns the boards' bits to PDOs.
 
     Raises:
-        ValueError: a board's outputs or inputs do not fit in four PDOs.
+        Unfit: a board's outputs or inputs do not fit in four PDOs.
     """
-    order = {bus.name: i for i, bus in enumerate(wiring.buses)}
     outputs, inputs = _by_board(wiring.output_lines), _by_board(wiring.input_lines)
-    places = sorted({*outputs, *inputs}, key=lambda place: (order[place.bus], place.node))
-    objects = {_Place(node.bus, node.node): node for node in wiring.nodes}
-    groups = _groups({place: outputs[place] for place in places if place in outputs}, wiring.shared_rpdo)
+    objects = {BoardId(node.bus, node.node): node for node in wiring.nodes}
+    groups = _groups({place: outputs[place] for place in wiring.boards if place in outputs}, wiring.shared_rpdo)
+    actuators = _actuators(wiring)
 
     sensed = sum(1 << k for k, c in enumerate(wiring.channels) if c.input is not None or c.input_contracted is not None)
     for i, k in enumerate(wiring.paired):
         sensed |= (sensed >> k & 1) << len(wiring.channels) + i
     boards: list[BoardLayout] = []
-    for place in places:
+    for place in wiring.boards:
         settings = objects.get(place, NodeSettings(place.bus, place.node))
         out, into = tuple(outputs.get(place, ())), tuple(inputs.get(place, ()))
         group = groups.get(place, [])
@@ -121,31 +142,51 @@ def lay_out(wiring: Wiring) -> Layout:
                 rpdos=rpdos or _pdos(place, 0x1400, cia301.RPDO1, settings.object, bits),
                 tpdos=_pdos(place, 0x1800, cia301.TPDO1, INPUTS, tuple(bit.place for bit in into)),
                 shared=len(group) > 1,
-                actuators=sum(1 << k for k, c in enumerate(wiring.channels) if (c.bus, c.node) == place),
+                actuators=actuators.get(place, 0),
                 sensed=sum(bit.line for bit in out) & sensed,
+                pairs=_pairs(wiring, place),
                 loss=(
                     sum(bit.place for bit, _ in defined),
                     sum(bit.place for bit, level in defined if level != bit.inverted),
                 ),
             )
         )
-    number = {(board.bus, board.node): i for i, board in enumerate(boards)}
-    return Layout(tuple(boards), tuple(number[c.bus, c.node] for c in wiring.channels))
+    number = {place: i for i, place in enumerate(wiring.boards)}
+    ends = ([c.line("input"), c.line("input_contracted")] for c in wiring.channels)
+    return Layout(
+        boards=tuple(boards),
+        board_of=tuple(number[BoardId(c.bus, c.node)] for c in wiring.channels),
+        input_boards_of=tuple(tuple(sorted({number[end.board] for end in both if end})) for both in ends),
+    )
 
 
-def _by_board(lines: Iterable[Line | None]) -> dict[_Place, list[Bit]]:
-    found: dict[_Place, list[Bit]] = {}
-    for k, line in enumerate(lines):
-        if line is not None:
-            found.setdefault(_Place(line.bus, line.node), []).append(Bit(1 << k, 1 << line.bit, line.inverted))
+def _actuators(wiring: Wiring) -> dict[BoardId, int]:
+    """Returns the mask of the actuators with a line on each board."""
+    found: dict[BoardId, int] = {}
+    for k, channel in enumerate(wiring.channels):
+        for line in channel.lines.values():
+            found[line.board] = found.get(line.board, 0) | 1 << k
     return found
 
 
-def _pdos(place: _Place, parameters: int, cob_id: int, index: int, bits: tuple[int, ...]) -> tuple[Pdo, ...]:
+def _pairs(wiring: Wiring, place: BoardId) -> tuple[tuple[int, int], ...]:
+    pairs = (wiring.channels[k] for k in wiring.paired)
+    here = (c.lines for c in pairs if (c.bus, c.node) == place)
+    return tuple((1 << lines["output"].bit, 1 << lines["output_off"].bit) for lines in here)
+
+
+def _by_board(lines: Iterable[Line | None]) -> dict[BoardId, list[Bit]]:
+    found: dict[BoardId, list[Bit]] = {}
+    for k, line in enumerate(lines):
+        if line is not None:
+            found.setdefault(line.board, []).append(Bit(1 << k, 1 << line.bit, line.inverted))
+    return found
+
+
+def _pdos(place: BoardId, parameters: int, cob_id: int, index: int, bits: tuple[int, ...]) -> tuple[Pdo, ...]:
     subs = subs_of(union(bits))
-    if len(subs) > _MOST_PDOS * _PDO_BYTES:
-        what = "outputs" if parameters == 0x1400 else "inputs"
-        raise ValueError(f"board {place.bus}/{place.node}: its {what} are in {len(subs)} bytes; 32 fit in four PDOs")
+    if len(subs) > MOST_BYTES:
+        raise Unfit(place, "output" if parameters == 0x1400 else "input", subs)
     return tuple(
         Pdo(
             parameters + i,
@@ -156,7 +197,7 @@ def _pdos(place: _Place, parameters: int, cob_id: int, index: int, bits: tuple[i
     )
 
 
-def _shared(group: list[_Place], place: _Place, outputs: Mapping[_Place, list[Bit]], index: int) -> tuple[Pdo, ...]:
+def _shared(group: list[BoardId], place: BoardId, outputs: Mapping[BoardId, list[Bit]], index: int) -> tuple[Pdo, ...]:
     """Returns the RPDO of a board that shares its frame with other boards."""
     mapping: list[int] = []
     for other in group:
@@ -165,9 +206,9 @@ def _shared(group: list[_Place], place: _Place, outputs: Mapping[_Place, list[Bi
     return (Pdo(0x1400, cia301.RPDO1 + group[0].node, tuple(mapping)),)
 
 
-def _groups(outputs: Mapping[_Place, list[Bit]], shared: bool) -> dict[_Place, list[_Place]]:
+def _groups(outputs: Mapping[BoardId, list[Bit]], shared: bool) -> dict[BoardId, list[BoardId]]:
     """Returns the boards that share a frame with each board: on one bus only, and no board in two frames."""
-    groups: list[list[_Place]] = []
+    groups: list[list[BoardId]] = []
     room = 0
     for place, bits in outputs.items():
         count = len(subs_of(union(bit.place for bit in bits)))

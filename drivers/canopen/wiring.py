@@ -10,6 +10,8 @@ from typing import Literal, NamedTuple
 MASTER = 127  # node id of this master's heartbeat
 GREATEST_BIT = 2031  # of 6000h and 6200h: 254 sub-indices of 8 bits
 
+LINES = ("output", "output_off", "input", "input_contracted")  # fields of `Channel`
+
 OnLoss = Literal["hold", "contract"]
 ErrorState = Literal["off", "hold", "device"]
 
@@ -31,6 +33,16 @@ class BusSettings:
     bitrate: int = 1_000_000
 
 
+class BoardId(NamedTuple):
+    """A board: the name of its bus, and its node id."""
+
+    bus: str
+    node: int
+
+    def __str__(self) -> str:
+        return f"{self.bus}/{self.node}"
+
+
 class Line(NamedTuple):
     """One output or input of a board.
 
@@ -46,18 +58,23 @@ class Line(NamedTuple):
     bit: int
     inverted: bool = False
 
+    @property
+    def board(self) -> BoardId:
+        """Its board."""
+        return BoardId(self.bus, self.node)
+
 
 @dataclass(frozen=True)
 class Channel:
     """The wiring of one actuator. Its position in `Wiring.channels` is the actuator's index and its bit in masks.
 
     An actuator with `output_off` has two outputs. At most one of them is on; while both are off, the actuator stays
-    where it is. All its outputs and inputs are on one board.
+    where it is. All its outputs are on one board. Its inputs may be on other boards, also of other buses.
 
     Attributes:
         actuator: label for messages, e.g. "5.left".
         bus: name of a bus.
-        node: node id of the board, 1..126 (127 is the master).
+        node: node id of the board of its outputs, 1..126 (127 is the master).
         output: bit of 6200h that extends it, 0..2031 (sub-index 1 + bit // 8).
         input: bit of 6000h that reads 1 while the actuator is extended; None without that end-stop.
         output_off: bit of 6200h that contracts it; None: a spring contracts it while `output` is off.
@@ -67,6 +84,8 @@ class Channel:
         travel: longest times to the contracted and to the extended end [s]; None: `Timing.travel_time`.
         settle_margin: margin after the travel time [s]; None: `Timing.settle_margin`.
         on_loss: as in `Wiring`, for this actuator alone; None: as in `Wiring`.
+        input_board: board of `input`; None: the board of the outputs.
+        input_contracted_board: board of `input_contracted`, likewise.
 
     Raises:
         ValueError: a number is out of its range, or the fields contradict each other.
@@ -84,11 +103,14 @@ class Channel:
     travel: tuple[float, float] | None = None
     settle_margin: float | None = None
     on_loss: OnLoss | None = None
+    input_board: BoardId | None = None
+    input_contracted_board: BoardId | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.node < MASTER:
-            raise ValueError(f"actuator {self.actuator}: node {self.node} is not in 1..126 (127 is the master)")
-        for name in ("output", "input", "output_off", "input_contracted"):
+        for node in (self.node, *(board.node for board in (self.input_board, self.input_contracted_board) if board)):
+            if not 1 <= node < MASTER:
+                raise ValueError(f"actuator {self.actuator}: node {node} is not in 1..126 (127 is the master)")
+        for name in LINES:
             bit = getattr(self, name)
             if bit is not None and not 0 <= bit <= GREATEST_BIT:
                 raise ValueError(f"actuator {self.actuator}: {name} {bit} is not in 0..{GREATEST_BIT}")
@@ -103,7 +125,15 @@ class Channel:
     def line(self, name: str) -> Line | None:
         """Returns the line of "output", "input", "output_off" or "input_contracted"; None if it has none."""
         bit: int | None = getattr(self, name)
-        return None if bit is None else Line(self.bus, self.node, bit, name in self.inverted)
+        if bit is None:
+            return None
+        other = {"input": self.input_board, "input_contracted": self.input_contracted_board}.get(name)
+        return Line(*(other or (self.bus, self.node)), bit, name in self.inverted)
+
+    @property
+    def lines(self) -> dict[str, Line]:
+        """Its outputs and inputs, by the names of their fields."""
+        return {name: line for name in LINES if (line := self.line(name)) is not None}
 
 
 @dataclass(frozen=True)
@@ -193,8 +223,9 @@ class Wiring:
         names = [bus.name for bus in self.buses]
         _refuse_duplicates("bus", names)
         for channel in self.channels:
-            if channel.bus not in names:
-                raise ValueError(f"actuator {channel.actuator}: bus {channel.bus} is not one of {', '.join(names)}")
+            for line in channel.lines.values():
+                if line.bus not in names:
+                    raise ValueError(f"actuator {channel.actuator}: bus {line.bus} is not one of {', '.join(names)}")
             if channel.pulse is not None and (channel.on_loss or self.on_loss) == "contract":
                 raise ValueError(f"actuator {channel.actuator}: it has pulses, so it cannot contract on loss")
         for lock in self.interlocks:
@@ -210,6 +241,13 @@ class Wiring:
         _refuse_duplicates("node", [f"{node.bus}/{node.node}" for node in self.nodes])
         if self.on_loss not in ("hold", "contract"):
             raise ValueError(f"on_loss is {self.on_loss!r}, not 'hold' or 'contract'")
+
+    @cached_property
+    def boards(self) -> tuple[BoardId, ...]:
+        """All boards with an output or input, by bus in the order of `buses`, then by node id."""
+        order = {bus.name: i for i, bus in enumerate(self.buses)}
+        found = {line.board for line in (*self.output_lines, *self.input_lines) if line is not None}
+        return tuple(sorted(found, key=lambda board: (order[board.bus], board.node)))
 
     @cached_property
     def paired(self) -> tuple[int, ...]:

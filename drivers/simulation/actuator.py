@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 CONTRACTED, EXTENDED = 0, 1
 
@@ -36,6 +37,7 @@ class Actuator:
         coils: whether the coils `on` and `off` are energised.
         both_on: number of times when both coils were energised.
         longest_pulse: longest time for which one of two coils was energised [s].
+        observers: called after a switch has opened or closed.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Actuator:
         self.coils = (0, 0)
         self.both_on = 0
         self.longest_pulse = 0.0
+        self.observers: list[Callable[[], None]] = []
         self._times = (travel_time if contract_time is None else contract_time, travel_time)
         self._two_coils = coils == 2
         self._least_pulse = least_pulse
@@ -179,8 +182,12 @@ class Actuator:
     def _advance(self, now: float) -> None:
         self.position = self.position_at(now)
         self._now = now
+        before = tuple(self._closed)
         for end in (CONTRACTED, EXTENDED):
             if self.position == end:
                 self._closed[end] = True
             elif abs(self.position - end) >= _OPENS - _NEAR:
                 self._closed[end] = False
+        if tuple(self._closed) != before:
+            for observe in self.observers:
+                observe()

@@ -8,7 +8,7 @@ from functools import partial
 
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import Channel, Timing, Wiring
+from drivers.canopen.wiring import LINES, BoardId, Channel, Timing, Wiring
 from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
 from drivers.simulation.variants import STANDARD, Variant
@@ -47,10 +47,7 @@ class SimulatedBuses:
         self._interlocks = {lock.name: lock for lock in wiring.interlocks}
         self._boards: dict[str, dict[int, SimulatedBoard]] = {bus.name: {} for bus in wiring.buses}
         self._by_name: dict[str, SimulatedBoard] = {}
-        wired: dict[tuple[str, int], list[Wired]] = {(lock.bus, lock.node): [] for lock in wiring.interlocks}
-        for channel in wiring.channels:
-            wired.setdefault((channel.bus, channel.node), []).append(wire(channel, self._actuators[channel.actuator]))
-        for (bus, node), here in sorted(wired.items(), key=lambda item: item[0]):
+        for (bus, node), here in wire(wiring, self._actuators).items():
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
             board = SimulatedBoard(node, here, partial(self._send, bus), variant)
             self._boards[bus][node] = self._by_name[f"{bus}/{node}"] = board
@@ -217,14 +214,26 @@ def build_actuator(channel: Channel, timing: Timing) -> Actuator:
     )
 
 
-def wire(channel: Channel, actuator: Actuator) -> Wired:
-    """Returns an actuator with the outputs and inputs of its channel."""
-    inverted = "output" in channel.inverted, "output_off" in channel.inverted
-    outputs = channel.output, channel.output_off
-    return Wired(actuator, outputs[0], channel.input, outputs[1], channel.input_contracted, inverted)
+def wire(wiring: Wiring, actuators: Mapping[str, Actuator]) -> dict[BoardId, list[Wired]]:
+    """Returns the actuators of each board, with their outputs and inputs on this board.
+
+    Args:
+        wiring: of the arm.
+        actuators: all actuators by their labels.
+    """
+    wired: dict[BoardId, list[Wired]] = {board: [] for board in wiring.boards}
+    for channel in wiring.channels:
+        inverted = "output" in channel.inverted, "output_off" in channel.inverted
+        lines = channel.lines
+        boards = dict.fromkeys(line.board for line in lines.values())
+        for board in boards:
+            bits: dict[str, int | None] = dict.fromkeys(LINES)
+            bits |= {name: line.bit for name, line in lines.items() if line.board == board}
+            one = Wired(actuators[channel.actuator], **bits, inverted=inverted, shared=len(boards) > 1)
+            wired[board].append(one)
+    return wired
 
 
 def board_names(wiring: Wiring) -> list[str]:
     """Returns the names of the boards of a wiring, e.g. "can0/5"."""
-    places = {(c.bus, c.node) for c in wiring.channels} | {(lock.bus, lock.node) for lock in wiring.interlocks}
-    return [f"{bus}/{node}" for bus, node in sorted(places)]
+    return [str(board) for board in wiring.boards]

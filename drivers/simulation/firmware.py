@@ -30,7 +30,7 @@ _MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
 
 
 class Wired(NamedTuple):
-    """An actuator with the bits of its outputs and inputs; None: it has no such coil or switch.
+    """An actuator with the bits of its outputs and inputs; None: no such coil or switch is on this board.
 
     Attributes:
         actuator: the actuator.
@@ -39,14 +39,16 @@ class Wired(NamedTuple):
         output_off: output bit of the coil that contracts it.
         input_contracted: input bit of the switch at the contracted end.
         inverted: whether the coils of `output` and `output_off` are energised while their output is 0.
+        shared: whether other boards have coils or switches of the actuator, too.
     """
 
     actuator: Actuator
-    output: int
+    output: int | None
     input: int | None
     output_off: int | None = None
     input_contracted: int | None = None
     inverted: tuple[bool, bool] = (False, False)
+    shared: bool = False
 
 
 class SimulatedBoard:
@@ -92,6 +94,9 @@ class SimulatedBoard:
         self._boots_at = math.inf
         self._now = 0.0
         self._inputs = 0
+        for one in self.wired:
+            if one.shared:  # another board may move it up to an arrival
+                one.actuator.observers.append(self._observe)
 
     def _take_node(self) -> None:
         """Applies the node id that LSS has stored."""
@@ -286,13 +291,19 @@ class SimulatedBoard:
 
     def _drive(self) -> None:
         levels = self.pins
-        for actuator, output, _, output_off, _, inverted in self.wired:
+        for actuator, output, _, output_off, _, inverted, _ in self.wired:
+            if output is None:
+                continue
             on, off = levels >> output & 1, 0
             if output_off is not None:
                 off = levels >> output_off & 1
                 if self.powered:
                     on, off = on ^ inverted[0], off ^ inverted[1]
             actuator.drive(on, self._now, off)
+
+    def _observe(self) -> None:
+        if self.state is not None:
+            self._read_inputs()
 
     def _read_inputs(self) -> None:
         before, self._inputs = self._inputs, self._sense()
@@ -306,7 +317,7 @@ class SimulatedBoard:
 
     def _sense(self) -> int:
         inputs = sum(level << bit for bit, level in self.contacts.items())
-        for actuator, _, extended, _, contracted, _ in self.wired:
+        for actuator, _, extended, _, contracted, _, _ in self.wired:
             if extended is not None:
                 inputs |= actuator.reads(EXTENDED) << extended
             if contracted is not None:

@@ -16,8 +16,10 @@ class FakeMaster:
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Any) -> None:
-        nodes = sorted({(c.bus, c.node) for c in wiring.channels})
-        self.board_of = tuple(nodes.index((c.bus, c.node)) for c in wiring.channels)
+        nodes = wiring.boards
+        self.board_of = tuple(nodes.index(c.lines["output"].board) for c in wiring.channels)
+        ends = [[line.board for name, line in c.lines.items() if name.startswith("input")] for c in wiring.channels]
+        self.input_boards_of = tuple(tuple(sorted({nodes.index(board) for board in boards})) for boards in ends)
         self._wiring, self._size = wiring, len(wiring.channels)
         self.outputs = self.inputs = 0
         for i in range(len(wiring.input_lines) - self._size):  # contracted ends, closed interlocks

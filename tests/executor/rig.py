@@ -25,7 +25,7 @@ from controller.program import (
 )
 from drivers.canopen.faults import Fault
 from drivers.canopen.wire.events import Ignored
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 
 SIZE = 6
@@ -44,9 +44,13 @@ def small_arm(
     channel: dict[str, Any] | None = None,
     interlocks: tuple[Interlock, ...] = (),
     on_loss: Literal["hold", "contract"] = "hold",
+    input_board: BoardId | None = None,
     **fields: Any,
 ) -> ExecutedArm:
-    """Returns an arm of two boards with three actuators each; `channel`: further fields; second lines are +8."""
+    """Returns an arm of two boards with three actuators each.
+
+    `channel`: further fields; second lines are +8. `input_board`: the board of all end-stops; bit k is actuator k.
+    """
     more = dict(channel or {})
     second = {name for name in ("output_off", "input_contracted") if more.pop(name, False)}
     channels = tuple(
@@ -55,13 +59,16 @@ def small_arm(
             "can0",
             1 + k // 3,
             k % 3,
-            k % 3 if sensed >> k & 1 else None,
-            **dict.fromkeys(second, 8 + k % 3),
+            (k if input_board else k % 3) if sensed >> k & 1 else None,
+            **{name: 8 + (k if input_board and name == "input_contracted" else k % 3) for name in second},
+            input_board=input_board,
+            input_contracted_board=input_board,
             **more,
         )
         for k, label in enumerate(LABELS)
     )
-    buses = (BusSettings("can0", "virtual", "can0"),)
+    names = dict.fromkeys(["can0", *([input_board.bus] if input_board else [])])
+    buses = tuple(BusSettings(name, "virtual", name) for name in names)
     wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks)
     timing = Timing(travel_time=TRAVEL, settle_margin=margin)
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)

@@ -44,7 +44,7 @@ class World:
         arm = small_arm(**fields)
         self.core = Executor(arm, journal := MemoryJournal(SIZE), instance=1)
         self.journal = journal
-        self.events: deque[Any] = deque([Changed("can0", "active", "", None)])
+        self.events: deque[Any] = deque(Changed(bus.name, "active", "", None) for bus in arm.wiring.buses)
         self.boards = SimulatedBuses(
             arm.wiring, arm.timing, lambda bus, frame: self.events.append(Received(bus, frame))
         )
@@ -56,6 +56,9 @@ class World:
 
     def _do(self, event: Any) -> None:
         self.events.append(event)
+        self._take_events()
+
+    def _take_events(self) -> None:
         while self.events:
             for action in self.core.step(self.events.popleft(), self.now):
                 match action:
@@ -80,8 +83,7 @@ class World:
             if self._ticks % round(PERIOD / STEP) == 0:
                 self.send(Alive())
                 self._do(Tick())
-            while self.events:
-                self._do(self.events.popleft())
+            self._take_events()
 
     def stall(self, seconds: float, *fault: str) -> None:
         """Advances the boards, with a fault, while the executor does not run."""

@@ -93,7 +93,7 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     yield from _check_type(it, kind)
     yield from _supervision(it, timing)
     yield from _read(it, configuration.synchronisation() + configuration.emergencies(it.layout.node))
-    if (0x1005, 0) not in it.values:
+    if (0x1005, 0) not in it.values and it.layout.outputs:
         it.synchronous = False
         it.warn("it has no 1005h sub 0 (COB-ID of SYNC): its outputs switch at once with their frame, not on SYNC")
     if it.layout.outputs:
@@ -229,9 +229,9 @@ def _error_behaviour(it: Inspection) -> Reading:
 
 def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     """Checks polarity, filter and error mode of the outputs; a maker's object has none of these."""
-    layout, (taken, levels) = it.layout, it.layout.loss
+    layout = it.layout
     state = layout.settings.error_state or error_state
-    goes_off = state == "off" and not levels  # by itself, as it must
+    goes_off = state == "off" and layout.loss_is_off  # by itself, as it must
     if layout.settings.object == OUTPUTS:
         yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
         yield from _read(it, configuration.error_mode(layout, required=not goes_off), it.error_mode)
@@ -239,7 +239,7 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     if it.has_error_mode:
         return
     missing = "6206h (error mode)" if layout.settings.object == OUTPUTS else "error mode for its maker's object"
-    if taken and not goes_off:
+    if layout.loss[0] and not goes_off:
         text = f"board {it.name} has no {missing}; it is needed: with on_loss: contract, or with pulses, its outputs"
         text += " must go off when the master is lost; if they do so by themselves, set boards.error_state to off"
         raise BoardError(Fault("wrong-device", it.name, text))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries
+from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, union
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.status import BoardStatus
 from drivers.canopen.wire import cia301
@@ -21,12 +21,24 @@ class StateImage:
     Attributes:
         ends: levels of the input lines.
         up: mask of the input lines whose board is ready.
-        known: mask of the actuators whose board is ready.
+        known: mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops.
     """
 
     ends: int = 0
     up: int = 0
     known: int = 0
+    _missing: dict[str, int] = field(default_factory=dict)  # actuators of each board that is not ready
+
+    def set_ready(self, board: BoardLayout, ready: bool) -> None:
+        """Records whether a board is ready."""
+        if ready:
+            self._missing.pop(board.name, None)
+            self.up |= board.input_lines
+            self.known |= board.actuators & ~union(self._missing.values())
+        else:
+            self._missing[board.name] = board.actuators
+            self.up &= ~board.input_lines
+            self.known &= ~board.actuators
 
 
 class Board:
@@ -69,7 +81,7 @@ class Board:
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
         self.take_inputs_from(layout.tpdos)
-        self._lines = sum(bit.line for bit in layout.inputs)
+        image.set_ready(layout, False)
         image.ends |= sum(bit.line for bit in layout.inputs if bit.inverted)
 
     @property
@@ -92,12 +104,9 @@ class Board:
         self._ready = ready
         if ready:
             self._booted = True
-            self._image.known |= self.layout.actuators
-            self._image.up |= self._lines
         else:
             self._frames_before = self.frames
-            self._image.known &= ~self.layout.actuators
-            self._image.up &= ~self._lines
+        self._image.set_ready(self.layout, ready)
 
     def forget(self) -> None:
         """Marks outputs, inputs and NMT state as unknown until the next boot."""

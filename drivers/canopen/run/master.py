@@ -32,7 +32,8 @@ class Master:
             `send_failed` tell whether the frame was sent, `send_failed` before the next `tick`.
 
     Attributes:
-        board_of: index of the board of each actuator.
+        board_of: index of the board with the outputs of each actuator.
+        input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
         boards: name of each board, e.g. "can0/5".
         sensed: mask of the actuators that have an end-stop.
     """
@@ -40,6 +41,7 @@ class Master:
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
         self._network = network = Network(wiring, timing, send)
         self.board_of = network.layout.board_of
+        self.input_boards_of = network.layout.input_boards_of
         self.boards = tuple(board.name for board in network.layout.boards)
         self.sensed = network.sensed
         self._links, self._clock, self._timing = network.links, LoopClock(), timing
@@ -253,7 +255,7 @@ class Master:
 
     @property
     def known(self) -> int:
-        """Mask of the actuators whose board is ready."""
+        """Mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops."""
         return self._network.image.known
 
     def questioning(self, board: int) -> bool:

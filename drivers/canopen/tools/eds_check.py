@@ -153,9 +153,10 @@ def _error_mode(eds: Eds, board: BoardLayout, error_state: ErrorState | None) ->
     if not own:
         yield from _unmet(eds, configuration.polarity(board) + configuration.filters(board))
     if own or eds.find(0x6206, 1) is None:
-        if board.loss[0]:
+        state = board.settings.error_state or error_state
+        if board.loss[0] and not (state == "off" and board.loss_is_off):
             yield Lack("6206h (error mode)", eds.says(0x6206, 1), "outputs must go off when the master is lost")
-        elif (board.settings.error_state or error_state) is None:
+        elif state is None:
             words = "set boards.error_state to off, hold or device in the arm's file, as you know the device"
             yield Lack("6206h (error mode)", eds.says(0x6206, 1), words)
         return

@@ -67,10 +67,10 @@ def worst_case(layout: Layout, timing: Timing, bus: BusSettings) -> Traffic:
     """
     boards = [board for board in layout.boards if board.bus == bus.name]
     frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}
-    commits = 1 / max(timing.travel_time, 0.001) if frames else 0.0
+    commits = 1 / max(timing.travel_time, 0.001)
     heartbeats = (len(boards) + 1) * cia301.wire_bits(1) / timing.heartbeat
     rpdos = commits * sum(cia301.wire_bits(size) for size in frames.values())
-    sync = commits * cia301.wire_bits(0)
+    sync = commits * cia301.wire_bits(0) if frames else 0.0
     greatest = {board.name: max((pdo.size for pdo in board.tpdos), default=0) for board in boards}
     tpdos = commits * sum(len(board.inputs) * cia301.wire_bits(greatest[board.name]) for board in boards)
     return Traffic(heartbeats, sync, rpdos, tpdos, (heartbeats + sync + rpdos + tpdos) / bus.bitrate)

@@ -94,7 +94,7 @@ class World:
         **options: object,
     ) -> None:
         channels = channels or one_board()
-        names = sorted({c.bus for c in channels})
+        names = sorted({line.bus for c in channels for line in c.lines.values()})
         buses = tuple(BusSettings(name, "none", name, bitrate) for name in names)
         self.wiring = Wiring(buses, tuple(channels), **options)
         self.timing = timing or Timing()
@@ -104,8 +104,7 @@ class World:
         self.buses = {bus.name: SimulatedBus(self, bus.name, bus.bitrate) for bus in buses}
         self.actuators = {c.actuator: build_actuator(c, self.timing) for c in channels}
         self.boards: dict[tuple[str, int], SimulatedBoard] = {}
-        for bus, node in sorted({(c.bus, c.node) for c in channels}):
-            wired = [wire(c, self.actuators[c.actuator]) for c in channels if (c.bus, c.node) == (bus, node)]
+        for (bus, node), wired in wire(self.wiring, self.actuators).items():
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
             self.boards[bus, node] = SimulatedBoard(node, wired, self._mouth(bus, node), variant)
         self.lost: Callable[[str, int, Frame], bool] = lambda bus, node, frame: False  # frames of boards

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses, board_names
 from drivers.simulation.variants import VARIANTS, choose
@@ -214,3 +214,30 @@ def test_an_error_is_told_once_and_stands_until_it_is_over(bench):
     assert bench.heard() == [("can0", 0x585, "4f01100003000000")]
     fault_commands.perform(bench.buses, "error_over", "can0/5", "2320")
     assert bench.heard() == [("can0", 0x085, "0000000000000000")]
+
+
+def test_a_board_of_end_stops_sends_what_the_actuators_of_another_board_do():
+    channel = Channel("1", "can0", 5, 0, 3, input_contracted=1, input_board=BoardId("can1", 6))
+    wiring = Wiring(WIRING.buses, (channel,))
+    sent: list[tuple[str, Frame]] = []
+    buses = SimulatedBuses(wiring, Timing(travel_time=0.1), lambda *frame: sent.append(frame))
+    assert board_names(wiring) == ["can0/5", "can1/6"]
+    buses.step(0.0)
+    for bus, node in (("can0", 5), ("can1", 6)):
+        for frame in (*SETTINGS, Frame(0x605, bytes.fromhex("2f 06 60 01 ff 00 00 00"))):
+            buses.receive(bus, Frame(0x600 + node, frame.data), 1.0)
+        buses.receive(bus, START, 1.0)
+    sent.clear()
+    for frame in (Frame(0x205, b"\x01" + bytes(7)), SYNC):
+        buses.receive("can0", frame, 1.0)
+    while buses.next_due() < 2.0:
+        buses.step(buses.next_due())
+    assert [(bus, frame.id, frame.data[0]) for bus, frame in sent] == [("can0", 0x185, 0), ("can1", 0x186, 8)]
+    buses.power_cut("can0/5")
+    sent.clear()
+    while buses.next_due() < 3.0:
+        buses.step(buses.next_due())
+    assert [(bus, frame.id, frame.data[0]) for bus, frame in sent] == [("can1", 0x186, 0)], "its board has no supply"
+    with buses.actuator("1") as it:
+        it.short_wires()
+    assert [(bus, frame.id, frame.data[0]) for bus, frame in sent[1:]] == [("can1", 0x186, 8)]

@@ -92,6 +92,10 @@ def test_a_board_without_an_error_mode_needs_a_word_in_the_file(tmp_path):
     assert found(tmp_path, *without, error_state="hold") == []
     [told] = found(tmp_path, *without, error_state="hold", on_loss="contract")
     assert "outputs must go off when the master is lost" in told
+    assert found(tmp_path, *without, error_state="off", on_loss="contract") == []
+    inverted = (Channel("a", "can0", 5, 3, 2, inverted=frozenset({"output"})),)
+    [told] = found(tmp_path, *without, channels=inverted, error_state="off", on_loss="contract")
+    assert "outputs must go off when the master is lost" in told
 
 
 def test_another_device_and_outputs_that_are_not_there_are_lacks(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from drivers.canopen.layout import lay_out
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.load import worst_case
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusSettings, Channel, Timing, Wiring
 
 TIMING = Timing(heartbeat=0.1, travel_time=0.05)
 
@@ -52,3 +52,11 @@ def test_each_bus_has_its_own_boards_and_bit_rate():
     assert a.load == pytest.approx(3700 / 250_000)
     assert (b.rpdos, b.tpdos) == pytest.approx((1500, 3000))  # two bytes each; two end-stops
     assert (c.heartbeats, c.sync, c.rpdos, c.tpdos) == pytest.approx((650, 0, 0, 0))
+
+
+def test_end_stops_on_a_bus_of_their_own_load_that_bus():
+    buses = BusSettings("a", "virtual", "a"), BusSettings("b", "virtual", "b")
+    layout = lay_out(Wiring(buses, (Channel("1", "a", 1, 0, 0, input_board=BoardId("b", 1)),)))
+    a, b = (worst_case(layout, TIMING, bus) for bus in buses)
+    assert (a.rpdos, a.tpdos) == pytest.approx((1300, 0))
+    assert (b.sync, b.rpdos, b.tpdos) == pytest.approx((0, 0, 1300))
