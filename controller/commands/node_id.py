@@ -51,8 +51,6 @@ def node_id(
         raise InputFaults(Path("--new-bitrate"), [f"{new_bitrate} is not one of {rates}"])
     identity = None if board is None else parse_identity(board)
     present = surveyed(channel, interface, bitrate, in_full=False)
-    if present.master_heard:
-        raise Failed(f"a master sends its heartbeat on {channel} (node {MASTER}): stop its executor first")
     with opened(BusSettings(channel, interface, channel, bitrate)) as lss:
         if list_:
             show(lss.unconfigured(), channel, as_json)

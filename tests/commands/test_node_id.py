@@ -73,7 +73,7 @@ def test_the_node_id_is_not_set_while_a_master_is_on_the_bus(hyperbit, run):
         time.sleep(0.1)
         code, _, err = hyperbit(*SET)
         task.stop()
-    assert (code, "stop its executor first" in err) == (1, True)
+    assert (code, "an executor is running (its heartbeat" in err) == (1, True)
     with boards.board("can0/5") as board:
         assert board.lss.stored == (5, 0)
 
