@@ -116,7 +116,8 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
     """
     from controller.executor.arm import timing_of, wiring_of
     from drivers.canopen.layout import lay_out
-    from drivers.canopen.tools.eds_check import Eds, UnreadableEds, lacks
+    from drivers.canopen.tools.eds import Eds, UnreadableEds
+    from drivers.canopen.tools.eds_check import lacks
 
     wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
     boards = {board.name: board for board in lay_out(wiring).boards}
