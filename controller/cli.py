@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from controller.commands.table import COMMANDS, GROUPS, Entry
+from controller.machine_code import ADVICE, REFUSAL, watch
 
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
@@ -131,12 +132,15 @@ def options(
 
 def main() -> None:
     """Runs the command line; an error that the user can correct becomes a message and an exit code."""
+    watch()
     try:
         app()
     except Exception as error:
         from controller.commands.common import Failed
         from controller.strict import InputFaults
 
+        if isinstance(error, RuntimeError) and REFUSAL in str(error):
+            error = Failed(f"numba cannot write its machine code: {ADVICE}")
         if not isinstance(error, InputFaults | Failed):
             raise
         sys.stderr.write(f"{error}\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,18 +9,18 @@ import typer
 
 from controller.actuators import read_wired
 from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.executor_absence import refuse_executor, running_on
 from controller.commands.probe import errors
-from controller.program import VERSION, Hello, encode
 from controller.settings import ArmSettings
-from controller.sockets import found_sockets, socket_path
 from controller.strict import InputFaults
 from controller.terminals import named_boards
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.node_reset import reset_node
+from drivers.canopen.tools.node_states import stopped
 from drivers.canopen.tools.survey import Survey, survey
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wire.cia301 import State
+from drivers.canopen.wiring import BusSettings
 
-ANSWER_WITHIN = 1.0  # [s]
 BOARD = "Bus and node id, such as can0/5."
 ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; outputs go off, actuators may move."
 SOCKET = "Socket of the arm's executor, or its folder; the command checks that no executor answers there."
@@ -41,15 +40,15 @@ def board(
     if name not in places:
         known = ", ".join(sorted(places, key=lambda place: (place.partition("/")[0], int(place.partition("/")[2]))))
         raise InputFaults(Path("board"), [f"{name!r} is no board of {file}, which has {known}"])
-    refuse_running(settings.name, socket)
     bus_name, _, node = name.partition("/")
     [bus] = [BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses if b.name == bus_name]
     try:
+        refuse_executor([bus], settings.name, socket, settings.boards.heartbeat)
         found = survey(bus, [int(node)])
         if found.fault is not None:
             raise Failed(found.fault.message)
         if found.master_heard:
-            raise Failed(f"a master sends its heartbeat on {bus_name} (node {MASTER}): stop its executor first")
+            raise running_on(bus_name)
         if action == "errors":
             show_errors(found, name, as_json)
         else:
@@ -64,6 +63,8 @@ def show_errors(found: Survey, name: str, as_json: bool) -> None:
     Raises:
         Failed: the board does not answer.
     """
+    if found.found and not found.found[0].answers and found.found[0].state is State.STOPPED:
+        raise Failed(stopped(name))
     if not found.found or not found.found[0].answers:
         raise Failed(f"board {name} does not answer: check its power supply and its node id")
     it = found.found[0]
@@ -94,28 +95,3 @@ def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json
         print_json({"board": name, "booted_after": it.booted_after})
     else:
         typer.echo(f"board {name} has booted after {it.booted_after:.2f} s; it is pre-operational")
-
-
-def refuse_running(arm: str, path: Path | None) -> None:
-    """Refuses to work on an arm's board while the arm's executor runs.
-
-    Raises:
-        Failed: an executor of this arm answers.
-    """
-    for own in dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]):
-        if answers(own, arm):
-            raise Failed(f"the executor of {arm} is running (it answers at {own}): stop it first")
-
-
-def answers(path: Path, arm: str) -> bool:
-    """Returns whether the executor of an arm answers at a socket."""
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-            connection.settimeout(ANSWER_WITHIN)
-            connection.connect(str(path))
-            connection.send(encode(Hello(VERSION, "operator", arm)))
-            return bool(connection.recv(1))
-    except TimeoutError:
-        return True  # the executor has accepted the connection, but is slow
-    except OSError:
-        return False

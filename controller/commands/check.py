@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +17,16 @@ from controller.terminals import actuator_terminals
 if TYPE_CHECKING:
     from controller.config import Arm
 
+SOCKET = "Socket of the arm's executor, or its folder; with --bus the command checks that no executor answers there."
+SILENT = ("does not answer", "do not answer")
+KINDS = {  # of faults, by code: what one board does, and what several do
+    "board-missing": SILENT,
+    "board-stopped": ("is stopped", "are stopped"),
+    "board-error": ("reports an error", "report an error"),
+    "wrong-device": ("lacks an object or value that hyperbit needs", "lack an object or value that hyperbit needs"),
+    "sdo-refused": ("refuses a value that hyperbit needs", "refuse a value that hyperbit needs"),
+}
+
 
 def check(
     file: ArmFile,
@@ -23,17 +35,18 @@ def check(
         Path | None, typer.Option(help="Maker's electronic data sheet (EDS) of the boards: compare it, without a bus.")
     ] = None,
     node: Annotated[str | None, typer.Option(help="Only board that the EDS describes, such as can0/5.")] = None,
+    socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     as_json: AsJson = False,
 ) -> None:
     """Check an arm's file and name each fault by its field; --bus also reads the boards.
 
     Example: hyperbit check my-arm.yaml --eds 750-337.eds --node can0/5
     """
-    from controller.config import load
-    from controller.executor.arm import read_arm
-
     if node is not None and eds is None:
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
+
+    from controller.config import load
+    from controller.executor.arm import read_arm
 
     try:
         arm = load(file)
@@ -45,7 +58,7 @@ def check(
             raise typer.Exit(2) from None
         raise
     boards = compare(arm, eds, node) if eds is not None else []
-    boards += ask_boards(arm) if bus else []
+    boards += ask_boards(arm, socket) if bus else []
     missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
     if as_json:
         print_json({"ok": not missing, "faults": missing, "boards": boards})
@@ -60,24 +73,38 @@ def check(
     if missing:
         if as_json:
             raise typer.Exit(1)
-        raise Failed(f"{len(missing)} of {len(boards)} boards do not answer, or lack an object that hyperbit needs")
+        raise Failed(summary([board["code"] for board in boards if not board["ok"]]))
 
 
-def ask_boards(arm: Arm) -> list[dict[str, Any]]:
+def summary(codes: Iterable[str]) -> str:
+    """Returns how many boards have which fault, e.g. "2 boards do not answer, 1 is stopped"; `codes`: one a board."""
+    counts = Counter(KINDS.get(code, SILENT) for code in codes)
+    kinds = [kind for kind in dict.fromkeys(KINDS.values()) if counts[kind]]
+    parts = [f"{counts[kind]} {kind[counts[kind] > 1]}" for kind in kinds]
+    first, _, verb = parts[0].partition(" ")
+    return ", ".join([f"{first} board{'s' * (first != '1')} {verb}", *parts[1:]])
+
+
+def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     """Reads each board of an arm; returns an answer for each.
 
     Raises:
-        Failed: a bus cannot be used.
+        Failed: a bus cannot be used, or an executor runs.
     """
+    from controller.commands.executor_absence import refuse_executor, running_on
     from controller.executor.arm import timing_of, wiring_of
     from drivers.canopen.faults import BusError
     from drivers.canopen.tools.probe import probe
 
+    wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
     try:
-        answers = probe(wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings))
+        refuse_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat)
+        asked = probe(wiring, timing)
     except BusError as error:
         raise Failed(str(error)) from None
-    return [{"board": answer.board, "ok": answer.ok, "answer": answer.text} for answer in answers]
+    if asked.master_on is not None:
+        raise running_on(asked.master_on)
+    return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in asked.answers or ()]
 
 
 def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
@@ -93,7 +120,8 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
     """
     from controller.executor.arm import timing_of, wiring_of
     from drivers.canopen.layout import lay_out
-    from drivers.canopen.tools.eds_check import Eds, UnreadableEds, lacks
+    from drivers.canopen.tools.eds import Eds, UnreadableEds
+    from drivers.canopen.tools.eds_check import lacks
 
     wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
     boards = {board.name: board for board in lay_out(wiring).boards}
@@ -107,5 +135,7 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
             except UnreadableEds as error:
                 raise InputFaults(eds, [str(error)]) from None
             text = "; ".join(map(str, found)) or f"has all needed objects, according to {eds.name}"
-            answers.append({"board": name, "ok": not found, "answer": text, "lacks": [one._asdict() for one in found]})
+            code = "wrong-device" if found else ""
+            told = [one._asdict() for one in found]
+            answers.append({"board": name, "ok": not found, "answer": text, "code": code, "lacks": told})
     return answers

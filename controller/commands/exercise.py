@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import queue
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -147,7 +147,7 @@ def move(client: Client, label: str, state: str) -> Travel:
 
 def report(travels: list[Travel], description: Mapping[str, Any], as_json: bool) -> None:
     """Prints the measured times and the proposal for the arm's file."""
-    lines = proposal(travels)
+    lines = proposal(travels, description["actuators"])
     if as_json:
         print_json({"proposal": "\n".join(lines)})
         return
@@ -172,23 +172,36 @@ def shown(travel: Travel | None, wired: Mapping[str, Any], state: str) -> str:
     return f"no `{END_STOPS[state]}`" if wired.get(END_STOPS[state]) is None else "not measured"
 
 
-def proposal(travels: Iterable[Travel]) -> list[str]:
-    """Returns YAML lines for the arm's file: the arm's travel time, and travel times of much faster actuators."""
-    longest: dict[str, float] = {}
+def proposal(travels: Iterable[Travel], labels: Sequence[str]) -> list[str]:
+    """Returns YAML lines for the arm's file.
+
+    The arm gets a travel time for a direction in which all its actuators were measured. An actuator gets its own travel
+    time where the arm gets none, or if it is much faster. A direction that was not measured gets no time.
+
+    Args:
+        travels: the motions.
+        labels: all actuators of the arm.
+    """
     single: dict[str, dict[str, float]] = {}
     for label, state, seconds in travels:
+        times = single.setdefault(label, {})
         if seconds is not None:
-            time = reserved(seconds)
-            single.setdefault(label, {})[FIELDS[state]] = time
-            longest[FIELDS[state]] = max(longest.get(FIELDS[state], 0.0), time)
-    if not longest:
-        return []
-    both: Callable[[Mapping[str, float]], bool] = lambda times: times.keys() == set(FIELDS.values())  # noqa: E731
-    lines = [f"travel_time: {written(longest if both(longest) else {'': max(longest.values())})}"]
-    if both(longest):
-        for label, times in single.items():
-            if both(times) and all(DIFFERENT * times[field] < longest[field] for field in times):
-                lines.append(f"# actuator {label}:  travel_time: {written(times)}")
+            times[FIELDS[state]] = max(times.get(FIELDS[state], 0.0), reserved(seconds))
+    whole = {
+        field: max(single[label][field] for label in labels)
+        for field in FIELDS.values()
+        if all(field in single.get(label, {}) for label in labels)
+    }
+    lines = [f"travel_time: {written(whole)}"] if whole else []
+    for label, times in single.items():
+        faster = len(times) == len(FIELDS) and all(DIFFERENT * times[field] < whole.get(field, 0.0) for field in times)
+        if faster or times.keys() - whole.keys():
+            lines.append(f"# actuator {label}:  travel_time: {written(times)}")
+    for field in FIELDS.values():
+        without = [label for label, times in single.items() if field not in times]
+        if lines and without:
+            whose = "any actuator" if len(without) == len(single) > 1 else ", ".join(without)
+            lines.append(f"# {field} of {whose} was not measured: keep the present time for it")
     return lines
 
 
@@ -198,7 +211,9 @@ def reserved(seconds: float) -> float:
 
 
 def written(times: Mapping[str, float]) -> str:
-    """Returns times as YAML: one number, or one for each direction."""
-    if "" in times:
-        return f"{times['']:g}"
-    return "{" + ", ".join(f"{field}: {times[field]:g}" for field in FIELDS.values()) + "}"
+    """Returns times as YAML; the time of a direction that was not measured is left open, "..."."""
+    return (
+        "{"
+        + ", ".join(f"{field}: {times[field]:g}" if field in times else f"{field}: ..." for field in FIELDS.values())
+        + "}"
+    )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -51,8 +53,6 @@ def node_id(
         raise InputFaults(Path("--new-bitrate"), [f"{new_bitrate} is not one of {rates}"])
     identity = None if board is None else parse_identity(board)
     present = surveyed(channel, interface, bitrate, in_full=False)
-    if present.master_heard:
-        raise Failed(f"a master sends its heartbeat on {channel} (node {MASTER}): stop its executor first")
     with opened(BusSettings(channel, interface, channel, bitrate)) as lss:
         if list_:
             show(lss.unconfigured(), channel, as_json)
@@ -64,16 +64,18 @@ def node_id(
             selected, old = lss.select(identity)
             if new is not None and new != old:
                 refuse_taken(present, new, channel)
-            lss.configure(new, new_bitrate)
+            lss.configure(old, new, new_bitrate)
         finally:
             lss.release()
-    node, rate = new or old, new_bitrate or bitrate
     if as_json:
-        print_json({"identity": str(selected), "before": old, "node": node, "bitrate": rate})
+        print_json({"identity": str(selected), "before": old, "node": new or old, "bitrate": new_bitrate})
         return
     before = "none" if old > MASTER else str(old)
-    typer.echo(f"board {selected}: stored node id {node} (before: {before}) and {rate} bit/s")
-    hint = f"switch its supply off and on, then: hyperbit probe {channel} --bitrate {rate}"
+    stored = [f"node id {new} (before: {before})"] if new is not None else []
+    stored += [f"{new_bitrate} bit/s"] if new_bitrate is not None else []
+    typer.echo(f"board {selected}: stored {' and '.join(stored)}")
+    rate = f" --bitrate {new_bitrate or bitrate}" if new_bitrate or interface != "socketcan" else ""
+    hint = f"switch its supply off and on, then: hyperbit probe {channel}{rate}"
     typer.echo(hint + (f" --interface {interface}" if interface != "socketcan" else ""))
 
 
@@ -122,6 +124,7 @@ def opened(settings: BusSettings) -> Iterator[Lss]:
         Failed: the bus cannot be opened, or a board refuses a request.
     """
     bus = CanBus(settings)
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # the board is released first
     try:
         bus.open()
         yield Lss(over(bus))
@@ -129,3 +132,4 @@ def opened(settings: BusSettings) -> Iterator[Lss]:
         raise Failed(f"{settings.name}: {error}") from None
     finally:
         bus.close()
+        signal.signal(signal.SIGTERM, before)

@@ -9,12 +9,15 @@ import typer
 
 from controller.commands import common
 from controller.commands.common import AsJson, Failed, print_json
+from controller.commands.executor_absence import refuse_executor, running_on
 from drivers.canopen.boot.pdo_setup import PdoState, pdo_words
 from drivers.canopen.faults import BusError
 from drivers.canopen.pdo import carries
 from drivers.canopen.sdo import objects
+from drivers.canopen.tools.node_states import stopped
 from drivers.canopen.tools.survey import TEXTS, Found, Survey, survey
 from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wiring import MASTER, BusSettings
 
 RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."
@@ -37,7 +40,8 @@ def probe(
 ) -> None:
     """Find the nodes of a CAN bus and print their identity, mapping and settings; writes nothing.
 
-    The command asks the node ids 1 to 127 in parallel and listens to heartbeats. It needs no arm's file. With --json it
+    The command asks the node ids 1 to 127 in parallel and listens to heartbeats. It needs no arm's file, and a bus
+    without an executor. With --json it
     prints a line for each node; send this line in if hyperbit does not know the board.
     """
     found = surveyed(channel, interface, bitrate)
@@ -47,16 +51,14 @@ def probe(
             print_json(as_mapping(node))
             continue
         common.console.print(f"{channel}/{node.node}", markup=False)
-        for what, text in rows(node):
+        for what, text in rows(node, channel):
             common.console.print(f"  {what:<16} {text}", markup=False)
-    if found.master_heard:
-        common.errors.print(f"a master sends its heartbeat on {channel} (node {MASTER}), such as an executor")
     if not nodes:
         raise Failed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
 
 
 def surveyed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) -> Survey:
-    """Returns the nodes of a bus.
+    """Returns the nodes of a bus without an executor.
 
     Args:
         channel: of the bus, such as "can0".
@@ -65,19 +67,26 @@ def surveyed(channel: str, interface: str, bitrate: int, *, in_full: bool = True
         in_full: read all objects of interest of each node, not only its state.
 
     Raises:
-        Failed: the bus cannot be used.
+        Failed: the bus cannot be used, or an executor uses it.
     """
+    bus = BusSettings(channel, interface, channel, bitrate)
     try:
-        found = survey(BusSettings(channel, interface, channel, bitrate), in_full=in_full)
+        refuse_executor([bus])
+        found = survey(bus, in_full=in_full)
     except BusError as error:
         raise Failed(str(error), f"check that {channel} is up and that its --interface is {interface}") from None
     if found.fault is not None:
         raise Failed(found.fault.message)
+    if found.master_heard:
+        raise running_on(channel)
     return found
 
 
-def rows(it: Found) -> Iterable[Row]:
+def rows(it: Found, channel: str) -> Iterable[Row]:
     """Yields the rows of a node: subject and text."""
+    if not it.answers and it.state is State.STOPPED:
+        yield "state", stopped(f"{channel}/{it.node}")
+        return
     if not it.answers:
         yield "state", f"{it.state.words if it.state is not None else 'unknown'}; does not answer SDO requests"
         return

@@ -106,6 +106,18 @@ def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, actio
     assert (code, "the executor of planar16 is running" in err) == (1, True)
 
 
+def test_a_stopped_board_is_said_to_be_stopped(board, boards):
+    with boards.board("can0/5") as it:
+        it.objects.put(0x1017, 0, 100)
+        it.receive(0, bytes([0x80, 5]), it._now)
+        it._supervision.begin(it._now)
+        it.receive(0, bytes([0x02, 5]), it._now)
+    code, _, err = board("can0/5", "errors")
+    assert (code, err.startswith("board can0/5 is stopped, as after the end of an executor")) == (1, True), err
+    assert board("can0/5", "reset", "--yes")[0] == 0
+    assert board("can0/5", "errors")[0] == 0
+
+
 def test_a_socket_that_nobody_serves_does_not_count(board, boards, tmp_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as old:
         old.bind(str(tmp_path / "planar16.sock"))
@@ -118,4 +130,4 @@ def test_the_command_refuses_while_a_master_is_on_the_bus(board, boards, request
         task = bus.send_periodic(message, 0.05)
         code, _, err = board("can0/5", "reset", "--yes")
         task.stop()
-    assert (code, "stop its executor first" in err) == (1, True)
+    assert (code, "an executor is running (its heartbeat, node 127, is on can0): stop it first" in err) == (1, True)

@@ -169,3 +169,15 @@ def test_a_file_without_a_name_is_unusable_input(tmp_path, text, fault):
 
 def test_states_have_the_names_of_the_arm():
     assert requests.STATES == locked.STATES
+
+
+def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):
+    def refuse(path: object) -> None:
+        raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
+
+    monkeypatch.setattr("controller.config.load", refuse)
+    code, _, err = hyperbit("check", str(ARM))
+    assert (code, err) == (
+        1,
+        "numba cannot write its machine code: set NUMBA_CACHE_DIR to a folder that you can write\n",
+    )

@@ -75,7 +75,11 @@ def test_each_actuator_moves_alone_there_and_back(hyperbit, daemon):
         ["1.left", "81.2", "64.1"],
         ["1.right", "81.2", "no", "`input_contracted`"],
     ]
-    assert out.endswith("\ntravel_time: {extend: 0.102, contract: 0.081}\n")
+    assert out.endswith(
+        "\ntravel_time: {extend: 0.102, contract: ...}\n"
+        "# actuator 1.left:  travel_time: {extend: 0.102, contract: 0.081}\n"
+        "# contract of 1.right was not measured: keep the present time for it\n"
+    )
 
 
 def test_json_has_a_line_for_each_way_and_the_proposal(hyperbit, daemon):
@@ -83,7 +87,7 @@ def test_json_has_a_line_for_each_way_and_the_proposal(hyperbit, daemon):
     assert [json.loads(line) for line in out.splitlines()] == [
         {"actuator": "1.left", "state": "extended", "seconds": 0.0812},
         {"actuator": "1.left", "state": "contracted", "seconds": 0.0641},
-        {"proposal": "travel_time: {extend: 0.102, contract: 0.081}"},
+        {"proposal": "# actuator 1.left:  travel_time: {extend: 0.102, contract: 0.081}"},
     ]
 
 
@@ -142,14 +146,27 @@ def test_an_unknown_actuator_is_unusable_input(hyperbit, daemon):
     assert (code, "'9.left' is no actuator of this arm, which has 1.left to 1.right" in err) == (2, True)
 
 
-def test_one_direction_alone_proposes_one_time():
-    assert proposal([Travel("a", "extended", 0.08), Travel("a", "contracted", None)]) == ["travel_time: 0.1"]
-    assert proposal([Travel("a", "extended", None)]) == []
+def test_a_direction_that_was_not_measured_gets_no_time():
+    assert proposal([Travel("a", "extended", 0.08), Travel("a", "contracted", None)], ["a"]) == [
+        "travel_time: {extend: 0.1, contract: ...}",
+        "# contract of a was not measured: keep the present time for it",
+    ]
+    both = [Travel(label, "extended", 0.08) for label in "ab"] + [Travel(label, "contracted", None) for label in "ab"]
+    assert proposal(both, ["a", "b"]) == [
+        "travel_time: {extend: 0.1, contract: ...}",
+        "# contract of any actuator was not measured: keep the present time for it",
+    ]
+    assert proposal([Travel("a", "extended", None)], ["a"]) == []
+
+
+def test_one_actuator_gives_the_arm_no_time():
+    measured = [Travel("a", "extended", 0.02), Travel("a", "contracted", 0.03)]
+    assert proposal(measured, ["a", "b"]) == ["# actuator a:  travel_time: {extend: 0.025, contract: 0.038}"]
 
 
 def test_much_faster_actuators_get_times_of_their_own():
     travels = [Travel("a", "extended", 0.12), Travel("a", "contracted", 0.1), Travel("b", "extended", 0.04)]
-    assert proposal([*travels, Travel("b", "contracted", 0.04)]) == [
+    assert proposal([*travels, Travel("b", "contracted", 0.04)], ["a", "b"]) == [
         "travel_time: {extend: 0.15, contract: 0.125}",
         "# actuator b:  travel_time: {extend: 0.05, contract: 0.05}",
     ]
@@ -162,4 +179,5 @@ def test_a_daemon_moves_and_measures(hyperbit, endpoint):
     assert (extended["actuator"], extended["state"]) == ("5.left", "extended")
     assert extended["seconds"] == pytest.approx(0.5 * yaml.safe_load(ARM.read_text())["travel_time"], rel=0.1)
     assert (contracted["state"], contracted["seconds"]) == ("contracted", None)  # which has no end-stop there
-    assert last["proposal"].startswith("travel_time: 0.")
+    assert last["proposal"].startswith("# actuator 5.left:  travel_time: {extend: 0.0")
+    assert last["proposal"].endswith("# contract of 5.left was not measured: keep the present time for it")

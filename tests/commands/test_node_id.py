@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 
 import can
 import pytest
 
+from drivers.canopen.tools.lss import Lss
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from drivers.simulation.simulation import Simulation
 from drivers.simulation.variants import Variant
@@ -49,6 +52,26 @@ def test_the_only_board_gets_another_id_and_bit_rate(hyperbit, run):
     eventually(lambda: not board.lss.state)
 
 
+def test_a_value_that_was_not_stored_is_not_reported(hyperbit, run):
+    run(5)
+    _, out, _ = hyperbit(*SET, "--bitrate", "500000")
+    assert out.startswith("board 0x0:0x191:0x1:0x69: stored node id 7 (before: 5)\n")
+    _, out, _ = hyperbit("node-id", CHANNEL, "--interface", "virtual", "--new-bitrate", "250000", "--json")
+    assert json.loads(out) == {"identity": "0x0:0x191:0x1:0x69", "before": 5, "node": 5, "bitrate": 250000}
+    _, out, _ = hyperbit(*SET, "--json")
+    assert json.loads(out)["bitrate"] is None
+
+
+def test_the_board_is_released_if_the_command_is_terminated(hyperbit, run, monkeypatch):
+    boards = run(5)
+    monkeypatch.setattr(Lss, "configure", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    code, _, _ = hyperbit(*SET)
+    assert code == 143
+    with boards.board("can0/5") as board:
+        assert board.lss.stored == (5, 0)
+    eventually(lambda: not board.lss.state)
+
+
 def test_one_of_two_is_named(hyperbit, run):
     boards = run(5, 9)
     code, _, err = hyperbit(*SET)
@@ -73,7 +96,7 @@ def test_the_node_id_is_not_set_while_a_master_is_on_the_bus(hyperbit, run):
         time.sleep(0.1)
         code, _, err = hyperbit(*SET)
         task.stop()
-    assert (code, "stop its executor first" in err) == (1, True)
+    assert (code, "an executor is running (its heartbeat" in err) == (1, True)
     with boards.board("can0/5") as board:
         assert board.lss.stored == (5, 0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import can
 import pytest
 
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
@@ -52,6 +53,26 @@ def test_json_has_all_that_was_read(hyperbit, boards):
     assert five["objects"]["1000h:0"] == 0x00030191
     assert "1017h:0" not in nine["objects"]
     assert five["pdos"]["RPDO1"]["mapping"][0] == "62000108h"
+
+
+def test_a_bus_with_an_executor_is_refused_before_anything_is_sent(hyperbit, boards):
+    with can.Bus(interface="virtual", channel=CHANNEL) as bus:
+        message = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
+        task = bus.send_periodic(message, 0.05)
+        code, out, err = hyperbit("probe", CHANNEL, "--interface", "virtual")
+        task.stop()
+        sent = [received.arbitration_id for received in iter(lambda: bus.recv(0), None)]
+    assert (code, out) == (1, "")
+    assert f"an executor is running (its heartbeat, node 127, is on {CHANNEL}): stop it first" in err
+    assert not [cob_id for cob_id in sent if cob_id & 0x780 in (0x580, 0x600)]
+
+
+def test_a_stopped_node_is_said_to_be_stopped(hyperbit, boards):
+    with boards.board("can0/9") as it:
+        it.receive(0, bytes([2, 9]), it._now)
+    code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual")
+    assert code == 0
+    assert f"board {CHANNEL}/9 is stopped, as after the end of an executor" in out
 
 
 def test_a_bus_without_nodes_fails_in_words(hyperbit):

@@ -1,9 +1,9 @@
-"""Checks each board of a wiring as the boot does, and changes nothing (`check --bus`)."""
+"""Checks each board of a wiring as the boot does, and changes no value on it (`check --bus`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from drivers.canopen.boot import inspection, pdo_search
 from drivers.canopen.boot.board_boot import find
@@ -16,9 +16,10 @@ from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner
 from drivers.canopen.tools.conversation import converse
+from drivers.canopen.tools.node_states import NodeStates, stopped
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Changed, Echoed, Event, Received
 from drivers.canopen.wire.link import Link
 from drivers.canopen.wiring import Timing, Wiring
@@ -26,7 +27,6 @@ from drivers.canopen.wiring import Timing, Wiring
 _STUCK_AFTER = 0.5  # [s]
 _PATIENCE = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # changes that the answer lists
-_HARMLESS = (0x1029, 0x6206, 0x6207)
 
 
 @dataclass(frozen=True)
@@ -35,17 +35,25 @@ class Answer:
 
     Attributes:
         board: name of the board, e.g. "can0/5".
-        ok: whether it can be booted and reports no error.
         text: its device type, the values that the boot will write, and its limits; or what is wrong.
+        code: code of what is wrong, as of a fault; "": it can be booted and reports no error.
     """
 
     board: str
-    ok: bool
     text: str
+    code: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the board can be booted and reports no error."""
+        return not self.code
 
 
 class Probe:
     """Asks all boards of a wiring in parallel; without I/O and clock, like the master.
+
+    It writes only values that the objects have already, to find read-only objects. So no frame that is lost, and no end
+    of the process, leaves another value on a board.
 
     Args:
         wiring: buses and boards.
@@ -56,6 +64,7 @@ class Probe:
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
         self._timing, self._error_state = timing, wiring.error_state
         self._links = {bus.name: Link(bus, send, _STUCK_AFTER) for bus in wiring.buses}
+        self._states = {name: NodeStates(link) for name, link in self._links.items()}
         self._boards = lay_out(wiring).boards
         self._runners = {(b.bus, b.node): Runner(b.node, self._links[b.bus]) for b in self._boards}
         self._answers: dict[str, Answer] = {}
@@ -66,6 +75,11 @@ class Probe:
         if len(self._answers) < len(self._boards):
             return None
         return tuple(self._answers[board.name] for board in self._boards)
+
+    @property
+    def master_on(self) -> str | None:
+        """Name of a bus on which a master, such as an executor, sends its heartbeat; None if there is none."""
+        return next((name for name, states in self._states.items() if states.master_heard), None)
 
     @property
     def over(self) -> bool:
@@ -88,6 +102,7 @@ class Probe:
         elif isinstance(event, Echoed) and link.echoed(event.frame, now):
             return
         elif isinstance(event, Echoed | Received):
+            self._states[event.bus].hear(event.frame)
             function, node = cia301.split(event.frame.id)
             runner = self._runners.get((event.bus, node))
             if function == cia301.SDO_ANSWER and runner is not None and len(event.frame.data) == 8:
@@ -100,6 +115,8 @@ class Probe:
 
     def tick(self, now: float) -> None:
         """Call every millisecond: handles timeouts."""
+        for states in self._states.values():
+            states.tick(now)
         for link in self._links.values():
             link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
             if (fault := link.tick(now, now)) is not None:
@@ -108,7 +125,12 @@ class Probe:
             runner.tick(now)
 
     def _ask(self, board: BoardLayout) -> Procedure:
-        kind, _ = yield from find(board, _PATIENCE, None)
+        try:
+            kind, _ = yield from find(board, _PATIENCE, None)
+        except BoardError as error:
+            if error.fault.code == "board-missing":
+                yield from self._refuse_heard(board)
+            raise
         it = Inspection(board)
         yield from inspection.inspect(it, kind, self._timing, self._error_state)
         yield from pdo_search.read_pdos(it, in_full=True)
@@ -131,12 +153,24 @@ class Probe:
             text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
         for warning in it.warnings:
             text += f"; {warning}"
-        self._answers[board.name] = Answer(board.name, not register or lost, text)
+        code = "board-error" if register and not lost else ""
+        self._answers[board.name] = Answer(board.name, text, code)
+
+    def _refuse_heard(self, board: BoardLayout) -> Reading:
+        """Refuses a board that answers no SDO, but sends heartbeats or answers a remote frame."""
+        states = self._states[board.bus]
+        yield from states.learn(board.node)
+        state = states.states.get(board.node)
+        if state is State.STOPPED:
+            raise BoardError(Fault("board-stopped", board.name, stopped(board.name)))
+        if state is not None:
+            text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_PATIENCE:g} s"
+            raise BoardError(Fault("board-missing", board.name, text))
 
     def _note(self, board: BoardLayout) -> Callable[[Fault | None, float], None]:
         def ended(fault: Fault | None, now: float) -> None:
             if fault is not None:
-                self._answers[board.name] = Answer(board.name, False, fault.message)
+                self._answers[board.name] = Answer(board.name, fault.message, fault.code)
 
         return ended
 
@@ -145,20 +179,12 @@ class Probe:
             if board.bus == fault.source and board.name not in self._answers:
                 self._runners[board.bus, board.node].cancel()
                 text = f"board {board.name} does not answer: {fault.message}"
-                self._answers[board.name] = Answer(board.name, False, text)
+                self._answers[board.name] = Answer(board.name, text, fault.code)
 
 
 def _try(it: Inspection, need: Need) -> Reading:
-    """Refuses an object that cannot be written: writes its present value, which changes nothing.
-
-    Objects that count in the error state only get the needed value for a moment, and are read back: some boards confirm
-    the write and ignore it.
-    """
+    """Refuses an object that cannot be written: writes its present value, which changes nothing."""
     present = it.values[need.index, need.sub]
-    if need.index in _HARMLESS:
-        yield from objects.ensure(it.name, need, present)
-        yield from objects.ensure(it.name, replace(need, value=present, mask=0xFF), need.corrected(present))
-        return
     if (abort := (yield from objects.write(it.name, need, present))) == objects.READ_ONLY:
         raise objects.refused(it.name, need, present, abort)
 
@@ -191,7 +217,7 @@ def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
         raise BoardError(Fault("sdo-refused", it.name, text))
 
 
-def probe(wiring: Wiring, timing: Timing, open_bus: Callable[..., CanBus] = CanBus) -> tuple[Answer, ...]:
+def probe(wiring: Wiring, timing: Timing) -> Probe:
     """Asks all boards; blocks until they have answered or timed out.
 
     Raises:
@@ -199,6 +225,5 @@ def probe(wiring: Wiring, timing: Timing, open_bus: Callable[..., CanBus] = CanB
     """
     outbox: list[tuple[str, Frame]] = []
     asking = Probe(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
-    converse(asking, outbox, [open_bus(settings) for settings in wiring.buses])
-    assert asking.answers is not None
-    return asking.answers
+    converse(asking, outbox, [CanBus(settings) for settings in wiring.buses])
+    return asking

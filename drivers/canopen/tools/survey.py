@@ -11,9 +11,10 @@ from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.client import Outcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner, Step
 from drivers.canopen.tools.conversation import converse
+from drivers.canopen.tools.node_states import NodeStates
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import STATES, Frame, State
+from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Changed, Echoed, Event, Received
 from drivers.canopen.wire.link import Link
 from drivers.canopen.wiring import MASTER, BusSettings
@@ -47,7 +48,7 @@ class Found:
 
     Attributes:
         node: node id.
-        state: last NMT state; None if no heartbeat came.
+        state: last NMT state; None if neither a heartbeat nor an answer to a remote frame came.
         answers: whether it answers SDO requests.
         numbers: unsigned numbers by index and sub-index.
         texts: texts by index.
@@ -71,8 +72,9 @@ class Found:
 class Survey:
     """Asks all nodes of a bus in parallel, and listens to heartbeats; without I/O and clock, like the master.
 
+    A node that neither answers nor sends heartbeats is polled by a remote frame: it may be stopped.
+
     Attributes:
-        master_heard: whether a master, such as an executor, sends its heartbeat.
         fault: why the bus could not be used; None if it could.
 
     Args:
@@ -90,9 +92,9 @@ class Survey:
         *,
         in_full: bool = True,
     ) -> None:
-        self.master_heard = False
         self.fault: Fault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
+        self._states = NodeStates(self._link)
         self._nodes = {node: Found(node) for node in nodes}
         self._runners = {node: Runner(node, self._link) for node in self._nodes}
         self._in_full = in_full
@@ -106,8 +108,15 @@ class Survey:
         return self._until == -1.0 and not any(runner.running for runner in self._runners.values())
 
     @property
+    def master_heard(self) -> bool:
+        """Whether a master, such as an executor, sends its heartbeat."""
+        return self._states.master_heard
+
+    @property
     def found(self) -> list[Found]:
         """The nodes that have answered or were heard, by node id."""
+        for number, node in self._nodes.items():
+            node.state = self._states.states.get(number)
         return [node for node in self._nodes.values() if node.answers or node.state is not None]
 
     def start(self, now: float) -> None:
@@ -129,10 +138,8 @@ class Survey:
             if function == cia301.SDO_ANSWER and node in self._runners and len(data) == 8:
                 self._runners[node].receive_sdo(data, now)
                 self._runners[node].check(now)
-            elif function == cia301.HEARTBEAT and len(data) == 1:
-                self.master_heard |= node == MASTER
-                if node in self._nodes:
-                    self._nodes[node].state = STATES.get(data[0] & 0x7F)
+            else:
+                self._states.hear(event.frame)
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
         """Records that a frame could not be sent."""
@@ -141,6 +148,7 @@ class Survey:
     def tick(self, now: float) -> None:
         """Call every millisecond: handles timeouts."""
         self._link.armed = self._link.usable  # so that a stuck bus is found; nothing is switched here
+        self._states.tick(now)
         self._give_up(self._link.tick(now, now))
         for runner in self._runners.values():
             runner.tick(now)
@@ -150,6 +158,8 @@ class Survey:
     def _ask(self, it: Found) -> Procedure:
         outcome = yield Transfer(0x1000, 0, timeout=_FIRST, tries=_TRIES)
         if outcome.silence is not None:
+            if it.node != MASTER:
+                yield from self._states.learn(it.node)
             return
         it.answers = True
         self._store(it, 0x1000, 0, outcome)

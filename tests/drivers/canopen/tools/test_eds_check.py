@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen.layout import lay_out
-from drivers.canopen.tools.eds_check import Eds, UnreadableEds, lacks
+from drivers.canopen.tools.eds import Eds, UnreadableEds
+from drivers.canopen.tools.eds_check import lacks
 from drivers.canopen.wiring import BusSettings, Channel, NodeSettings, Timing, Wiring
 from drivers.simulation.dictionary import EDS
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.world import World
 
 BUS = BusSettings("can0", "none", "can0")
 
@@ -20,17 +23,27 @@ def found(tmp_path: Path, *changes: tuple[str, str], **options: object) -> list[
     text = EDS.read_text()
     for section, change in changes:
         start = text.index(f"[{section}]")
-        end = text.index("\n[", start)
+        end = text.find("\n[", start) % (len(text) + 1)
         part = text[start:end]
         field, _, _ = change.partition("=")
-        part = re.sub(rf"^{field}=.*$", change, part, count=1, flags=re.MULTILINE) if change else ""
+        if not change:
+            part = ""
+        elif f"\n{field}=" in part:
+            part = re.sub(rf"^{field}=.*$", change, part, count=1, flags=re.MULTILINE)
+        else:
+            part = f"{part.rstrip()}\n{change}\n"
         text = text[:start] + part + text[end:]
     path = tmp_path / "board.eds"
-    path.write_text(text)
+    path.write_text(text + options.pop("added", ""))
     channels = options.pop("channels", (Channel("a", "can0", 5, 3, 2),))
     wiring = Wiring((BUS,), channels, **options)
-    [board] = lay_out(wiring).boards
+    board = next(board for board in lay_out(wiring).boards if board.node == 5)
     return [str(lack) for lack in lacks(Eds(path, 5), board, Timing(), wiring.error_state)]
+
+
+def sections(index: int) -> list[str]:
+    """Returns the sections of an object in the EDS of the simulated board."""
+    return re.findall(rf"^\[({index:04X}(?:sub[0-9A-Fa-f]+)?)\]$", EDS.read_text(), flags=re.MULTILINE)
 
 
 def test_the_simulated_board_lacks_nothing(tmp_path):
@@ -40,49 +53,114 @@ def test_the_simulated_board_lacks_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("section", "change", "sentence"),
+    ("section", "change", "says", "needed"),
     [
-        ("1000", "DefaultValue=0x000F0191", None),
-        ("1000", "DefaultValue=0x00030192", "1000h sub 0 (device type): the EDS says 00030192h; profile 0191h (CiA"),
-        ("6200sub1", "AccessType=wo", "6200h sub 1 (outputs 0 to 7): the EDS says AccessType=wo, PDOMapping=1"),
-        ("1016sub1", "AccessType=ro", "1016h sub 1 (heartbeat of the master): the EDS says AccessType=ro"),
-        ("1017", "", "1017h sub 0 (period of its heartbeat): the EDS says nothing of it; 0064h is needed; or node"),
-        ("6206sub1", "AccessType=ro", "6206h sub 1 (error mode): the EDS says AccessType=ro, PDOMapping=0, Default"),
-        ("1005", "DefaultValue=0x85", None),
-        ("1400sub2", "AccessType=const", None),
-        ("1800sub2", "DefaultValue=1", None),
-        ("1600sub0", "AccessType=ro", None),  # what it maps as delivered suffices
+        (
+            "1000",
+            "DefaultValue=0x00030192",
+            "1000h sub 0: the EDS says AccessType=ro",
+            "not the profile 0191h of CiA 401",
+        ),
+        ("6200sub1", "AccessType=wo", "6200h sub 1: the EDS says AccessType=wo, PDOMapping=1", "refuses to read 6200h"),
+        (
+            "1016sub1",
+            "AccessType=ro",
+            "1016h sub 1: the EDS says AccessType=ro",
+            "007F015Eh is needed",
+        ),
+        ("1017", "", "1017h sub 0: the EDS says nothing of it", "nor 100Ch and 100Dh (node guarding)"),
+        ("1017", "HighLimit=50", "1017h sub 0: the EDS says AccessType=rw", "value too high (abort 06090031h)"),
+        ("1017", "LowLimit=500", "1017h sub 0: the EDS says AccessType=rw", "value too low (abort 06090032h)"),
+        ("6206sub1", "AccessType=ro", "6206h sub 1: the EDS says AccessType=ro", "F7h is needed, which it refuses"),
+        ("6005", "DataType=0x0006", "6005h sub 0: the EDS says AccessType=rw", "answers 2 bytes to 6005h sub 0; 1 are"),
     ],
 )
-def test_each_lack_is_told_with_what_is_needed(tmp_path, section, change, sentence):
-    told = found(tmp_path, (section, change))
-    if sentence is None:
-        assert told == []
-    else:
-        assert len(told) == 1
-        assert told[0].startswith(sentence)
+def test_each_lack_is_told_with_what_is_needed(tmp_path, section, change, says, needed):
+    [told] = found(tmp_path, (section, change))
+    assert told.startswith(says)
+    assert needed in told
+
+
+@pytest.mark.parametrize(
+    ("section", "change"),
+    [
+        ("1000", "DefaultValue=0x000F0191"),
+        ("1005", "DefaultValue=0x85"),
+        ("1400sub2", "AccessType=const"),
+        ("1800sub2", "DefaultValue=1"),
+        ("1600sub0", "AccessType=ro"),  # what it maps as delivered suffices
+        ("DeviceInfo", "Granularity=0"),  # likewise
+        ("1017", "LowLimit=100"),
+    ],
+)
+def test_what_the_boot_accepts_is_no_lack(tmp_path, section, change):
+    assert found(tmp_path, (section, change)) == []
+
+
+def test_all_lacks_are_told_and_not_only_the_first(tmp_path):
+    changes = [("1017", "AccessType=const"), ("6206sub1", "AccessType=ro"), ("1800sub1", "AccessType=ro")]
+    told = found(tmp_path, *changes, ("1800sub1", "DefaultValue=0x700"))
+    assert [lack[:11] for lack in told] == ["1017h sub 0", "1800h sub 1", "6206h sub 1"]
 
 
 def test_a_value_that_is_delivered_wrong_and_read_only_is_a_lack(tmp_path):
     [told] = found(tmp_path, ("1005", "AccessType=const"), ("1005", "DefaultValue=0x85"))
     assert told == (
-        "1005h sub 0 (COB-ID of SYNC): the EDS says AccessType=const, PDOMapping=0, DefaultValue=0x85;"
-        " it must be writable, for 00000080h is needed"
+        "1005h sub 0: the EDS says AccessType=const, PDOMapping=0, DataType=0x0007, DefaultValue=0x85; the board"
+        " has 00000085h in 1005h sub 0 (COB-ID of SYNC); 00000080h is needed, which it refuses: attempt to write a"
+        " read only object (abort 06010002h)"
     )
+
+
+def test_a_timer_of_an_rpdo_that_cannot_be_switched_off_is_a_lack(tmp_path):
+    [told] = found(tmp_path, ("1400sub5", "AccessType=ro"), ("1400sub5", "DefaultValue=500"))
+    assert told.startswith(
+        "1400h sub 5: the EDS says AccessType=ro, PDOMapping=0, DataType=0x0006, DefaultValue=0x1f4;"
+    )
+    assert "RPDO1 has the timer 500 ms, not 0" in told
 
 
 def test_a_mapping_that_is_fixed_and_carries_nothing_is_a_lack(tmp_path):
     changes = [("1600sub0", "AccessType=const"), ("1600sub0", "DefaultValue=0")]
     [told] = found(tmp_path, *changes)
-    assert told.startswith("1600h sub 0 (mapping): the EDS says AccessType=const, PDOMapping=0, DefaultValue=0x0;")
-    assert told.endswith("so it must be writable, for 62000108h")
+    assert told.startswith("1600h sub 0: the EDS says AccessType=const")
+    assert "62000108h is needed; it refuses" in told
+    [told] = found(tmp_path, ("DeviceInfo", "Granularity=0"), ("1600sub0", "DefaultValue=0"))
+    assert told.startswith("1600h sub 1: the EDS says AccessType=rw")
+    assert "Granularity=0; 1600h maps nothing to RPDO1" in told
+
+
+def test_a_shared_rpdo_needs_dummy_entries(tmp_path):
+    channels = (Channel("a", "can0", 4, 0, 0), Channel("b", "can0", 5, 0, 0))
+    assert found(tmp_path, channels=channels, shared_rpdo=True) == []
+    [told] = found(tmp_path, ("DummyUsage", "Dummy0005=0"), channels=channels, shared_rpdo=True)
+    assert told.startswith("0005h sub 0: the EDS says Dummy0005=0; RPDO1 cannot be shared with other boards")
+
+
+def test_a_board_with_fewer_pdos_than_it_describes_is_refused(tmp_path):
+    [told] = found(tmp_path, ("DeviceInfo", "NrOfRXPDO=0"))
+    assert told.startswith("1400h sub 1: the EDS says NrOfRXPDO=0; the board has no RPDO1 (1400h)")
 
 
 def test_outputs_that_cannot_be_mapped_are_a_lack(tmp_path):
     changes = [("1600sub0", "DefaultValue=0"), ("6200sub1", "PDOMapping=0")]
-    assert found(tmp_path, *changes) == [
-        "6200h sub 1: the EDS says AccessType=rww, PDOMapping=0, DefaultValue=0x0; RPDO1 must map it: PDOMapping=1"
-    ]
+    [told] = found(tmp_path, *changes)
+    assert told.startswith("6200h sub 1: the EDS says AccessType=rww, PDOMapping=0,")
+    assert told.endswith("it refuses 62000108h in 1600h sub 1: object cannot be mapped to the PDO (abort 06040041h)")
+
+
+@pytest.mark.parametrize(("kind", "fits"), [("0x0005", True), ("0x0006", False)])
+def test_outputs_of_a_makers_object_are_bytes(tmp_path, kind, fits):
+    entry = "ParameterName=v\nObjectType=0x7\nDataType={}\nAccessType={}\nDefaultValue={}\nPDOMapping={}\n"
+    head = "[2201]\nParameterName=v\nObjectType=0x8\nSubNumber=3\n"
+    parts = [f"[2201sub0]\n{entry.format('0x0005', 'ro', 2, 0)}"]
+    parts += [f"[2201sub{sub}]\n{entry.format(kind, 'rw', 0, 1)}" for sub in (1, 2)]
+    options = {"error_state": "hold", "nodes": (NodeSettings("can0", 5, object=0x2201),)}
+    told = found(tmp_path, added="\n".join(["", head, *parts]), **options)
+    if fits:
+        assert told == []
+    else:
+        assert told[0].startswith("2201h sub 1: the EDS says AccessType=rw, PDOMapping=1, DataType=0x0006")
 
 
 def test_a_board_without_an_error_mode_needs_a_word_in_the_file(tmp_path):
@@ -99,11 +177,24 @@ def test_a_board_without_an_error_mode_needs_a_word_in_the_file(tmp_path):
 
 
 def test_another_device_and_outputs_that_are_not_there_are_lacks(tmp_path):
-    nodes = (NodeSettings("can0", 5, product=7),)
-    [told] = found(tmp_path, nodes=nodes)
-    assert told == "1018h sub 2 (product): the EDS says 00000191h; the arm's file says 00000007h"
+    [told] = found(tmp_path, nodes=(NodeSettings("can0", 5, product=7),))
+    assert told.startswith("1018h sub 2: the EDS says AccessType=ro")
+    assert "it is another device than the arm's file says" in told
+    assert found(tmp_path, nodes=(NodeSettings("can0", 5, serial=7),)) == []  # only the device tells its number
     told = found(tmp_path, channels=(Channel("a", "can0", 5, 64, None),))
-    assert told[0] == "6200h sub 9 (outputs 64 to 71): the EDS says nothing of it; the wiring uses outputs there"
+    assert told[0].startswith("6200h sub 0: the EDS says AccessType=")
+    assert "the board has 8 bytes of outputs in 6200h; sub 9 is needed, the wiring uses it" in told[0]
+
+
+@pytest.mark.parametrize("name", [name for name, one in VARIANTS.items() if one.absent and not one.changes])
+def test_the_check_says_what_the_boot_says(tmp_path, name):
+    """The procedures are the boot's own, so that the sentences are the same."""
+    variant = VARIANTS[name]
+    changes = [(section, "") for index in sorted(variant.absent) for section in sections(index)]
+    told = found(tmp_path, *changes)
+    world = World([Channel("a", "can0", 5, 3, 2)], variants={"can0/5": variant}).boot()
+    refusals = [fault.message.partition(" has no ")[2] for fault in world.master.boot_faults]
+    assert [lack.partition(" has no ")[2] for lack in told] == refusals
 
 
 @pytest.mark.parametrize("text", ["", "no EDS at all", "[1000]\nParameterName=x\n", "\0" * 100])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.tools.lss import Identity, Lss, Refused
+from drivers.canopen.tools.lss import Identity, Lss, Refused, over
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Echoed
 from drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
 from tests.drivers.canopen.world import World, two_boards
 
@@ -25,7 +27,7 @@ class Wire:
         self.slaves = [LssSlave(identity, node, lambda _, data: self.answers.append(data)) for identity, node in slaves]
         self.lss = Lss(self.exchange)
 
-    def exchange(self, request: bytes, patience: float) -> list[bytes]:
+    def exchange(self, request: bytes, code: int | None, patience: float) -> list[bytes]:
         self.requests.append(request)
         self.answers.clear()
         for slave in self.slaves:
@@ -36,14 +38,14 @@ class Wire:
 def test_the_only_board_gets_its_node_id_and_bit_rate() -> None:
     wire = Wire((ONE, UNCONFIGURED))
     assert wire.lss.select(None) == (ONE, UNCONFIGURED)
-    wire.lss.configure(5, 500_000)
+    wire.lss.configure(UNCONFIGURED, 5, 500_000)
     wire.lss.release()
     [slave] = wire.slaves
     assert (slave.stored, slave.node, slave.state) == ((5, 2), UNCONFIGURED, 0)
     slave.reset()
     assert slave.node == 5
     told = [request.hex(" ") for request in wire.requests]
-    assert told[0] == "04 01 00 00 00 00 00 00"
+    assert told[:2] == ["04 00 00 00 00 00 00 00", "04 01 00 00 00 00 00 00"]
     assert told[-4:] == [
         "11 05 00 00 00 00 00 00",
         "13 00 02 00 00 00 00 00",
@@ -55,7 +57,7 @@ def test_the_only_board_gets_its_node_id_and_bit_rate() -> None:
 def test_one_of_several_is_named_by_its_identity() -> None:
     wire = Wire((ONE, 3), (TWO, 4))
     assert wire.lss.select(TWO) == (TWO, 4)
-    wire.lss.configure(9, None)
+    wire.lss.configure(4, 9, None)
     assert [slave.stored for slave in wire.slaves] == [(3, 0), (9, 0)]
 
 
@@ -74,7 +76,90 @@ def test_no_board_and_a_refusal_are_told() -> None:
     wire = Wire((ONE, 3))
     wire.lss.select(None)
     with pytest.raises(Refused, match=r"node id 200: the board refuses \(LSS Error: 1\)"):
-        wire.lss.configure(200, None)
+        wire.lss.configure(3, 200, None)
+
+
+@pytest.mark.parametrize("identity", [None, ONE])
+def test_a_board_that_an_earlier_session_left_in_configuration_is_selected(identity) -> None:
+    wire = Wire((ONE, 3))
+    [slave] = wire.slaves
+    slave.state = 1
+    assert wire.lss.select(identity) == (ONE, 3)
+    slave.state, slave.node = 1, UNCONFIGURED
+    assert wire.lss.unconfigured() == [ONE]
+
+
+@pytest.mark.parametrize("identity", [None, ONE])
+@pytest.mark.parametrize("number", range(12))
+def test_any_lost_request_is_repeated(identity, number) -> None:
+    wire = Wire((ONE, 3))
+    [slave] = wire.slaves
+    receive, count = slave.receive, iter(range(100))
+    slave.receive = lambda data: receive(data) if next(count) != number else None  # type: ignore[method-assign]
+    assert wire.lss.select(identity) == (ONE, 3)
+    wire.lss.configure(3, 9, None)
+    assert slave.stored == (9, 0)
+
+
+def test_a_slow_board_is_asked_again_and_a_late_answer_is_told_from_that_of_another_request() -> None:
+    wire = Wire((ONE, 3))
+    late: list[bytes] = []
+    exchange = wire.exchange
+
+    def slow(request: bytes, code: int | None, patience: float) -> list[bytes]:
+        heard, late[:] = list(late), exchange(request, code, patience)
+        return heard
+
+    lss = Lss(slow)
+    assert lss.select(None) == (ONE, 3)
+    lss.configure(3, 9, 250_000)
+    assert wire.slaves[0].stored == (9, 3)
+
+
+def test_a_late_answer_of_a_second_board_is_noticed() -> None:
+    wire = Wire((ONE, UNCONFIGURED), (TWO, UNCONFIGURED))
+    late: list[bytes] = []
+
+    def one_is_late(request: bytes, code: int | None, patience: float) -> list[bytes]:
+        heard = wire.exchange(request, code, patience)
+        now, late[:] = late + heard[:1], heard[1:]
+        return now
+
+    lss = Lss(one_is_late)
+    with pytest.raises(Refused, match="several boards answer"):
+        lss.select(None)
+    assert [slave.stored for slave in wire.slaves] == [(UNCONFIGURED, 0)] * 2
+
+
+def test_a_board_that_does_not_store_keeps_its_node_id() -> None:
+    wire = Wire((ONE, 3))
+    [slave] = wire.slaves
+    receive = slave.receive
+    slave.receive = lambda data: None if data[0] == 0x17 else receive(data)  # type: ignore[method-assign]
+    wire.lss.select(None)
+    with pytest.raises(Refused, match="store: no board answers by LSS"):
+        wire.lss.configure(3, 9, None)
+    assert (slave.stored, slave._pending) == ((3, 0), (3, 0))
+
+
+def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes(monkeypatch) -> None:
+    class Bus:
+        name = "can0"
+
+        def __init__(self) -> None:
+            self.events: list[Echoed] = []
+            self.slave = LssSlave(ONE, 3, lambda cob_id, data: self.events.append(Echoed("can0", Frame(cob_id, data))))
+
+        def send(self, frame: Frame) -> None:
+            self.events.append(Echoed("can0", frame))
+            self.slave.receive(frame.data)
+
+        def poll(self) -> list[Echoed]:
+            events, self.events = self.events, []
+            return events
+
+    monkeypatch.setattr("drivers.canopen.tools.lss._MORE", 0.0)
+    assert Lss(over(Bus())).select(None) == (ONE, 3)
 
 
 def test_boards_without_a_node_id_are_listed() -> None:

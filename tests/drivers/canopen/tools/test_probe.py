@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.probe import Answer, Probe, probe
-from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Changed, Echoed, Received
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.simulation.objects import Objects
+from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
@@ -37,8 +42,10 @@ class Asking:
     take_switched = take_faults
 
 
-def asked(world: World, lose: str | None = None, patience: float = 20.0) -> tuple[Answer, ...]:
+def asked(world: World, lose: str | None = None, patience: float = 20.0, **changes: object) -> tuple[Answer, ...]:
     world.run(0.05)
+    world.wiring = replace(world.wiring, **changes)
+    world.stalled = False
     world.master = asking = Asking(world)
     world.frames()
     asking.probe.start(world.now)
@@ -54,7 +61,7 @@ def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     world.boards["can0", 9].objects.put(0x1000, 0, 0x00020191)
     fresh = World(two_boards()).boards["can0", 5].objects
     good, other = asked(world)
-    assert (good.board, good.ok) == ("can0/5", True)
+    assert (good.board, good.ok, good.code) == ("can0/5", True, "")
     assert good.text.startswith("device type 00030191h, error register 00h; to be written: 1016h sub 1 (heartbeat of")
     assert (other.board, other.ok) == ("can0/9", True)
     assert "1000h sub 0 is 00020191h, without the bit of digital inputs" in other.text
@@ -67,8 +74,73 @@ def test_an_error_register_is_told():
     world = World()
     world.boards["can0", 5].objects.put(0x1001, 0, 0x81)
     [answer] = asked(world)
-    assert not answer.ok
+    assert (answer.ok, answer.code) == (False, "board-error")
     assert "error register 1001h sub 0 is 81h; 00h is needed" in answer.text
+
+
+@pytest.mark.parametrize("on_loss", ["hold", "contract"])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_no_write_changes_a_value_so_no_lost_frame_and_no_kill_leaves_one(monkeypatch, name, on_loss):
+    world = World(two_boards(), variants={"can0/5": VARIANTS[name]})
+    world.run(6.0)
+    changed = []
+    write = Objects.set_data
+
+    def watched(objects, index, sub, data, check_writable=False):
+        before = objects.get_data(index, sub)
+        write(objects, index, sub, data, check_writable)
+        if objects.get_data(index, sub) != before or bytes(data) != before:
+            changed.append(f"{index:04X}h sub {sub}: {before.hex()} to {data.hex()}")
+
+    monkeypatch.setattr(Objects, "set_data", watched)
+    asked(world, patience=60.0, on_loss=on_loss)
+    assert changed == []
+
+
+def test_a_lost_answer_leaves_the_error_mode_of_a_running_arm():
+    world = World(two_boards(), on_loss="hold").up()
+    world.lost = lambda bus, node, frame: frame.id == 0x585 and frame.data[0] == 0x60
+    world.stalled = True
+    [told, _] = asked(world, on_loss="contract")
+    assert told.code == "board-missing"
+    objects = world.boards["can0", 5].objects
+    assert [objects.number(0x6206, 1), objects.number(0x1029, 1)] == [0xFE, 0]
+
+
+@pytest.mark.parametrize("variant", ["standard", "one-supervision"])
+def test_a_stopped_board_is_said_to_be_stopped(variant):
+    world = World(two_boards(), variants={"can0/5": VARIANTS[variant]}).up()
+    if variant != "standard":  # guarded: no heartbeat tells the state
+        world.boards["can0", 5].objects.put(0x1017, 0, 0)
+        world.boards["can0", 5]._supervision.begin(world.now)
+    world.stalled = True
+    world.say(cia301.NMT, bytes([cia301.Command.STOP, 5]))
+    world.run(1.0)
+    assert world.boards["can0", 5].state is State.STOPPED
+    five, nine = asked(world)
+    assert (five.code, nine.ok) == ("board-stopped", True)
+    assert five.text == (
+        "board can0/5 is stopped, as after the end of an executor with on_loss: contract; it answers no SDO: start the"
+        " executor, or reset the board: hyperbit board ARM.yaml can0/5 reset"
+    )
+
+
+def test_a_board_that_is_heard_and_does_not_answer_is_not_asked_for_its_power():
+    world = World(two_boards()).up()
+    world.lost = lambda bus, node, frame: frame.id == 0x585
+    five, _ = asked(world)
+    assert (five.code, "board can0/5 is pre-operational, but does not answer" in five.text) == ("board-missing", True)
+
+
+def test_the_heartbeat_of_an_executor_is_heard():
+    world = World(two_boards())
+    world.run(0.05)
+    world.master = asking = Asking(world)
+    asking.probe.start(world.now)
+    assert asking.probe.master_on is None
+    world.say(cia301.HEARTBEAT + 0x7F, b"\x05")
+    world.until(lambda: asking.probe.over)
+    assert asking.probe.master_on == "can0"
 
 
 def test_silent_boards_are_asked_in_parallel():
@@ -78,7 +150,8 @@ def test_silent_boards_are_asked_in_parallel():
     answers = asked(world)
     assert not any(answer.ok for answer in answers)
     assert "can0/1 neither booted nor answered" in answers[0].text
-    assert world.now < 2
+    assert {answer.code for answer in answers} == {"board-missing"}
+    assert world.now < 2.5
 
 
 def test_boards_of_a_lost_bus_do_not_answer():
@@ -95,5 +168,7 @@ def test_a_bus_that_cannot_be_opened_is_told():
 
 def test_an_empty_bus():
     bus = BusSettings("can0", "virtual", "test_probe")
-    [answer] = probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
+    asking = probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
+    assert asking.master_on is None
+    [answer] = asking.answers
     assert "can0/5 neither booted nor answered" in answer.text
