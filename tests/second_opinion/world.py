@@ -1,0 +1,276 @@
+"""The executor on boards of another stack, with decoding of python-can's messages: one thread, one simulated clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import can
+
+from controller.executor.arm import ExecutedArm
+from controller.executor.core import PERIOD, Executor
+from controller.executor.events import Client, FromClient, Log, Send, Tick, ToClient
+from controller.executor.switch_journal import MemoryJournal
+from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
+from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from tests.second_opinion.board import MODULE, Board, Change, Kind
+
+NODES = (1, 2)
+FIRST = 7  # output of the first actuator of a board: its three outputs lie in both bytes
+LABELS = tuple(f"{node}.{name}" for node in NODES for name in ("left", "diagonal", "right"))
+SIZE = len(LABELS)
+A, B = 0b000111, 0b011100
+STEP = 0.002  # [s]
+TIMING = Timing(heartbeat=0.1, heartbeat_timeout=0.35, boot_timeout=1.0, travel_time=0.05, settle_margin=0.03)
+BUS = BusSettings("can0", "virtual", "second opinion")
+CHANNELS = tuple(Channel(label, "can0", NODES[k // 3], FIRST + k % 3, FIRST + k % 3) for k, label in enumerate(LABELS))
+PLANNER = Client(1, 4001)
+BUS_OFF, RESTARTED = 0x40, 0x100  # error frames of SocketCAN
+
+
+class Cable:
+    """A bus of python-can that the executor opens; the other end is the world's.
+
+    Attributes:
+        waiting: messages that the executor has not read yet.
+        off: whether the executor's controller is bus-off: no frame passes.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.waiting: deque[can.Message] = deque()
+        self.off = False
+
+    def send(self, message: can.Message) -> None:
+        if self.off:
+            raise can.CanOperationError("No buffer space available", error_code=105)
+        message.is_rx = False
+        self.waiting.append(message)
+        self._world.sent(message.arbitration_id, bytes(message.data))
+
+    def recv(self, timeout: float) -> can.Message | None:
+        return self.waiting.popleft() if self.waiting else None
+
+    def shutdown(self) -> None:
+        self.waiting.clear()
+
+
+class Wire(CanBus):
+    """The executor's bus on a cable."""
+
+    def __init__(self, cable: Cable, world: World) -> None:
+        super().__init__(BUS, lambda: world.now)
+        self._cable = cable
+        self.open()
+
+    def _open(self) -> Any:
+        return self._cable
+
+
+class World:
+    """Two boards and an executor, which may be killed, stopped and started again.
+
+    Attributes:
+        now: [s].
+        changes: each change of the pins, with the executor's mode at that time.
+        answers: whether the boards' SDO answers reach the executor.
+        in_mid_boot: called once, when the executor has sent its first NMT command or 60 frames since its start.
+
+    Args:
+        kind: of all boards.
+        wiring: fields of the wiring.
+    """
+
+    def __init__(self, kind: Kind = MODULE, **wiring: Any) -> None:
+        self.now = 50.0
+        self.arm = ExecutedArm("second", LABELS, Wiring((BUS,), CHANNELS, **wiring), TIMING, digest="d" * 64)
+        self.changes: list[tuple[str, Change]] = []
+        self.journal = MemoryJournal(SIZE)
+        self.core: Executor | None = None
+        self.cable = Cable(self)
+        self.answers, self.instances, self.programs = True, 0, 0
+        self.heard: list[Any] = []
+        self.logged: list[str] = []
+        self.in_mid_boot: Callable[[], None] | None = None
+        self._frames = 0
+        self.boards = {node: Board(node, kind, self._from_board, self._changed) for node in NODES}
+
+    # --- the executor's process
+
+    def start(self, on_loss: str | None = None) -> None:
+        """Starts an executor; nothing of an earlier one remains but the switch journal."""
+        if on_loss is not None:
+            self.arm = replace(self.arm, wiring=replace(self.arm.wiring, on_loss=on_loss))
+        self.instances += 1
+        self.heard.clear()
+        self._frames = 0
+        self.cable = Cable(self)
+        self.wire = Wire(self.cable, self)
+        self.core = Executor(self.arm, self.journal, instance=self.instances)
+        self.send(Hello(1, "planner", self.arm.name))
+
+    def kill(self) -> None:
+        """Ends the executor without a word."""
+        self.core = None
+
+    def stall(self, seconds: float) -> None:
+        """Stops the executor's process for a time; what the bus brings waits in its socket."""
+        core, self.core = self.core, None
+        self.go(seconds)
+        self.core = core
+
+    # --- time
+
+    def go(self, seconds: float) -> None:
+        """Lets time pass."""
+        for k in range(round(seconds / STEP)):
+            self.now += STEP
+            for board in self.boards.values():
+                board.step(self.now)
+            if self.core is not None:
+                self._poll()
+                if k % round(PERIOD / STEP) == 0:
+                    self.send(Alive())
+                    self._do(Tick())
+
+    def until(self, mode: str, seconds: float = 20.0) -> None:
+        """Lets time pass until the executor is in a mode."""
+        end = self.now + seconds
+        while self.mode != mode:
+            assert self.now < end, f"not {mode} but {self.mode}: {self.reason}; {self.logged[-5:]}"
+            self.go(PERIOD)
+
+    def up(self) -> World:
+        """Starts an executor, and waits until it is ready."""
+        self.start()
+        self.until("ready")
+        self.go(0.5)
+        return self
+
+    # --- events
+
+    def _poll(self) -> None:
+        while events := self.wire.poll():
+            for event in events:
+                self._do(event)
+
+    def _do(self, event: Any) -> None:
+        if self.core is None:
+            return
+        for action in self.core.step(event, self.now):
+            match action:
+                case Send():
+                    self.wire.send(action.frame)
+                case ToClient():
+                    self.heard.append(action.message)
+                case Log():
+                    self.logged.append(action.text)
+        self._poll()
+
+    def send(self, message: Any) -> None:
+        """Sends a message of the planner."""
+        self._do(FromClient(PLANNER, message))
+
+    def run(self, *states: int, step: float = 0.3) -> None:
+        """Sends a program of several stages."""
+        self.programs += 1
+        snapshot = self.last(Snapshot)
+        stages = tuple(Stage(pack(bits, SIZE), at=step * k, mark=k) for k, bits in enumerate(states))
+        name = f"goal {self.programs}"
+        self.send(Program(self.programs, snapshot.epoch, snapshot.outputs, 0.0, stages, True, False, name))
+
+    def done(self, *states: int) -> None:
+        """Runs a program to its end, and compares pins and measured states."""
+        self.go(0.2)
+        self.run(*states)
+        self.go(0.3 * len(states) + 0.3)
+        ended = self.last(Ended)
+        assert (ended.status, unpack(ended.measured), self.pins) == ("done", states[-1], states[-1]), self.logged[-5:]
+
+    def reset(self) -> None:
+        """Resets the executor, and waits until it is ready."""
+        self.send(Reset(1))
+        self.go(PERIOD)
+        self.until("ready")
+
+    def last(self, kind: type) -> Any:
+        return next(message for message in reversed(self.heard) if isinstance(message, kind))
+
+    @property
+    def mode(self) -> str:
+        assert self.core is not None
+        return self.core.modes.mode
+
+    @property
+    def reason(self) -> str:
+        assert self.core is not None
+        return self.core.modes.reason
+
+    # --- the bus
+
+    def sent(self, cob_id: int, data: bytes) -> None:
+        """Brings a frame of the executor to the boards."""
+        for board in self.boards.values():
+            board.receive(cob_id, data, self.now)
+        self._frames += 1
+        if self.in_mid_boot and (cob_id == 0 or self._frames >= 60):
+            strike, self.in_mid_boot = self.in_mid_boot, None
+            strike()
+
+    def foreign(self, cob_id: int, data: bytes) -> None:
+        """Sends a frame of another tool."""
+        self._to_executor(cob_id, data)
+        for board in self.boards.values():
+            board.receive(cob_id, data, self.now)
+
+    def lose_answers(self) -> None:
+        """Loses the boards' SDO answers from now on."""
+        self.answers = False
+
+    def bus_off(self) -> None:
+        """Takes the executor's controller off the bus."""
+        self.cable.off = True
+        self._error(BUS_OFF)
+
+    def restart_bus(self) -> None:
+        """Restarts the executor's controller."""
+        self.cable.off = False
+        self._error(RESTARTED)
+
+    def _error(self, kind: int) -> None:
+        self.cable.waiting.append(can.Message(arbitration_id=kind, is_error_frame=True, data=bytes(8)))
+
+    def _from_board(self, cob_id: int, data: bytes) -> None:
+        if self.answers or cob_id & 0x780 != 0x580:
+            self._to_executor(cob_id, data)
+
+    def _to_executor(self, cob_id: int, data: bytes) -> None:
+        if not self.cable.off:
+            self.cable.waiting.append(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    # --- the pins
+
+    @property
+    def pins(self) -> int:
+        """The actuators that are driven to extend, as a mask."""
+        return sum((board.pins >> FIRST & 7) << 3 * k for k, board in enumerate(self.boards.values()))
+
+    def _changed(self, change: Change) -> None:
+        self.changes.append(("dead" if self.core is None else self.mode, change))
+
+    def causes(self) -> list[str]:
+        """Checks the changes since the last call, and returns their causes."""
+        causes = [change.cause for _, change in self.changes]
+        self.check()
+        return causes
+
+    def check(self) -> None:
+        """Checks that no START changed a pin, and that only a SYNC of a program energised one."""
+        changes, self.changes = self.changes, []
+        for mode, it in changes:
+            shown = f"{it.cause} changed node {it.node} from {it.before:04X}h to {it.after:04X}h in {mode}"
+            assert it.cause != "START", shown
+            assert not it.energised or (it.cause, mode) == ("SYNC", "executing"), shown
