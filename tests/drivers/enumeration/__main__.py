@@ -1,0 +1,87 @@
+"""Runs trials of all boards, and prints a table: `python -m tests.drivers.enumeration --every 20`."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections import Counter
+from functools import partial
+
+from tests.drivers.enumeration.histories import Subject, subjects
+from tests.drivers.enumeration.trials import Verdict, run, trials
+
+SHOWN = 3  # examples of each broken invariant
+COLUMNS = ("boots", "pins changed by START", "energised", "refused", "mended")
+Rows = dict[tuple[str, str], Counter[str]]
+
+
+def main() -> int:
+    """Runs the trials; returns 1 if an invariant is broken."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--every", type=int, default=1, help="run only each N-th trial of a board")
+    parser.add_argument("--board", help="run only boards whose name has this text")
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args()
+    began = time.monotonic()
+    names = [subject.name for subject in subjects() if options.board is None or options.board in subject.name]
+    with multiprocessing.Pool(options.processes) as pool:
+        results = pool.map(partial(results_of, every=options.every), names, chunksize=1)
+    total: Counter[str] = Counter()
+    kinds: Rows = {}
+    print(f"{'board':<36} {'failure':<26}" + "".join(f"{column:>22}" for column in COLUMNS))
+    for rows, _ in results:
+        for (name, kind), counter in rows.items():
+            print(line(name, kind, counter))
+            total.update(counter)
+            kinds.setdefault(("all", kind), Counter()).update(counter)
+    for (name, kind), counter in kinds.items():
+        print(line(name, kind, counter))
+    print(line("all", "all", total))
+    broken = [sentence for _, sentences in results for sentence in sentences]
+    for invariant, examples in alike(broken).items():
+        print(f"\n{invariant}: {len(examples)} times, for example")
+        print("\n".join(f"  {example}" for example in examples[:SHOWN]))
+    print(f"\n{total['boots']} boots in {time.monotonic() - began:.0f} s")
+    return bool(broken)
+
+
+def results_of(name: str, every: int) -> tuple[Rows, list[tuple[str, str]]]:
+    """Runs the trials of one board; returns the rows of the table, and sentences on broken invariants."""
+    rows: Rows = {}
+    broken: list[tuple[str, str]] = []
+    for trial in trials(subject_of(name), every):
+        verdict = run(trial)
+        rows.setdefault((name, trial.failure.kind), Counter()).update(counts(verdict))
+        broken += [(trial.name, sentence) for sentence in verdict.broken]
+    return rows, broken
+
+
+def subject_of(name: str) -> Subject:
+    """Returns a board by its name."""
+    [subject] = [subject for subject in subjects() if subject.name == name]
+    return subject
+
+
+def counts(verdict: Verdict) -> dict[str, int]:
+    """Returns the columns of one trial."""
+    return dict(zip(COLUMNS, (1, verdict.started, verdict.energised, not verdict.ready, verdict.ready), strict=True))
+
+
+def line(name: str, kind: str, counter: Counter[str]) -> str:
+    """Returns one line of the table."""
+    return f"{name:<36} {kind:<26}" + "".join(f"{counter[column]:>22}" for column in COLUMNS)
+
+
+def alike(broken: list[tuple[str, str]]) -> dict[str, list[str]]:
+    """Returns trials and sentences by the broken invariant."""
+    groups: dict[str, list[str]] = {}
+    for trial, sentence in broken:
+        invariant, _, what = sentence.partition(": ")
+        groups.setdefault(invariant, []).append(f"{trial}: {what}")
+    return groups
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""What happened to a board before a boot, from the arm's first boot to the end of its executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+from drivers.canopen.wire.cia301 import Command
+from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.simulation.variants import VARIANTS, Variant
+from tests.drivers.enumeration.bench import BITRATE, BUS, Bench
+from tests.drivers.variants.cases import CASES, Case
+
+NODE = 5
+LOST = 1.0  # [s] after which the boards have lost the master
+LONGEST_BOOT = 60.0  # [s], of a board with slow answers
+SLOW = ("slow-answers", "late-boot")
+OPPOSITE = {"hold": "contract", "contract": "hold"}
+
+
+class Subject(NamedTuple):
+    """A board.
+
+    Attributes:
+        name: for the table.
+        case: its settings in the arm's file.
+        variant: the board.
+    """
+
+    name: str
+    case: Case
+    variant: Variant
+
+
+class Before(NamedTuple):
+    """A history.
+
+    Attributes:
+        name: for the table.
+        happens: takes a bench whose arm is extended and whose executor has ended.
+        other_loss: whether the executor before had the other `on_loss`.
+    """
+
+    name: str
+    happens: Callable[[Bench], None]
+    other_loss: bool = False
+
+
+def _lose_master(bench: Bench) -> None:
+    bench.run(LOST)
+
+
+def _cycle_power(bench: Bench) -> None:
+    bench.power_cycle()
+    bench.run(0.05)
+
+
+def _stop(bench: Bench) -> None:
+    bench.command(Command.STOP)
+    bench.run(0.01)
+
+
+def _leave_operational(bench: Bench) -> None:
+    bench.command(Command.PRE_OPERATIONAL)
+    bench.run(0.01)
+
+
+def _lose_master_and_leave(bench: Bench) -> None:
+    bench.run(LOST)
+    _leave_operational(bench)
+
+
+HISTORIES = (
+    Before("executor dead until the board lost it", _lose_master),
+    Before("executor restarted at once", lambda bench: None),
+    Before("board power-cycled", _cycle_power),
+    Before("NMT 02h by a tool", _stop),
+    Before("NMT 80h by a tool", _leave_operational),
+    Before("lost, then NMT 80h by a tool", _lose_master_and_leave),
+    Before("lost, and on_loss changed", _lose_master, other_loss=True),
+)
+
+
+FIRST_START = Before("first start", lambda bench: None)  # of a board that is refused
+
+
+def subjects() -> list[Subject]:
+    """Returns all variants; those with an error state also with a 6200h that keeps the last command."""
+    plain = [Subject(case.name, case, VARIANTS[case.variant]) for case in CASES]
+    return plain + [
+        Subject(f"{subject.name}, hidden", subject.case, replace(subject.variant, shows_error_state=False))
+        for subject in plain
+        if subject.variant.shows_error_state and subject.variant.error_state != "hold"
+        if not subject.case.refused and subject.case.variant not in SLOW
+    ]
+
+
+def histories(subject: Subject) -> Iterator[tuple[Before, Bench]]:
+    """Yields a bench for each possible history of a board, at the moment before a boot; no executor runs."""
+    name = subject.case.variant
+    far = 64 if name == "many-outputs" else 1
+    channels = (Channel("5.left", BUS, NODE, 0, 0, input_contracted=1), Channel("5.right", BUS, NODE, far, None))
+    buses = (BusSettings(BUS, "none", BUS, BITRATE),)
+    wiring = Wiring(buses, channels, **subject.case.options)
+    timing = Timing(boot_timeout=8.0 if name == "late-boot" else 2.0)
+    for before in (FIRST_START,) if subject.case.refused else HISTORIES:
+        earlier = replace(wiring, on_loss=OPPOSITE[wiring.on_loss]) if before.other_loss else wiring
+        bench = Bench(earlier, timing, subject.variant)
+        bench.run(0.05)
+        if subject.case.refused:
+            yield before, bench
+            continue
+        if not extended(bench):
+            assert before.other_loss, f"{subject.name} does not boot"
+            continue
+        bench.master = None
+        before.happens(bench)
+        bench.wiring = wiring
+        yield before, bench
+
+
+def extended(bench: Bench) -> bool:
+    """Boots the board and extends both actuators; returns whether the board booted."""
+    master = bench.start_master()
+    bench.boot()
+    assert bench.until(lambda: not master.booting, LONGEST_BOOT)
+    if not master.ready:
+        return False
+    bench.commit(0b11)
+    bench.run(0.2)
+    assert bench.pins == 0b11
+    return True

@@ -1,0 +1,190 @@
+"""One boot with one failure, and the boots after it, until the board is ready or refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from drivers.canopen.run.master import Master
+from drivers.canopen.wire.cia301 import Frame, State
+from drivers.simulation.objects import Objects
+from tests.drivers.enumeration.bench import BUS, MASTER, TOOL, Bench, Copies
+from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
+from tests.drivers.enumeration.histories import LONGEST_BOOT, NODE, Before, Subject, histories
+
+MOST_BOOTS = 6
+AFTERWARDS = 0.5  # [s] in which a ready board must stay ready
+LONGEST_WAIT, PROBED_EVERY = 5.0, 1.0  # [s] until a lost board is asked for again
+REFUSALS = frozenset({"wrong-device", "sdo-refused", "board-error"})
+UNHEARD = "neither booted nor answered"  # without an answer there is no object to name
+OWN_OBJECTS = frozenset({0x1001, 0x1003, 0x6000})  # that the board itself changes
+NAMED = re.compile(r"[0-9A-F]{4}h")
+
+
+class Trial(NamedTuple):
+    """One failure of one boot.
+
+    Attributes:
+        subject: the board.
+        before: history of the board.
+        failure: the failure.
+        copies: of the bench before the boot.
+    """
+
+    subject: Subject
+    before: Before
+    failure: Failure
+    copies: Copies
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        return f"{self.subject.name}; {self.before.name}; {self.failure.kind}, {self.failure.at}: {self.failure.text}"
+
+
+class Verdict(NamedTuple):
+    """The result of a trial.
+
+    Attributes:
+        started: number of changes of pins by START of the master.
+        energised: number of pins that came on without a commit, except by another program.
+        ready: whether the board is ready at the end.
+        boots: number of boots.
+        broken: sentences on broken invariants, also those of `started` and `energised`.
+    """
+
+    started: int
+    energised: int
+    ready: bool
+    boots: int
+    broken: tuple[str, ...]
+
+
+def trials(subject: Subject, every: int = 1) -> Iterator[Trial]:
+    """Yields each `every`-th trial of a board, in an order that is always the same."""
+    number = 0
+    for before, bench in histories(subject):
+        copies = Copies(bench)
+        for failure in failures(frames_of_a_boot(copies)):
+            number += 1
+            if number % every == 0:
+                yield Trial(subject, before, failure, copies)
+
+
+def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
+    """Returns the frames of a boot without a failure."""
+    bench = copies.copy()
+    master = bench.start_master()
+    bench.log.clear()
+    bench.boot()
+    assert bench.until(lambda: not master.booting, LONGEST_BOOT)
+    return bench.log
+
+
+def run(trial: Trial) -> Verdict:
+    """Runs a trial."""
+    bench = trial.copies.copy()
+    bench.changes.clear()
+    bench.start_master()
+    bench.interception = injection = Injection(trial.failure)
+    broken: list[str] = []
+    boots, ready = 0, False
+    while not ready and boots < MOST_BOOTS:
+        boots += 1
+        broken += _boot(bench, injection, trial)
+        ready = _stays_ready(bench)
+        if not ready:
+            _wait_until_back(bench)
+    if not injection.struck:
+        broken.append("the failure did not happen")
+    return _verdict(bench, boots, ready, broken)
+
+
+def _boot(bench: Bench, injection: Injection, trial: Trial) -> Iterator[str]:
+    """Boots once; yields broken invariants."""
+    master, found = bench.master, _picture(bench)
+    assert master is not None
+    struck = injection.struck
+    bench.boot()
+    ended = bench.until(lambda: injection.event is not None or not master.booting, LONGEST_BOOT)
+    if (event := injection.event) is not None:
+        injection.event = None
+        if event.mend is not None:
+            bench.run(event.pause)
+            event.mend(bench)
+        if bench.master is not master:
+            return  # the executor has died
+        ended = bench.until(lambda: not master.booting, LONGEST_BOOT)
+    if not ended:
+        yield "the boot does not end"
+    yield from _unclear_sentences(master, trial.failure)
+    between = trial.failure.kind not in SDO_KINDS and struck != injection.struck
+    if any(fault.code in REFUSALS for fault in master.boot_faults) and not between:
+        yield from _left_changed(bench, found, master)
+
+
+def _unclear_sentences(master: Master, failure: Failure) -> Iterator[str]:
+    for fault in master.boot_faults:
+        named = f"board {BUS}/{NODE}" in fault.message if fault.source != BUS else BUS in fault.message
+        if not named:
+            yield f"a sentence names no board: {fault.message}"
+        if failure.kind in SDO_KINDS and UNHEARD not in fault.message and not NAMED.search(fault.message):
+            yield f"a sentence names no object: {fault.message}"
+
+
+class _Picture(NamedTuple):
+    values: dict[tuple[int, int], bytes]
+    state: State | None
+
+
+def _picture(bench: Bench) -> _Picture:
+    return _Picture(dict(bench.board.objects._values), bench.board.state)
+
+
+def _left_changed(bench: Bench, found: _Picture, master: Master) -> Iterator[str]:
+    """Yields the objects and the state that a refused boot has left in another way than it found them."""
+    objects = bench.board.objects
+    default = Objects(NODE, bench.variant, lambda index, sub: None)
+    default._stored = objects._stored
+    for key in sorted(found.values.keys() | objects._values.keys()):
+        if key[0] in OWN_OBJECTS or key[0] == bench.variant.output_object:
+            continue
+        was, now = (values.get(key, default.get_data(*key)) for values in (found.values, objects._values))
+        if was != now:
+            text = f"{key[0]:04X}h/{key[1]} was {was.hex()} and is {now.hex()}"
+            yield f"a refusal leaves an object changed: {text}: {_faults(master)}"
+    if found.state is not None and bench.board.state is not found.state:
+        text = f"it was {found.state.words} and is {bench.board.state and bench.board.state.words}"
+        yield f"a refusal leaves the state changed: {text}: {_faults(master)}"
+
+
+def _faults(master: Master) -> str:
+    return "; ".join(fault.message for fault in master.boot_faults)
+
+
+def _stays_ready(bench: Bench) -> bool:
+    master = bench.master
+    assert master is not None
+    if not master.ready:
+        return False
+    bench.run(AFTERWARDS)
+    return master.ready
+
+
+def _wait_until_back(bench: Bench) -> None:
+    """Waits until the buses and the board are back, as an executor does; an operator resets it in any case."""
+    master, end = bench.master, bench.now + LONGEST_WAIT
+    assert master is not None
+    while bench.now < end and not bench.until(lambda: master.back, PROBED_EVERY):
+        master.probe_silent(bench.now)
+
+
+def _verdict(bench: Bench, boots: int, ready: bool, broken: list[str]) -> Verdict:
+    started = [change for change in bench.changes if change.cause == "START" and change.sender == MASTER]
+    energised = [change for change in bench.changes if change.on and change.sender != TOOL]
+    broken += [f"START has changed pins: {change}" for change in started]
+    broken += [f"pins came on: {change}" for change in energised if change not in started]
+    if ready and bench.master is not None and bench.master.outputs != bench.pins:
+        broken.append(f"the master is wrong on the pins: it believes {bench.master.outputs:b}, they are {bench.pins:b}")
+    return Verdict(len(started), len(energised), ready, boots, tuple(broken))
