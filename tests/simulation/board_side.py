@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame, State
+from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
@@ -105,8 +105,15 @@ class BoardSide:
             self._see("time")
             self._buses.receive(bus, frame, self._agenda.now)
             commit = sent.belongs_to if isinstance(sent.belongs_to, Commit) else None
-            self._see("SYNC" if frame.id == cia301.SYNC else f"frame {frame.id:03X}h", commit)
+            self._see(_words(frame), commit)
             self._set_timer()
+
+    def hear_tool(self, bus: str, frame: Frame) -> None:
+        """Takes a frame of another program; what it changes is a fault."""
+        self._step()
+        self._buses.receive(bus, frame, self._agenda.now)
+        self._see("fault")
+        self._set_timer()
 
     def fault(self, verb: str, name: str, *numbers: float) -> None:
         """Causes or ends a fault of a board or an actuator."""
@@ -170,3 +177,9 @@ class BoardSide:
             if changed & mask:
                 self._record.switch(Switch(changed & mask, after, cause, bus, commit))
             self._record.energise(Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, commit))
+
+
+def _words(frame: Frame) -> str:
+    if frame.id == cia301.NMT and frame.data[:1] == bytes([Command.START]):
+        return "START"
+    return "SYNC" if frame.id == cia301.SYNC else f"frame {frame.id:03X}h"

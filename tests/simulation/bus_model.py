@@ -14,6 +14,8 @@ from tests.simulation.agenda import Agenda
 MAILBOXES = 3  # of the controller; frames in them compete by identifier
 CAPACITY = 13  # frames in mailboxes and queue; Linux gives a CAN interface a queue of 10 frames
 SDO_ANSWER = 0x580
+RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
+TPDOS = range(0x180, 0x580, 0x100)  # function codes of TPDO 1 to 4
 
 
 class OnItsWay(NamedTuple):
@@ -36,6 +38,9 @@ class BusModel:
         loss: share of the frames that their receiver loses after they have left.
         duplication: share of the frames that their receiver gets twice.
         answer_delay: longest delay of the boards' SDO answers [s].
+        mute: whether the boards' SDO answers are lost.
+        tpdos_to_lose: number of the next TPDOs that are lost.
+        tpdo_lost_at: time of the last lost TPDO [s].
 
     Args:
         name: of the bus.
@@ -58,8 +63,10 @@ class BusModel:
         self.name, self.state = name, "active"
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
+        self.mute, self.tpdos_to_lose, self.tpdo_lost_at = False, 0, 0.0
         self._bitrate, self._agenda, self._random = bitrate, agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
+        self._at_rpdo: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._boards: deque[Frame] = deque()
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
@@ -79,18 +86,31 @@ class BusModel:
             return "Network is down"
         if len(self._queue) >= self.capacity:
             return "No buffer space available"
+        if split(frame.id)[0] in RPDOS:
+            happen, self._at_rpdo = self._at_rpdo, lambda: None
+            happen()
         self._queue.append(OnItsWay(frame, belongs_to))
         self._begin()
         return None
 
     def from_board(self, frame: Frame) -> None:
         """Takes a frame of a board."""
-        if self.answer_delay and split(frame.id)[0] == SDO_ANSWER:
+        function = split(frame.id)[0]
+        if self.mute and function == SDO_ANSWER:
+            return
+        if self.tpdos_to_lose and function in TPDOS:
+            self.tpdos_to_lose -= 1
+            self.tpdo_lost_at = self._agenda.now
+        elif self.answer_delay and function == SDO_ANSWER:
             self._agenda.after(self._random.uniform(0.0, self.answer_delay), lambda: self._enqueue(frame))
         else:
             self._enqueue(frame)
 
     # --- faults and their ends
+
+    def at_next_rpdo(self, happen: Callable[[], None]) -> None:
+        """Calls a function once, when the executor hands out an RPDO."""
+        self._at_rpdo = happen
 
     def go_down(self) -> None:
         """Takes the interface down: waiting frames are lost."""
@@ -106,10 +126,15 @@ class BusModel:
         if self.state == "active":
             self._change("passive", "")
 
+    def hear_answers(self) -> None:
+        """Ends the loss of SDO answers."""
+        self.mute = False
+
     def restore(self) -> None:
         """Ends all faults of the bus."""
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
+        self.mute, self.tpdos_to_lose = False, 0
         if self.state != "active":
             self._change("active", "")
         self._begin()

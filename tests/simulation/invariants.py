@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from controller.executor.bits import indices
 from controller.executor.core import PERIOD
 from drivers.canopen.wire import cia301
+from tests.simulation.bus_model import RPDOS
 from tests.simulation.facts import Switch
-from tests.simulation.record import LATE, RPDOS
+from tests.simulation.record import LATE
 
 if TYPE_CHECKING:
     from tests.simulation.world import World
@@ -178,13 +179,36 @@ def coils_come_on_only_as_asked(world: World) -> None:
 
 
 def pulses_end(world: World) -> None:
-    """No pulse is too long by more than a period, unless the executor or the bus did not work."""
+    """A pulse ends within its length, one period, and the time in which the executor could not reach the board."""
     record, now = world.record, world.agenda.now
     for k, length in world.kinds.pulse.items():
-        since, bus = record.energised_at[k], world.arm.wiring.channels[k].bus
-        if since is None or record.suspect >> k & 1 or record.disturbed_at[bus] >= since:
+        since = record.energised_at[k]
+        if since is None or record.suspect >> k & 1:
             continue
-        require(now - since <= length + PERIOD + LATE, f"actuator {k}: a coil is on for {now - since:g} s")
+        away, record.unreached[k] = record.unreached[k], not world.reaches(k)
+        record.away[k] += (now - record.looked_at[k]) * away
+        record.looked_at[k] = now
+        longest = length + record.away[k] + PERIOD * (1 + (record.away[k] > 0.0))  # the executor hears of it, then acts
+        require(now - since <= longest + LATE, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s")
+
+
+def nothing_switches_after_a_stop(world: World) -> None:
+    """No output changes by a SYNC sent after the answer to a halt or cancel, until a later request to move."""
+    record = world.record
+    for change in (*_by_sync(world), *record.step.energised):
+        mask = (change.mask if isinstance(change, Switch) else change.came) & ~record.suspect
+        if change.cause != "SYNC" or change.commit is None or not mask:
+            continue
+        late = change.commit.synced_at is not None and change.commit.synced_at > record.stopped_at
+        require(not late, f"{mask:b} switched {world.agenda.now - record.stopped_at:g} s after a stop was answered")
+
+
+def no_start_changes_a_pin(world: World) -> None:
+    """The NMT command START of the executor changes no output."""
+    for switch in world.record.step.switches:
+        require(switch.cause != "START", f"START switched {switch.mask:b} to {switch.after:b}")
+    for coils in world.record.step.energised:
+        require(coils.cause != "START", f"START switched on the coils {coils.came:b}")
 
 
 def nothing_begins_while_an_interlock_is_open(world: World) -> None:
@@ -197,7 +221,8 @@ def nothing_begins_while_an_interlock_is_open(world: World) -> None:
         record.unread_at = now
     if not record.step.frames or now < record.open_since + PERIOD:
         return
-    if max(record.unread_at, record.disturbed_at[lock.bus]) >= record.open_since - LATE:
+    lost_at = world.buses[lock.bus].tpdo_lost_at
+    if max(record.unread_at, record.disturbed_at[lock.bus], lost_at) >= record.open_since - LATE:
         return
     for name, frame in record.step.frames:
         if frame.id & 0x780 in RPDOS and record.commit is not None:
@@ -232,6 +257,7 @@ INVARIANTS = (
     the_executor_has_no_defect,
     outputs_change_only_as_asked,
     nothing_is_commanded_without_a_request,
+    no_start_changes_a_pin,
     outputs_fall_only_with_a_cause,
     each_program_has_one_result,
     programs_are_accepted_only_as_they_should_be,
@@ -243,5 +269,6 @@ INVARIANTS = (
     two_coils_are_never_on_at_once,
     coils_come_on_only_as_asked,
     pulses_end,
+    nothing_switches_after_a_stop,
     nothing_begins_while_an_interlock_is_open,
 )

@@ -50,6 +50,7 @@ class ExecutorProcess:
         self._record = record
         self._to_client: Callable[[Client, Up], None] = lambda client, message: None
         self._dies: Callable[[], None] = lambda: None
+        self._at_start: Callable[[], None] = lambda: None
         self._events: deque[Event] = deque()
         self._awake_at = self._started_at = 0.0
         self._woken = self._ticked = False
@@ -73,6 +74,8 @@ class ExecutorProcess:
         for name, bus in self._buses.items():
             self.post(Changed(name, bus.state, "", None))
         self._tick_later(self.instances)
+        happen, self._at_start = self._at_start, lambda: None
+        happen()
 
     @property
     def awake(self) -> bool:
@@ -97,6 +100,10 @@ class ExecutorProcess:
             self._record.killed()
             self._dies()
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
+
+    def at_next_start(self, happen: Callable[[], None]) -> None:
+        """Calls a function once, after the next start of a process."""
+        self._at_start = happen
 
     def kill_after(self, actions: int) -> None:
         """Kills the process after `actions` further actions, perhaps in the middle of a step."""

@@ -28,10 +28,10 @@ from controller.program import (
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
+from tests.simulation.bus_model import RPDOS
 from tests.simulation.facts import Commit, Energised, Running, Step, Switch
 
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
-RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
 LATE = 1e-6  # [s], rounding error
 
 
@@ -53,6 +53,10 @@ class Record:
         disturbed_at: last time when its heartbeats could not be sent on each bus [s].
         switched_at: time when a SYNC switched each actuator [s].
         energised_at: time when one of two coils of each actuator came on [s]; None: both are off.
+        away: time since then in which the executor could not reach the board of each actuator [s].
+        looked_at: time up to which `away` is counted [s].
+        unreached: whether the executor could not reach the board of each actuator at that time.
+        stopped_at: time of the answer to a halt or cancel [s]; infinity after a later request to move.
         open_since: time when an interlock was opened [s]; infinity if all are closed.
         unread_at: last time when the board of the interlock did not send its inputs [s].
         core: returns the executor, for its uncertain states and pulses.
@@ -79,12 +83,15 @@ class Record:
         self.disturbed_at = dict(self.last_heartbeat)
         self.switched_at = [-1e12] * count
         self.energised_at: list[float | None] = [None] * count
+        self.away, self.looked_at, self.unreached = [0.0] * count, [0.0] * count, [False] * count
+        self.stopped_at, self._epoch_at_stop = math.inf, 0
         self.open_since, self.unread_at = math.inf, agenda.now
         self.core: Callable[[], Executor | None] = lambda: None
         self._arm, self._agenda, self._note = arm, agenda, note
         self._bus_of = [channel.bus for channel in arm.wiring.channels]
         self._setpoints: deque[Setpoint] = deque(maxlen=3)
         self._message: object = None
+        self._stops = False  # whether the message stops what runs
 
     # --- the executor
 
@@ -105,18 +112,23 @@ class Record:
     def told(self, event: Event) -> None:
         """Records an event that the executor takes."""
         self._note(("executor takes", event))
+        self._stops = False
         message = self._message = event.message if isinstance(event, FromClient) else None
         match message:
             case Acknowledge():
                 self.acknowledged.add((self.instance, message.result))
             case Cancel(program=None) | Halt():
+                self._stops = True
                 self._hold()
             case Cancel() if self.running is not None and self.running.number == message.program:
+                self._stops = True
                 self._hold()
             case Reset() if self.mode in ("fault", "stopped"):
                 self._hold()
             case Setpoint() if message.epoch == self.epoch:
                 self._setpoints.append(message)
+                if message.epoch > self._epoch_at_stop:
+                    self.stopped_at = math.inf
 
     def says(self, message: Up) -> None:
         """Records a message to a client."""
@@ -127,6 +139,10 @@ class Record:
                 self._accept(message)
             case Answer() if isinstance(self._message, Halt | Cancel):
                 self.floor += getattr(self._message, "program", None) is None
+                if self._stops:
+                    of_one = isinstance(self._message, Cancel) and self._message.program is not None
+                    # The cancel of one program begins no epoch: set-points of this epoch may follow.
+                    self.stopped_at, self._epoch_at_stop = self._agenda.now, self.epoch - of_one
             case Replaced(accepted=True) if isinstance(self._message, Replacement) and self.running is not None:
                 new = [(unpack(stage.states), stage.at) for stage in self._message.stages]
                 self.running.stages[self._message.first :] = new
@@ -157,6 +173,8 @@ class Record:
             core = self.core()
             assert core is not None
             contracting = core.ending.begun and core.modes.mode == "executing"
+            if contracting:
+                self.stopped_at = math.inf
             asked = self.running is not None or bool(self._followed(now)) or contracting
             candidates = [(-1, self._outputs & self.locked)] if contracting else self._asked(now)
             self.commit = Commit(now, self.locked, self.locked_states, apart and asked, self.running, candidates)
@@ -201,7 +219,8 @@ class Record:
             # The end-stop of one that did not follow its coil told the other state: for the executor it switches.
             self.slack[k] += coils.again >> k & 1
             if coils.came >> k & 1:
-                self.energised_at[k] = self._agenda.now
+                self.energised_at[k] = self.looked_at[k] = self._agenda.now
+                self.away[k], self.unreached[k] = 0.0, False
             elif since is not None and coils.bus == self._bus_of[k] and not coils.on >> k & 1:
                 self.energised_at[k] = None
 
@@ -232,6 +251,7 @@ class Record:
         assert all(n < program.program for instance, n in self.programs if instance == self.instance), "numbers grow"
         self._hold()
         stages = [(unpack(stage.states), stage.at) for stage in program.stages]
+        self.stopped_at = math.inf
         self.running = Running(program.program, message.begin, program.strict, stages)
         self.programs[self.instance, program.program] = program
         self.step.accepted.append((program, message))

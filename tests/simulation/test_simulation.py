@@ -18,7 +18,8 @@ from controller.executor.results import Results
 from controller.executor.switch_journal import MemoryJournal
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import Heartbeat
-from drivers.canopen.wire.cia301 import SYNC, Frame
+from drivers.canopen.wire.cia301 import SYNC, Frame, State
+from drivers.simulation.firmware import SimulatedBoard
 from tests.simulation.invariants import Violation
 from tests.simulation.world import World
 
@@ -64,6 +65,28 @@ def _energise(self: Modes, now: float) -> None:
     actuation.switch(actuation.states, now, homing=-1)
 
 
+_enter = SimulatedBoard._enter
+
+
+def _start_switches(self: SimulatedBoard, state: State) -> None:
+    before = self.state
+    _enter(self, state)
+    if state is State.OPERATIONAL and before is not state:
+        for wired in self.wired:
+            sub = wired.output // 8 + 1
+            index = self.variant.output_object
+            self.objects.put(index, sub, self.objects.number(index, sub) ^ 1 << wired.output % 8)
+        self._drive()
+
+
+_give_up = Commit.give_up
+
+
+def _give_up_late(self: Commit, why: str) -> None:
+    if "not sent" in why or "lost" in why:
+        _give_up(self, why)
+
+
 DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
     "switches are counted that were not made": (MemoryJournal, "resolve", _count_everything),
@@ -77,14 +100,23 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "pulses do not end": (Actuation, "tick", lambda self, now: None),
     "both outputs of a pair are on": (Kinds, "_off_lines", lambda self, mask: mask << self._size),
     "a start energises": (Modes, "hold_measured", lambda self, now: _energise(self, now)),
+    "START applies other outputs": (SimulatedBoard, "_enter", _start_switches),
+    "waiting RPDOs are switched after a stop": (Commit, "give_up", _give_up_late),
     "interlocks are ignored": (Motion, "interlocks", lambda self: []),
+}
+
+
+FOUND = {  # words of the violation, where another invariant could find the defect as well
+    "START applies other outputs": "START switched",
+    "waiting RPDOs are switched after a stop": "after a stop was answered",
+    "pulses do not end": "a coil is on for",
 }
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None:
     monkeypatch.setattr(*DEFECTS[defect])
-    with pytest.raises(Violation):
+    with pytest.raises(Violation, match=FOUND.get(defect)):
         _run_until_one_fails()
 
 

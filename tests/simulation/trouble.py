@@ -8,10 +8,12 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from controller.executor.events import Quit
-from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.events import Received
 
 if TYPE_CHECKING:
+    from tests.simulation.bus_model import BusModel
     from tests.simulation.world import World
 
 KINDS = {
@@ -22,8 +24,14 @@ KINDS = {
     **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
     **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5, "actuator is jammed": 0.5},
     **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 1.0},
+    **{"foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
+    **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
+    **{"stop in mid commit": 0.8},
 }
 
+
+FOREIGN = (Command.PRE_OPERATIONAL, Command.STOP, Command.START, Command.RESET_COMMUNICATION)
+MID_BOOT = 0.3  # [s], longest time from a start of the executor to a fault in its boot
 
 LONGEST_STALL = 3.0  # [s] of executor or planner
 
@@ -120,8 +128,44 @@ class Trouble:
                 cob_id = random.choice([random.randrange(0x800), 0x77F, 0x80, *own])
                 frame = Frame(cob_id, random.randbytes(random.randint(0, 8)))
                 world.executor.post(Received(bus.name, frame))
+            case "foreign NMT":
+                frame = Frame(cia301.NMT, bytes([random.choice(FOREIGN), random.choice([0, channel.node])]))
+                world.boards.hear_tool(channel.bus, frame)
+                world.executor.post(Received(channel.bus, frame))
+            case "answers are lost":
+                bus.mute = True
+                world.agenda.after(random.uniform(0.5, 3.0), bus.hear_answers)
+            case "TPDO is lost":
+                bus.tpdos_to_lose = 1
+            case "kill in mid boot":
+                self._in_mid_boot(world.executor.kill)
+            case "bus-off in mid boot":
+                self._in_mid_boot(bus.go_off)
+                self._later(2.0, bus.restore)
+            case "power-cycle in mid boot":
+                self._in_mid_boot(lambda: self._break("board reboots", board, label))
+            case "stop in mid commit":
+                bus.at_next_rpdo(lambda: self._stop_in_mid_commit(bus))
             case _:
                 self._break(kind, board, label)
+
+    def _stop_in_mid_commit(self, bus: BusModel) -> None:
+        """Keeps the frames of a commit in the controller for a while, and halts the arm."""
+        if self._active:
+            bus.acknowledged = False
+            self._later(0.15, bus.restore)
+            self._world.planner.connection.halt()
+
+    def _in_mid_boot(self, happen: Callable[[], None]) -> None:
+        """Restarts the executor, and lets something happen soon after its start."""
+        turn, delay = self._round, self._random.uniform(0.0, MID_BOOT)
+
+        def perform() -> None:
+            if self._active and turn == self._round:
+                happen()
+
+        self._world.executor.at_next_start(lambda: self._world.agenda.after(delay, perform))
+        self._world.executor.kill()
 
     def _break(self, kind: str, board: str, label: str) -> None:
         world, random = self._world, self._random

@@ -164,6 +164,13 @@ class World:
 
     # --- for the invariants, and for a person
 
+    def reaches(self, actuator: int) -> bool:
+        """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
+        channel = self.arm.wiring.channels[actuator]
+        bus = self.buses[channel.bus]
+        fit = self.executor.awake and bus.healthy and not bus.loss
+        return fit and self.boards.takes_part(f"{channel.bus}/{channel.node}")
+
     @property
     def intended(self) -> int:
         """Mask of the intended switches that the journal has not counted yet."""
