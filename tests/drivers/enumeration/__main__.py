@@ -9,8 +9,8 @@ import time
 from collections import Counter
 from functools import partial
 
-from tests.drivers.enumeration.histories import Subject, subjects
 from tests.drivers.enumeration.trials import Verdict, run, trials
+from tests.drivers.variants.cases import CASES
 
 SHOWN = 3  # examples of each broken invariant
 COLUMNS = ("boots", "pins changed by START", "energised", "refused", "mended")
@@ -25,9 +25,9 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     began = time.monotonic()
-    names = [subject.name for subject in subjects() if options.board is None or options.board in subject.name]
+    numbers = [i for i, case in enumerate(CASES) if options.board is None or options.board in case.name]
     with multiprocessing.Pool(options.processes) as pool:
-        results = pool.map(partial(results_of, every=options.every), names, chunksize=1)
+        results = pool.map(partial(results_of, every=options.every), numbers, chunksize=1)
     total: Counter[str] = Counter()
     kinds: Rows = {}
     print(f"{'board':<36} {'failure':<26}" + "".join(f"{column:>22}" for column in COLUMNS))
@@ -47,21 +47,15 @@ def main() -> int:
     return bool(broken)
 
 
-def results_of(name: str, every: int) -> tuple[Rows, list[tuple[str, str]]]:
-    """Runs the trials of one board; returns the rows of the table, and sentences on broken invariants."""
-    rows: Rows = {}
+def results_of(number: int, every: int) -> tuple[Rows, list[tuple[str, str]]]:
+    """Runs the trials of one of `CASES`; returns the rows of the table, and sentences on broken invariants."""
+    case, rows = CASES[number], Rows()
     broken: list[tuple[str, str]] = []
-    for trial in trials(subject_of(name), every):
+    for trial in trials(case, every):
         verdict = run(trial)
-        rows.setdefault((name, trial.failure.kind), Counter()).update(counts(verdict))
+        rows.setdefault((case.name, trial.failure.kind), Counter()).update(counts(verdict))
         broken += [(trial.name, sentence) for sentence in verdict.broken]
     return rows, broken
-
-
-def subject_of(name: str) -> Subject:
-    """Returns a board by its name."""
-    [subject] = [subject for subject in subjects() if subject.name == name]
-    return subject
 
 
 def counts(verdict: Verdict) -> dict[str, int]:

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame, State
+from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import build_actuator, wire
 from drivers.simulation.firmware import SimulatedBoard
@@ -21,19 +21,11 @@ TICK, LATENCY = 0.01, 0.001  # [s] of the master, and of an SDO answer
 MASTER, BOARD, TOOL = "master", "board", "another program"  # senders of frames
 
 
-class StrictBoard(SimulatedBoard):
-    """A board that applies 6200h to its outputs when it becomes operational, as CiA 401 allows."""
-
-    def _enter(self, state: State) -> None:
-        before = self.state
-        super()._enter(state)
-        if state is State.OPERATIONAL and before is not state:
-            self._outputs.reset()
-            self._drive()
-
-
 class PinChange(NamedTuple):
-    """Outputs that have changed. `cause` is "START", another frame, "time" or "supply"; `sender` sent the frame."""
+    """Masks of the output pins that came on or went off.
+
+    `cause` is "START", another frame, "time" or "supply"; `sender` sent the frame.
+    """
 
     on: int
     off: int
@@ -75,9 +67,8 @@ class Bench:
     def __init__(self, wiring: Wiring, timing: Timing, variant: Variant) -> None:
         self.now = 0.0
         self.wiring, self.timing, self.variant = wiring, timing, variant
-        self._actuators = [build_actuator(channel, timing) for channel in wiring.channels]
-        wired = [wire(channel, actuator) for channel, actuator in zip(wiring.channels, self._actuators, strict=True)]
-        self.board = StrictBoard(wiring.channels[0].node, wired, self._from_board, variant)
+        wired = [wire(channel, build_actuator(channel, timing)) for channel in wiring.channels]
+        self.board = SimulatedBoard(wiring.channels[0].node, wired, self._from_board, variant)
         self.master: Master | None = None
         self.off = self.stalled = self._commanded = False
         self.log: list[tuple[str, Frame]] = []
@@ -171,11 +162,6 @@ class Bench:
         self.board.power_on(self.now)
         self._look("supply", "")
 
-    @property
-    def pins(self) -> int:
-        """Mask of the energised coils."""
-        return sum(any(actuator.coils) << k for k, actuator in enumerate(self._actuators))
-
     # --- the bus
 
     def _from_master(self, bus: str, frame: Frame) -> None:
@@ -226,7 +212,7 @@ class Bench:
             (self.master.echoed if sender == MASTER else self.master.receive)(BUS, frame, self.now)
 
     def _look(self, cause: str, sender: str) -> None:
-        after = self.pins
+        after = self.board.pins
         if after != self._pins:
             on, off = after & ~self._pins, self._pins & ~after
             self.changes.append(PinChange(on, off, cause, sender, self._commanded))

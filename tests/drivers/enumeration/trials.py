@@ -9,9 +9,10 @@ from typing import NamedTuple
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.simulation.objects import Objects
-from tests.drivers.enumeration.bench import BUS, MASTER, TOOL, Bench, Copies
+from tests.drivers.enumeration.bench import BUS, MASTER, TICK, TOOL, Bench, Copies
 from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
-from tests.drivers.enumeration.histories import LONGEST_BOOT, NODE, Before, Subject, histories
+from tests.drivers.enumeration.histories import LONGEST_BOOT, NODE, Before, histories
+from tests.drivers.variants.cases import Case
 
 MOST_BOOTS = 6
 AFTERWARDS = 0.5  # [s] in which a ready board must stay ready
@@ -26,13 +27,13 @@ class Trial(NamedTuple):
     """One failure of one boot.
 
     Attributes:
-        subject: the board.
+        case: the board.
         before: history of the board.
         failure: the failure.
         copies: of the bench before the boot.
     """
 
-    subject: Subject
+    case: Case
     before: Before
     failure: Failure
     copies: Copies
@@ -40,7 +41,7 @@ class Trial(NamedTuple):
     @property
     def name(self) -> str:
         """Name for messages."""
-        return f"{self.subject.name}; {self.before.name}; {self.failure.kind}, {self.failure.at}: {self.failure.text}"
+        return f"{self.case.name}; {self.before.name}; {self.failure.kind}, {self.failure.at}: {self.failure.text}"
 
 
 class Verdict(NamedTuple):
@@ -61,15 +62,15 @@ class Verdict(NamedTuple):
     broken: tuple[str, ...]
 
 
-def trials(subject: Subject, every: int = 1) -> Iterator[Trial]:
+def trials(case: Case, every: int = 1) -> Iterator[Trial]:
     """Yields each `every`-th trial of a board, in an order that is always the same."""
     number = 0
-    for before, bench in histories(subject):
+    for before, bench in histories(case):
         copies = Copies(bench)
         for failure in failures(frames_of_a_boot(copies)):
             number += 1
             if number % every == 0:
-                yield Trial(subject, before, failure, copies)
+                yield Trial(case, before, failure, copies)
 
 
 def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
@@ -96,6 +97,7 @@ def run(trial: Trial) -> Verdict:
         ready = _stays_ready(bench)
         if not ready:
             _wait_until_back(bench)
+            bench.run(TICK)  # the command of another program may still be on the bus
     if not injection.struck:
         broken.append("the failure did not happen")
     return _verdict(bench, boots, ready, broken)
@@ -185,6 +187,10 @@ def _verdict(bench: Bench, boots: int, ready: bool, broken: list[str]) -> Verdic
     energised = [change for change in bench.changes if change.on and change.sender != TOOL]
     broken += [f"START has changed pins: {change}" for change in started]
     broken += [f"pins came on: {change}" for change in energised if change not in started]
-    if ready and bench.master is not None and bench.master.outputs != bench.pins:
-        broken.append(f"the master is wrong on the pins: it believes {bench.master.outputs:b}, they are {bench.pins:b}")
+    if ready and bench.master is not None and bench.master.outputs != _lines(bench):
+        broken.append(f"the master is wrong on the pins: it believes {bench.master.outputs:b}, not {_lines(bench):b}")
     return Verdict(len(started), len(energised), ready, boots, tuple(broken))
+
+
+def _lines(bench: Bench) -> int:
+    return sum((bench.board.pins >> channel.output & 1) << k for k, channel in enumerate(bench.wiring.channels))
