@@ -15,6 +15,6 @@ EVERY, EVERY_SLOW = 293, 1009  # prime, so that all kinds of failures are among 
 def test_a_boot_with_one_failure_switches_nothing(case: Case):
     every = EVERY_SLOW if case.variant in SLOW else EVERY
     verdicts = [(trial.name, run(trial)) for trial in trials(case, every)]
-    assert {verdict.ready for _, verdict in verdicts} >= {not case.refused}
+    assert any(verdict.ready for _, verdict in verdicts) == (not case.refused)
     broken = [f"{name}: {sentence}" for name, verdict in verdicts for sentence in verdict.broken]
     assert not broken, "\n".join(broken[:10])
