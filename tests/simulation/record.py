@@ -100,6 +100,7 @@ class Record:
         self._note("the executor starts")
         self.instance += 1
         self.mode, self.epoch, self.floor, self.commit = "starting", 0, 0, None
+        self._epoch_at_stop = 0
         self.locked = self._arm.locked
         self._hold()
 
