@@ -198,6 +198,7 @@ class Requests:
         )
 
     def _hold_answer(self, client: Client, request: int, done: str, follows: str, now: float) -> None:
+        self._motion.conclude(None, now)  # what was switched before the request is not "under way"
         held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
         self._held.append(held)
 
