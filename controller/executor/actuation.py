@@ -61,12 +61,24 @@ class Actuation:
         self._busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
+        self._given_up = False  # the running commit is not wanted any more
         self._boots: tuple[int, ...] = ()  # boot count of each board when the outputs were adopted
 
     @property
     def states(self) -> int:
         """The states that the outputs command, or commanded before a pulse ended."""
         return self._kinds.states(self._master.outputs, self._states)
+
+    @property
+    def under_way(self) -> int:
+        """Mask of the actuators that frames already handed out will switch."""
+        leaving = self._master.leaving
+        if not leaving:
+            return 0
+        outputs = self._master.outputs ^ leaving
+        extending, contracting = self._kinds.on(outputs & leaving)
+        energised = (extending ^ contracting) & self._kinds.paired
+        return (self._kinds.states(outputs, self._states) ^ self.states) | (energised & self.uncertain)
 
     def pulsing(self, now: float) -> bool:
         """Returns whether a pulse is on; a pulse that could not be ended within LATE no longer counts."""
@@ -109,8 +121,15 @@ class Actuation:
             self._journal.resolve(self.states)
             self._refused(str(error), now)
             return False
-        self.target, self._doubtful = states, differ
+        self.target, self._doubtful, self._given_up = states, differ, False
         return True
+
+    def give_up(self, why: str) -> None:
+        """Gives up the running commit if its SYNC was not handed out. `under_way` tells what still switches."""
+        self.rest()
+        if self.target is not None:
+            self._given_up = True
+            self._master.give_up(why)
 
     def tick(self, now: float) -> None:
         """Switches off the outputs whose pulse is over. Call every period, in every mode."""
@@ -148,7 +167,7 @@ class Actuation:
         states, self.target = self.target, None
         self._journal.resolve(self.states)
         why = self._master.commit_failed
-        if why is None:
+        if why is None or self._given_up:
             self._busy_since = None
         else:
             self._refused(why, now)

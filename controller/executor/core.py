@@ -1,6 +1,7 @@
 """The core of the executor: takes events and returns actions. It has no clock, no I/O and no threads."""
 
 import logging
+import math
 import traceback
 from collections.abc import Callable
 from typing import ParamSpec
@@ -112,6 +113,7 @@ class Executor:
         self._guarded(self._handle, event, now)
         if not (isinstance(event, Echoed) and self.collecting):  # one echo of many, nothing has changed
             self._guarded(self._conclude, on_bus(event, now), now)
+        self._guarded(self._requests.answer_held, now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
             self._guarded(self._show, now)
         actions, self._actions = self._actions, []
@@ -146,7 +148,7 @@ class Executor:
                 self._hear(event.client, event.message, now)
             case ClientGone():
                 if self._clients.remove(event.client):
-                    self._hold("the planner is gone")
+                    self._lose_planner("the planner is gone")
             case Defect():
                 self._fail(event.text, now)
             case Quit():
@@ -181,7 +183,7 @@ class Executor:
                 self._locked.note_stuck(finding.actuator)
             self.modes.fail(finding.fault, now)
         if self._clients.fell_silent(self.motion.clock):
-            self._hold("the planner is silent")
+            self._lose_planner("the planner is silent")
         self._advance(now)
         self.ending.advance(now)
         self.modes.recover(now)
@@ -192,7 +194,7 @@ class Executor:
         if self.modes.mode == "executing":
             end = self.motion.advance(now)
             if end is not None:
-                self.modes.enter("ready", end)
+                self.modes.hold(*end)
 
     def _report(self, now: float) -> None:
         if self.reports.snapshot_due(now):
@@ -237,17 +239,21 @@ class Executor:
                 self._results.send_again()
             self.reports.changed = True
 
+    def _lose_planner(self, why: str) -> None:
+        """Ends what the planner asked for. At the end of the executor nothing of it runs any more."""
+        if not self.ending.begun:
+            self._hold(why)
+
     def _hold(self, why: str) -> None:
-        """Ends the program or stream, since the planner does not answer."""
-        self.motion.end("aborted", f"{why}; the arm holds")
-        if self.modes.mode == "executing":
-            self.modes.enter("ready", f"holding; {why}")
+        self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
 
     def _quit(self, now: float) -> None:
-        """Ends the running program with a result; a second call does not wait for the running stage."""
+        """Ends the running program with a result; a second call waits for no stage and no contraction."""
         if self.ending.begun:
+            self.ending.abandon()
             self.motion.close()
             self._results.send_counts()
+            self._requests.answer_held(math.inf)
             return
         self._requests.quitting = True
         self._hold("the executor is shutting down")

@@ -39,6 +39,7 @@ class Ending:
         self.begun, self.patience = False, 0.0
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False
+        self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
         levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
         self._let_go = sum(1 << k for k in range(len(arm.actuators)) if levels[k] == 0 and k not in pairs.values())
         self._let_go |= sum(1 << k for line, k in pairs.items() if levels[line] == 1)
@@ -69,37 +70,54 @@ class Ending:
         elif modes.mode != "ready":
             self._act(Log(logging.WARNING, f"the arm does not contract before the end (on_stop): it is {modes.mode}"))
         else:
+            self._contracting, self.patience = True, self._arm.ending
+            self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.patience + 5) * 1e6)}"))
             self._contract()
 
     def advance(self, now: float) -> None:
         """Ends the contraction when the arm is contracted or cannot be. Call every period."""
-        motion = self._motion
+        motion, modes, stream = self._motion, self._modes, self._stream
         self._pulsing = motion.actuation.pulsing(now)
         if not self._contracting:
             return
-        stream, moving = motion.stream, motion.busy or motion.moving or now < motion.actuation.free_at
-        if stream is None or not (stream.stages or moving):
+        if modes.mode not in ("ready", "executing") or (stream is not None and motion.stream is not stream):
+            self.abandon()
+        elif motion.busy:  # a commit that was under way at the request
+            return
+        elif stream is None or stream.start != motion.actuation.states:
+            self._contract()
+        elif not stream.stages and not motion.moving and now >= motion.actuation.free_at:
             self._contracting = False
-            if stream is not None:
-                motion.end("done", "")
-                self._modes.enter("ready", "contracted before the end of the executor")
+            modes.hold("done", "", "contracted before the end of the executor")
+
+    def abandon(self) -> None:
+        """Ends a contraction that is not complete, and says why."""
+        if self._contracting:
+            self._contracting = False
+            modes = self._modes
+            text = f"the arm is not contracted before the end (on_stop): it is {modes.mode}: {modes.reason}"
+            self._act(Log(logging.WARNING, text))
 
     def _contract(self) -> None:
-        """Starts to contract all actuators but the locked ones, as many at once as `inrush` permits."""
+        """Starts to contract all actuators but the locked ones, as many at once as `inrush` permits.
+
+        A commit that is under way ends first: until then the states are not known.
+        """
+        if self._motion.busy:
+            return
         states, size = self._motion.actuation.states, len(self._arm.actuators)
         stages, rest = list[bytes](), states & ~self._locked.mask
         while rest:
             rest &= ~first(rest, self._arm.most)
             stages.append(pack(rest | (states & self._locked.mask), size))
-        self.patience = self._arm.ending
-        self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.patience + 5) * 1e6)}"))
         reason = "contracting before the end of the executor"
         message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
         stream = SetpointStream(message, self._arm.most, self._locked, size)
         if not stages and not self._motion.homing:
+            self._contracting = False
             return
         if not stages:  # only actuators of unknown state: homing them is enough
             stream.stages = [stream.start]
-        self._contracting = True
         self._motion.follow(stream)
+        self._stream = self._motion.stream
         self._modes.enter("executing", reason)

@@ -92,6 +92,22 @@ class Modes:
             self._act(Notify(f"STATUS={mode}: {reason}"))
         self.mode, self.reason, self._reports.changed = mode, reason, True
 
+    def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:
+        """Ends what runs, gives up the frames that wait, and enters a mode. Every end of a motion comes here.
+
+        Boards keep what they have latched, and the next commit replaces it before its SYNC. What was handed out
+        already and switches, `Actuation.under_way`, cannot be given up.
+
+        Args:
+            status: of the result of a program.
+            message: of the result of a program.
+            reason: a sentence for the mode.
+            mode: to enter; "ready" is entered from "executing" only, since the arm holds in the other modes.
+        """
+        self._motion.hold(status, message)
+        if mode != "ready" or self.mode == "executing":
+            self.enter(mode, reason)
+
     def new_epoch(self) -> None:
         """Begins an epoch: programs and streams of earlier epochs are refused, so the planner must plan again."""
         self.epoch += 1
@@ -122,10 +138,10 @@ class Modes:
         """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
         if self.faults.add(fault):
             self._log(logging.ERROR, fault)
-        self._reports.changed = True
-        self._motion.end("aborted", fault.message)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._booting):
-            self._enter_fault(fault.message, now)
+            self._enter_fault(fault.message, fault.message, now)
+        else:
+            self.hold("aborted", fault.message, self.reason, self.mode)
 
     def recover(self, now: float) -> None:
         """Leaves mode fault without a Reset if every fault clears by itself and all boards are heard again."""
@@ -146,8 +162,9 @@ class Modes:
         self.enter("ready", f"holding what the boards measured{locked}")
 
     def _begin_boot(self, now: float) -> None:
-        """Starts the master's boot when no pulse is on: a pulse could not be ended during the boot."""
-        if self._waits and not self._motion.actuation.pulsing(now):
+        """Starts the master's boot when no switch is under way, and no pulse is on: the boot could not end it."""
+        actuation = self._motion.actuation
+        if self._waits and not actuation.pulsing(now) and not actuation.under_way:
             self._waits = False
             self._master.boot(now)
 
@@ -158,7 +175,7 @@ class Modes:
         for warning in self._master.warnings():
             self._log(logging.WARNING, warning)
         if self.faults:
-            self._enter_fault(self.faults.sentence(), now)
+            self._enter_fault("", self.faults.sentence(), now)
         else:
             self._motion.adopt(now)
             motion = self._motion
@@ -168,7 +185,7 @@ class Modes:
     def _log(self, level: int, fault: Fault) -> None:
         self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))
 
-    def _enter_fault(self, reason: str, now: float) -> None:
+    def _enter_fault(self, message: str, reason: str, now: float) -> None:
         self.new_epoch()
         self._next_try = now + RETRY
-        self.enter("fault", reason)
+        self.hold("aborted", message, reason, "fault")

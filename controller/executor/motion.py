@@ -1,6 +1,7 @@
 """The motion on the boards: the running program, or the set-point that is followed; never both."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from controller.executor.actuation import Actuation, Commit
 from controller.executor.arm import ExecutedArm
@@ -20,6 +21,20 @@ from drivers.canopen.run.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
 NOT_CLEAR = "the next stage cannot begin: "
+
+
+class End(NamedTuple):
+    """How a program or stream has ended by itself.
+
+    Attributes:
+        status: of the result.
+        message: of the result.
+        reason: a sentence for the mode.
+    """
+
+    status: str
+    message: str
+    reason: str
 
 
 class Motion:
@@ -136,34 +151,42 @@ class Motion:
     # --- begin and end
 
     def run(self, execution: ProgramExecution) -> None:
-        """Starts a program."""
-        self.stream = None
-        self.clearances.forget()
+        """Starts a program in place of what runs."""
+        self._end("replaced", f"replaced by {execution.program.name}")
         self.execution = execution
 
     def follow(self, stream: SetpointStream) -> None:
-        """Follows a set-point in place of the last one.
+        """Follows a set-point in place of a program or of the last set-point.
 
         While a question about the last set-point is open, its stages are kept. Otherwise each answer would belong to
         the previous set-point.
         """
+        if self.execution is not None:
+            self._end("replaced", "replaced by a setpoint")
         last = self.stream
         if last is not None and self.clearances.waiting and stream.stages and stream.start == last.start:
             last.until, last.reason, last.number = stream.until, stream.reason, stream.number
         else:
             self.stream = stream
 
-    def end(self, status: str, message: str) -> bool:
-        """Ends program and stream; returns whether a program ran. The result waits for the running commit."""
+    def hold(self, status: str, message: str) -> None:
+        """Ends program and stream, and gives up a commit whose SYNC was not handed out.
+
+        Only `Modes.hold` calls this, since the mode changes too.
+        """
+        self.actuation.give_up(message or "the arm holds")
+        self._end(status, message)
+
+    def _end(self, status: str, message: str) -> None:
+        """Ends program and stream. The result waits for the running commit."""
         execution, self.execution, self.stream = self.execution, None, None
         self.clearances.forget()
         self.actuation.rest()
         if execution is None:
-            return False
+            return
         self._closing = execution, status, message
         if not self.busy:
             self.close()
-        return True
 
     def close(self) -> None:
         """Sends the result of a program that has ended."""
@@ -202,8 +225,8 @@ class Motion:
         if commit is not None and commit.reached and self._index != REALIGNMENT:
             self._took(commit, now)
 
-    def advance(self, now: float) -> str | None:
-        """Starts what is due; returns a sentence if the program or stream has ended by itself."""
+    def advance(self, now: float) -> End | None:
+        """Starts what is due; returns an end if the program or stream has ended by itself."""
         if self.stream is not None:
             return self._pursue(self.stream, now)
         execution = self.execution
@@ -212,8 +235,7 @@ class Motion:
         if execution.waiting and not self.busy and not self.moving and execution.settles(now):
             self._send(self._settled(execution))
         if execution.finished and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
-            self.end("done", "all stages have settled")
-            return f"holding; {execution.program.name} is done"
+            return End("done", "all stages have settled", f"holding; {execution.program.name} is done")
         return None if self._realigns(now, *execution.homed) else self._switch(execution, now)
 
     def _realigns(self, now: float, homed: int, target: int) -> bool:
@@ -247,26 +269,25 @@ class Motion:
         self._homes = False
         return False
 
-    def _switch(self, execution: ProgramExecution, now: float) -> str | None:
-        """Begins the due stage of a program; returns a sentence if the program has ended."""
+    def _switch(self, execution: ProgramExecution, now: float) -> End | None:
+        """Begins the due stage of a program; returns an end if the program cannot continue."""
         index = None if self.busy else execution.due(now, self.actuation.states, self._arm.most)
         if index is None:
             return None
         states = execution.state(index)
         if (states ^ self.actuation.states).bit_count() > self._arm.most:
-            self.end("aborted", "the outputs are too far from the next stage; the arm holds")
-            return f"holding; {execution.program.name} was aborted: the outputs are too far from its next stage"
+            reason = f"holding; {execution.program.name} was aborted: the outputs are too far from its next stage"
+            return End("aborted", "the outputs are too far from the next stage; the arm holds", reason)
         touched = self._begin(index, execution.state(execution.taken), states, execution.strict, now)
         if touched is None:
             return None
-        self.end("aborted", f"{NOT_CLEAR}{touched}; the arm holds")
-        return f"holding; {execution.program.name} was aborted: {NOT_CLEAR}{touched}"
+        reason = f"holding; {execution.program.name} was aborted: {NOT_CLEAR}{touched}"
+        return End("aborted", f"{NOT_CLEAR}{touched}; the arm holds", reason)
 
-    def _pursue(self, stream: SetpointStream, now: float) -> str | None:
-        """Begins the due stage of a stream; returns a sentence if the stream has stopped."""
+    def _pursue(self, stream: SetpointStream, now: float) -> End | None:
+        """Begins the due stage of a stream; returns an end if the stream has stopped."""
         if now > stream.until:
-            self.end("canceled", "")
-            return "holding; the stream of setpoints has stopped"
+            return End("canceled", "", "holding; the stream of setpoints has stopped")
         if self.busy or (stream.stages and self._realigns(now, self.kinds.everything, stream.start)):
             return None
         index = stream.due(self.actuation.states, self._arm.most)

@@ -24,9 +24,9 @@ class MotionSupervision:
     """Compares the commanded states of A actuators with their end-stops.
 
     An end-stop reads 1 only while the actuator is at its end. An actuator has arrived when the end-stop at its new end
-    reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. An actuator that
-    has not arrived in time is not "stuck" at once: first the boards of its end-stops are asked for their inputs by
-    SDO, and have answered or have not answered in time.
+    reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. No reading is a
+    fault at once: a contact may bounce, and a TPDO may be lost. First the board of the actuator is asked for its inputs
+    by SDO, and has answered or has not answered in time.
 
     Args:
         boards: CANopen master of the boards.
@@ -48,6 +48,7 @@ class MotionSupervision:
         """
         self._commanded, self._commanded_known = states, known
         self._pending = self._confirms = self._reported = self._suspect = self._final = self._doubtful = 0
+        self._strayed = 0  # actuators that seem to move without a command, and whose boards were asked
         self._last = ends
         self._missed = [0] * len(self._places)
         self._pending = self._confirms = self._late(ends) & ~ends.extended & ~ends.contracted & known
@@ -119,10 +120,13 @@ class MotionSupervision:
         readable = known & self._commanded_known
         late = self._late(ends) & readable
         self._forgive(ends)
-        broken = self._contradicted(ends.extended & ends.contracted & known, now) & ~self._reported
+        both = ends.extended & ends.contracted & known
+        broken, self._doubtful = self._confirmed(both, self._doubtful, now)
+        broken &= ~self._reported
         doubtful = self._doubtful | broken
         stuck = (self._overdue(late, clock, now) | self._unreliable(readable)) & ~doubtful
-        stray = late & ~self._pending & ~self._reported & ~stuck & ~doubtful
+        strayed = late & ~self._pending & ~self._reported & ~stuck & ~doubtful
+        stray, self._strayed = self._confirmed(strayed, self._strayed, now)
         stuck &= ~self._reported
         self._reported |= stuck | stray | broken
         return [
@@ -149,14 +153,22 @@ class MotionSupervision:
         """Returns the mask of the actuators whose end-stops contradict the commanded state."""
         return self._awaited(ends) | self._at_other_end(ends)
 
-    def _contradicted(self, both: int, now: float) -> int:
-        """Returns the mask of the actuators whose end-stops both read 1 again after their boards were asked."""
-        for k in indices(both & ~self._doubtful & ~self._reported):
+    def _confirmed(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
+        """Asks the boards of actuators whose end-stops read what they should not.
+
+        Args:
+            suspects: mask of these actuators now.
+            asked: mask of those whose boards were asked before.
+            now: for the questions [s].
+
+        Returns:
+            Mask of the actuators that read the same after the answer, and mask of those that wait for it.
+        """
+        for k in indices(suspects & ~asked & ~self._reported):
             self._question(k, now)
-        asked = (k for k in indices(both & self._doubtful) if not self._questioning(k))
-        certain = sum(1 << k for k in asked)
-        self._doubtful = both & ~certain
-        return certain
+        again = (k for k in indices(suspects & asked) if not self._questioning(k))
+        certain = sum(1 << k for k in again)
+        return certain, suspects & ~certain
 
     def _overdue(self, late: int, clock: float, now: float) -> int:
         """Asks the boards of overdue actuators; returns the mask of the stuck ones."""

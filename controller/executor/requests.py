@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from typing import NamedTuple
 
 from controller.executor.arm import ExecutedArm
 from controller.executor.clients import Clients
@@ -27,6 +28,28 @@ from controller.program import (
     Reset,
     Setpoint,
 )
+
+TICK = 0.01  # [s]; an answer that waits is looked at with each event, and at each tick
+
+
+class HeldAnswer(NamedTuple):
+    """An answer to a stop or cancel that waits until nothing can switch any more.
+
+    Attributes:
+        client: that asked.
+        request: its number.
+        done: what was done.
+        follows: what holds now; may be empty.
+        switches: number of switches of the executor when the request came.
+        until: the answer is sent at this time at the latest [s].
+    """
+
+    client: Client
+    request: int
+    done: str
+    follows: str
+    switches: int
+    until: float
 
 
 class Requests:
@@ -58,6 +81,8 @@ class Requests:
         self._modes, self._clients, self._act = modes, clients, act
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
+        self._held: list[HeldAnswer] = []
+        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK  # [s] for which an answer waits
 
     @property
     def greatest(self) -> int:
@@ -79,10 +104,9 @@ class Requests:
             case Clearance():
                 self._motion.clearances.answer(message)
             case Cancel():
-                self._answer(client, message.request, True, self._cancel(message))
+                self._cancel(client, message, now)
             case Halt():
-                self._halt()
-                self._answer(client, message.request, True, "stopped; the arm holds until reset")
+                self._halt(client, message, now)
             case Reset():
                 self._answer(client, message.request, *self._reset(now))
             case Lock():
@@ -96,7 +120,6 @@ class Requests:
         if declined is not None:
             self._clients.to_planner(declined)
             return
-        self._motion.end("replaced", f"replaced by {message.name}")
         self._program = message.program
         begin = message.begin or now
         self._motion.run(ProgramExecution(message, begin, self._locked))
@@ -147,31 +170,58 @@ class Requests:
             self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
             return
         self._stream = message.stream
-        if self._motion.execution is not None:
-            self._motion.end("replaced", "replaced by a setpoint")
         self._motion.follow(stream)
         if (self._modes.mode, self._modes.reason) != ("executing", message.reason):
             self._modes.enter("executing", message.reason)
 
     # --- cancel, halt, reset, lock
 
-    def _cancel(self, message: Cancel) -> str:
-        """Ends one program, or whatever is running; returns the answer."""
+    def _cancel(self, client: Client, message: Cancel, now: float) -> None:
+        """Ends one program, or whatever is running."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
-            return f"program {message.program} is not running"
-        self._motion.end("canceled", message.reason or "canceled; the arm holds")
+            self._answer(client, message.request, True, f"program {message.program} is not running")
+            return
+        name = "following" if execution is None else execution.program.name
         if message.program is None:
             self._modes.new_epoch()
-        if self._modes.mode == "executing":
-            name = "following" if execution is None else execution.program.name
-            self._modes.enter("ready", f"holding; {name} was canceled")
-        return "canceled" if execution or followed else "there was no goal to cancel; the arm holds"
+        done = ("canceled", "") if execution or followed else ("there was no goal to cancel", "the arm holds")
+        self._hold_answer(client, message.request, *done, now)
+        self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
 
-    def _halt(self) -> None:
+    def _halt(self, client: Client, message: Halt, now: float) -> None:
+        """Stops: nothing moves until a reset."""
         self._modes.new_epoch()
-        self._motion.end("aborted", "emergency stop; the arm holds")
-        self._modes.enter("stopped", "emergency stop; the arm holds until reset")
+        self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
+        self._modes.hold(
+            "aborted", "stopped; the arm holds", "a stop was requested; the arm holds until reset", "stopped"
+        )
+
+    def _hold_answer(self, client: Client, request: int, done: str, follows: str, now: float) -> None:
+        self._motion.conclude(None, now)  # what was switched before the request is not "under way"
+        held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
+        self._held.append(held)
+
+    def answer_held(self, now: float) -> None:
+        """Answers each stop and cancel as soon as no frame that was handed out can switch an actuator any more.
+
+        A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer: the answer tells so.
+        Call after each event.
+        """
+        if not self._held:
+            return
+        leaving = self._motion.actuation.under_way.bit_count()
+        waiting = [held for held in self._held if leaving and now < held.until]
+        due = [held for held in self._held if held not in waiting]
+        self._held = waiting
+        for held in due:
+            done = self._motion.actuation.switches - held.switches
+            told = f"{_switches(done)} under way" if done else ""
+            if leaving:
+                told = f"{_switches(done + leaving)} under way, and the bus has not sent {leaving} of them yet"
+            text = "; ".join(part for part in (held.done, told, held.follows) if part)
+            if held.client in self._clients.roles:
+                self._answer(held.client, held.request, True, text)
 
     def _reset(self, now: float) -> tuple[bool, str]:
         """Boots the boards after a fault or a halt; returns whether the request is accepted, and the answer."""
@@ -203,3 +253,7 @@ class Requests:
 
     def _answer(self, client: Client, request: int, accepted: bool, message: str) -> None:
         self._act(ToClient(client, Answer(request, accepted, message[:1_000])))
+
+
+def _switches(number: int) -> str:
+    return "1 switch was" if number == 1 else f"{number} switches were"

@@ -115,7 +115,7 @@ class Cancel(Message, frozen=True, tag="cancel"):
 
 
 class Halt(Message, frozen=True, tag="halt"):
-    """Emergency stop: hold, and accept no motion until `Reset`. Answered by `Answer`."""
+    """Stop: hold, and accept no motion until `Reset`. Answered by `Answer` when nothing switches any more."""
 
     request: Number
 

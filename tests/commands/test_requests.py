@@ -132,7 +132,7 @@ def test_a_wrong_name_leads_to_the_arms_that_are_there(hyperbit, endpoint):
 @pytest.mark.parametrize(
     ("message", "step"),
     [
-        ("the arm is stopped: emergency stop", "\nNext: leave the stop by: hyperbit reset left"),
+        ("the arm is stopped: a stop was requested", "\nNext: leave the stop by: hyperbit reset left"),
         ("the arm is fault: board can0/5 is silent", "\nNext: remove the cause, then: hyperbit reset left"),
         ("waypoints[0].t: -1 is less than 0", ""),
     ],

@@ -35,7 +35,9 @@ class FakeMaster:
         self.commit_failed: str | None = None
         self.commits: list[tuple[float, int]] = []
         self.questions: list[tuple[int, float]] = []
-        self.busy = self.slow_sync = False
+        self.busy = False
+        self.slow_rpdos = self.slow_sync = False  # RPDOs wait, or the SYNC was handed out and is not sent yet
+        self.releasing = False
         self.stuck = self.partly = 0  # masks of stuck actuators, and of lines that a SYNC does not switch
         self.halfway = 0  # mask of actuators that stop halfway
         self.halt: Fault | None = None
@@ -65,13 +67,13 @@ class FakeMaster:
                 self._arrivals.remove((due, k, state))
         if self.answers:
             self._asked.clear()
-        if not self.slow_sync:
+        if not (self.slow_rpdos or self.slow_sync):
             self.leave(now)
 
     def leave(self, now: float) -> None:
         """Sends the SYNC."""
         if self.committing:
-            self.committing = False
+            self.committing = self.collecting = False
             mask = (self.outputs ^ self._target) & ~self.partly
             self.outputs ^= mask
             self.commit_failed = "one bus failed" if self.partly else None
@@ -111,7 +113,7 @@ class FakeMaster:
     def boot(self, now: float) -> None:
         self._break("boot")
         self.booted += 1
-        self.booting, self.committing = True, False
+        self.booting, self.committing, self.collecting = True, False, False
         self._faults.clear()
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
@@ -122,8 +124,18 @@ class FakeMaster:
         if not release:
             self.commits.append((now, outputs))
         self._target, self.committing = outputs, True
-        if not self.slow_sync:
+        self.collecting, self.releasing = self.slow_rpdos, release
+        if not (self.slow_rpdos or self.slow_sync):
             self.leave(now)
+
+    def give_up(self, why: str) -> None:
+        if self.collecting and not self.releasing:
+            self.committing = self.collecting = False
+            self.commit_failed = why
+
+    @property
+    def leaving(self) -> int:
+        return (self.outputs ^ self._target) & ~self.partly if self.committing and not self.collecting else 0
 
     def question(self, board: int, now: float) -> None:
         self.questions.append((board, now))

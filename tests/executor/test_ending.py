@@ -10,6 +10,7 @@ import pytest
 from controller.executor.core import PERIOD
 from controller.executor.events import Quit
 from controller.program import Halt, Lock, unpack
+from drivers.canopen.faults import Fault
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -100,3 +101,45 @@ def test_actuators_of_unknown_state_are_contracted_too() -> None:
     rig.go(0.5)
     assert (rig.core.ended, rig.switched) == (True, [ALL << SIZE])
     assert unpack(rig.snapshot.homing) == 0
+
+
+@pytest.mark.parametrize("waits", ["slow_rpdos", "slow_sync"])
+def test_an_arm_contracts_though_a_commit_runs_at_the_request(waits: str) -> None:
+    rig = extended(contract_on_stop=True, inrush=2)
+    setattr(rig.master, waits, True)
+    rig.run(0b111110)
+    rig.do(Quit())
+    setattr(rig.master, waits, False)
+    rig.go(1.0)
+    assert (rig.core.ended, rig.master.outputs, rig.results[-1][1]) == (True, 0, "aborted")
+
+
+@pytest.mark.parametrize("dies", [True, False])
+def test_the_loss_of_the_planner_does_not_end_the_contraction(dies: bool) -> None:
+    rig = extended(contract_on_stop=True, inrush=1, rest=0.5)
+    rig.do(Quit())
+    rig.go(TRAVEL)
+    if dies:
+        rig.gone()
+    rig.alive = False
+    rig.go(4.0)
+    assert (rig.core.ended, rig.master.outputs) == (True, 0)
+
+
+def test_a_fault_ends_the_contraction_in_words() -> None:
+    rig = extended(contract_on_stop=True, inrush=1)
+    rig.do(Quit())
+    rig.go(TRAVEL)
+    rig.master.fail(Fault("emergency", "can0/1", "short circuit"))
+    rig.go(0.1)
+    assert rig.core.ended
+    text = "the arm is not contracted before the end (on_stop): it is fault: short circuit"
+    assert warnings(rig)[-1] == text
+
+
+def test_a_second_request_ends_the_contraction() -> None:
+    rig = extended(contract_on_stop=True, inrush=1)
+    rig.do(Quit())
+    rig.go(TRAVEL)
+    rig.do(Quit())
+    assert "is not contracted" in warnings(rig)[-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -29,6 +30,7 @@ from controller.program import (
 from drivers.canopen.wire.events import Changed, Echoed, Received
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
+from drivers.simulation.variants import Variant
 from tests.executor.rig import SIZE, TRAVEL, small_arm
 
 A, B = 0b000111, 0b011100
@@ -39,14 +41,14 @@ STEP = 0.001  # [s]
 class World:
     """Executor, boards and planner; time passes in milliseconds."""
 
-    def __init__(self, **fields: Any) -> None:
+    def __init__(self, variants: Mapping[str, Variant] | None = None, **fields: Any) -> None:
         self.now = 50.0
         arm = small_arm(**fields)
         self.core = Executor(arm, journal := MemoryJournal(SIZE), instance=1)
         self.journal = journal
         self.events: deque[Any] = deque(Changed(bus.name, "active", "", None) for bus in arm.wiring.buses)
         self.boards = SimulatedBuses(
-            arm.wiring, arm.timing, lambda bus, frame: self.events.append(Received(bus, frame))
+            arm.wiring, arm.timing, lambda bus, frame: self.events.append(Received(bus, frame)), variants
         )
         self.heard: list[tuple[float, Any]] = []
         self.syncs: list[float] = []

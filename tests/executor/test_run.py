@@ -129,7 +129,7 @@ def test_messages_wait_for_the_echo_of_rpdos_until_the_next_tick(bench: Bench) -
 
     bench.go(10)
     bench.run()
-    bench.core._master.collecting, bench.step = True, 0.0
+    bench.core._master.slow_rpdos, bench.step = True, 0.0
     bench.go(20)
     assert len(answers()) == 1
     bench.step = PERIOD

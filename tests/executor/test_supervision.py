@@ -98,7 +98,31 @@ def test_an_actuator_toggled_as_fast_that_arrives_is_not_stuck(rig: Rig) -> None
 def test_one_that_moves_by_itself_is_a_fault(rig: Rig) -> None:
     rig.master.inputs |= 0b000010
     rig.go()
+    assert ([board for board, _ in rig.master.questions], rig.mode) == ([0], "ready")
+    rig.go()
     assert (rig.mode, codes(rig)) == ("fault", [("unexpected-motion", "1.diagonal (can0/1 output 1)")])
+
+
+def test_one_that_moves_by_itself_is_a_fault_though_its_board_answers_late(rig: Rig) -> None:
+    rig.master.answers = False
+    rig.master.inputs |= 0b000010
+    rig.go(0.2)
+    assert rig.mode == "ready"
+    rig.master.answers = True
+    rig.go()
+    assert codes(rig) == [("unexpected-motion", "1.diagonal (can0/1 output 1)")]
+
+
+def test_a_contact_that_bounces_is_no_fault(rig: Rig) -> None:
+    for _ in range(10):
+        rig.master.inputs ^= 0b000010
+        rig.go()
+        rig.master.inputs ^= 0b000010
+        rig.go(2 * PERIOD)
+    assert (rig.mode, codes(rig)) == ("ready", [])
+    rig.run(ALL)
+    rig.go(0.3)
+    assert rig.results == [(1, "done")]
 
 
 def test_without_end_stops_only_the_travel_time_tells() -> None:

@@ -169,7 +169,7 @@ def test_stop_and_reset(chain: Chain) -> None:
     chain.inbox.next("feedback")
     chain.planning.stop(chain.inbox.replying("stop"))
     told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
-    assert told["result"]["message"] == "emergency stop; the arm holds"
+    assert told["result"]["message"] == "stopped; the arm holds"
     assert told["stop"]["accepted"]
     eventually(lambda: chain.planning.state()["mode"] == "stopped")
     chain.planning.reset(chain.inbox.replying("reset"))

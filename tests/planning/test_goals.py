@@ -150,7 +150,7 @@ def test_an_end_before_the_last_waypoint_is_told_with_its_reason(desk: Desk, sta
 def test_stop_and_reset_go_straight_to_the_executor(desk: Desk) -> None:
     desk.planning.stop(desk.inbox.replying("stop"))
     halt = desk.executor.expect(Halt)
-    desk.executor.answer(halt, "stopped; the arm holds until reset", mode="stopped", reason="emergency stop")
+    desk.executor.answer(halt, "stopped; the arm holds until reset", mode="stopped", reason="a stop was requested")
     assert desk.inbox.next("stop")["message"] == "stopped; the arm holds until reset"
     desk.settle()
     desk.planning.reset(desk.inbox.replying("reset"))

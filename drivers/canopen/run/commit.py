@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from drivers.canopen.pdo import union
 from drivers.canopen.run.outputs import Key, Outputs
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
@@ -17,6 +18,10 @@ class Commit:
 
     SYNC is sent only after all RPDOs of all buses were sent. So no SYNC waits in a queue when a bus fails, and the
     frames that the kernel still holds switch nothing when the bus comes back.
+
+    A commit can be given up until its SYNC is handed out. Boards that wait for SYNC then keep their outputs. A board
+    without SYNC switches when its RPDO is sent, and a frame that was handed out cannot be called back. So the commit
+    waits for these frames, as it waits for a SYNC.
 
     Attributes:
         failed: reason of the last failure, as a sentence; None after a success.
@@ -41,11 +46,12 @@ class Commit:
         self._began = 0.0
         self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that were not sent yet
         self._syncs: set[str] = set()  # buses whose SYNC was handed out and not sent yet
+        self._leaving: dict[str, dict[Frame, Key]] = {}  # of a commit given up: frames that switch without SYNC
 
     @property
     def under_way(self) -> bool:
         """Whether a commit is under way."""
-        return bool(self._waiting or self._syncs)
+        return bool(self._waiting or self._syncs or self._leaving)
 
     @property
     def collecting(self) -> bool:
@@ -54,12 +60,19 @@ class Commit:
 
     @property
     def unknown(self) -> bool:
-        """Whether a SYNC was handed out and may or may not be sent."""
-        return bool(self._syncs)
+        """Whether a frame that switches was handed out, and may or may not be sent."""
+        return bool(self._syncs or self._leaving)
+
+    @property
+    def leaving(self) -> int:
+        """Mask of the lines that frames already handed out will switch, whatever is commanded now."""
+        keys = [key for frames in self._leaving.values() for key in frames.values()]
+        lines = union(self._outputs.lines(key) for key in keys) | union(self._outputs.lines_of(b) for b in self._syncs)
+        return lines & (self._states ^ self._outputs.states)
 
     def forget(self) -> None:
         """Cancels the commit; the caller reads the outputs back."""
-        self._waiting, self._syncs, self.failed = {}, set(), None
+        self._waiting, self._syncs, self._leaving, self.failed = {}, set(), {}, None
 
     def begin(
         self,
@@ -89,8 +102,15 @@ class Commit:
         self._sync_when_sent(clock, now)
 
     def give_up(self, why: str) -> None:
-        """Cancels the RPDOs that wait; nothing of them is sent later. A SYNC that was handed out is not cancelled."""
+        """Cancels a commit whose SYNC was not handed out: no SYNC is sent for it. Does nothing after that.
+
+        The boards may have latched its RPDOs. `Outputs.due` sends these frames anew before the next SYNC.
+        """
         if self._waiting:
+            for bus, frames in self._waiting.items():
+                at_once = {f: key for f, key in frames.items() if key is not None and not self._outputs.on_sync(key)}
+                if at_once:
+                    self._leaving[bus] = at_once
             self._waiting = {}
             self.failed = why
 
@@ -101,14 +121,19 @@ class Commit:
         elif frame in (frames := self._waiting.get(bus, {})):
             self._frame_sent(frames.pop(frame), frame, clock)
             self._sync_when_sent(clock, now)
+        elif (key := self._left(bus, frame)) is not None:
+            self._frame_sent(key, frame, clock)
 
     def send_failed(self, bus: str, frame: Frame, why: str) -> None:
         """Records that a frame of the master could not be sent."""
         if frame.id == cia301.SYNC and bus in self._syncs:
             self._syncs.remove(bus)
             self.failed = f"{bus}: the SYNC was not sent: {why}"
-        elif frame in self._waiting.get(bus, {}):
+        elif frame in (frames := self._waiting.get(bus, {})):
+            del frames[frame]
             self.give_up(f"{bus}: frame {frame.id:03X}h was not sent: {why}")
+        else:
+            self._left(bus, frame)
 
     def bus_lost(self, bus: str) -> None:
         """Records the loss of a bus. Its outputs stay unknown until the boot if its SYNC was handed out."""
@@ -116,7 +141,10 @@ class Commit:
             self._syncs.remove(bus)
             self.failed = f"{bus} was lost while its SYNC was being sent"
         elif bus in self._waiting:
-            self.give_up(f"{bus} was lost")
+            del self._waiting[bus]
+            self.failed = f"{bus} was lost"
+            self.give_up(self.failed)
+        self._leaving.pop(bus, None)
 
     def tick(self, clock: float, now: float) -> None:
         """Call every period. On a bus without echoes, frames that did not fail count as sent."""
@@ -129,10 +157,20 @@ class Commit:
                 for frame, key in frames.items():
                     self._frame_sent(key, frame, clock)
                 frames.clear()
+        for bus in [bus for bus in self._leaving if not self._links[bus].echoes]:
+            for frame, key in self._leaving.pop(bus).items():
+                self._frame_sent(key, frame, clock)
         self._sync_when_sent(clock, now)
 
     def _frame(self, key: Key | Frame) -> tuple[Frame, Key | None]:
         return (key, None) if isinstance(key, Frame) else (self._outputs.frame(key, self._states), key)
+
+    def _left(self, bus: str, frame: Frame) -> Key | None:
+        """Removes a frame of the commit given up; returns its key if it was one."""
+        key = self._leaving.get(bus, {}).pop(frame, None)
+        if not self._leaving.get(bus, True):
+            del self._leaving[bus]
+        return key
 
     def _frame_sent(self, key: Key | None, frame: Frame, clock: float) -> None:
         if key is not None and (mask := self._outputs.sent(key, frame, self._states)):

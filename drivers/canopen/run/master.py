@@ -50,6 +50,7 @@ class Master:
         self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
         self._verification = Verification(network)
         self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
+        self._releasing = False  # whether the last commit only switches lines off
         self._halt_reported: float | None = None  # real time of the last tick before a halt
 
     def take(self, event: Event, now: float) -> None:
@@ -177,7 +178,19 @@ class Master:
         if (refusal := self._network.refusal(lines)) is not None:
             raise Busy(refusal)
         frames = {bus: self._network.frames_of(bus, keys, lines) for bus, keys in due.items()}
+        self._releasing = release
         self._commit.begin(outputs, frames, lambda: self._network.refusal(lines), now, self._clock.at(now))
+
+    def give_up(self, why: str) -> None:
+        """Gives up a commit whose SYNC was not handed out. Does nothing after that, or if it only switches lines off.
+
+        Only the lines of `leaving` still switch.
+
+        Args:
+            why: reason for `commit_failed`, as a sentence.
+        """
+        if not self._releasing:
+            self._commit.give_up(why)
 
     def question(self, board: int, now: float) -> None:
         """Asks a board for its inputs by SDO; see `questioning`."""
@@ -217,6 +230,11 @@ class Master:
     def collecting(self) -> bool:
         """Whether the commit still waits for the echo of RPDOs; only the last of them changes anything."""
         return self._commit.collecting
+
+    @property
+    def leaving(self) -> int:
+        """Mask of the lines that frames already handed out will switch: SYNCs, and RPDOs of boards without SYNC."""
+        return self._commit.leaving
 
     @property
     def commit_failed(self) -> str | None:

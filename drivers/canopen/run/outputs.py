@@ -92,6 +92,18 @@ class Outputs:
         """Returns the frame that commands the states."""
         return Frame(key[1], self._wanted(key, states).to_bytes(self._frames[key].size, "little"))
 
+    def on_sync(self, key: Key) -> bool:
+        """Returns whether the boards apply a frame at the next SYNC, not at once."""
+        return self._frames[key].on_sync
+
+    def lines(self, key: Key) -> int:
+        """Returns the mask of the lines in a frame."""
+        return self._frames[key].lines
+
+    def lines_of(self, bus: str) -> int:
+        """Returns the mask of the lines on a bus."""
+        return union(frame.lines for frame in self._frames.values() if frame.bus == bus)
+
     def takers(self, key: Key) -> frozenset[int]:
         """Returns the indices of the boards that receive a frame."""
         return self._frames[key].boards
