@@ -14,7 +14,7 @@ from drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
 # Codes of faults that clear by themselves.
-CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing"})
+CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
 
 
 class ActiveFaults:
@@ -146,7 +146,7 @@ class Modes:
         self.enter("ready", f"holding what the boards measured{locked}")
 
     def _begin_boot(self, now: float) -> None:
-        """Starts the master's boot when no pulse is on: a pulse could not be ended during the boot."""
+        """Starts the master's boot when no pulse is on: the boot would delay its end."""
         if self._waits and not self._motion.actuation.pulsing(now):
             self._waits = False
             self._master.boot(now)

@@ -19,7 +19,7 @@ class FakeMaster:
         nodes = sorted({(c.bus, c.node) for c in wiring.channels})
         self.board_of = tuple(nodes.index((c.bus, c.node)) for c in wiring.channels)
         self._wiring, self._size = wiring, len(wiring.channels)
-        self.outputs = self.inputs = 0
+        self.outputs = self.inputs = self.doubtful = 0
         for i in range(len(wiring.input_lines) - self._size):  # contracted ends, closed interlocks
             self.inputs |= 1 << self._size + i
         self.all, self._travel = (1 << self._size) - 1, timing.travel_time

@@ -37,6 +37,7 @@ class Board:
         state: NMT state; None if unknown.
         frames: number of frames received from the board.
         boots: number of boot-up messages received from it.
+        restarted: whether it has restarted since its last boot, so that its outputs are off or unknown.
         input_frames: number of TPDOs received from it.
         emergency: error code of its last emergency; None without an emergency, or after its end.
         guarded: whether node guarding supervises the board, in place of heartbeats.
@@ -56,7 +57,7 @@ class Board:
         self.frames = self.boots = self.input_frames = 0
         self._image, self.report = image, report
         self._inputs = 0
-        self._ready = self._booted = self._lost = False
+        self._ready = self._booted = self._lost = self.restarted = False
         self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
         self.emergency: int | None = None
@@ -89,7 +90,7 @@ class Board:
     def ready(self, ready: bool) -> None:
         self._ready = ready
         if ready:
-            self._booted = True
+            self._booted, self.restarted = True, False
             self._image.known |= self.layout.actuators
             self._image.up |= self._lines
         else:
@@ -188,6 +189,7 @@ class Board:
         self._beat_at, self._lost = now, False
         if state is State.BOOT_UP:
             self.boots += 1
+            self.restarted = True
             self._toggle = None
         if state is State.BOOT_UP and self._booted:  # also if it was lost before that
             self.ready = self._booted = False

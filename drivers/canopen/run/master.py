@@ -9,6 +9,7 @@ from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
 from drivers.canopen.run.network import Network
+from drivers.canopen.run.outputs import Key
 from drivers.canopen.run.verification import Verification
 from drivers.canopen.status import Status
 from drivers.canopen.wire import cia301
@@ -48,6 +49,7 @@ class Master:
         self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
         self._verification = Verification(network)
         self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
+        self._releasing = 0, 0  # levels and lines of the last release
         self._halt_reported: float | None = None  # real time of the last tick before a halt
 
     def take(self, event: Event, now: float) -> None:
@@ -151,31 +153,27 @@ class Master:
         Args:
             outputs: levels of all lines.
             now: see above.
-            release: only switch lines off, also those of boards that are not ready; cancels a commit whose RPDOs wait.
+            release: only switch lines off, also those of boards that are not ready, on buses that were lost and send
+                frames again, and during a boot; cancels a commit whose RPDOs wait.
 
         Raises:
             Busy: a commit is running, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
         self._look_halted(now)
-        if release and self._booting.under_way:  # a restarted board would apply its earlier outputs
-            raise Busy("the boards are being booted")
         if release:
-            self._commit.give_up("an output had to be switched off first")
+            self._release(outputs, now)
+            return
         if self._commit.under_way:
             raise Busy("frames of the previous commit were not sent yet")
-        if self._verification.blocking and not release:
+        if self._verification.blocking:
             raise Busy("the outputs of the previous commit are being read back")
-        lines = self._network.outputs.states ^ outputs if release else None
-        due = self._network.outputs.due(outputs, only_changed=release)
+        due = self._network.outputs.due(outputs)
         self._verification.failed = None
         if not due:
             self._commit.failed = None
             return
-        if (refusal := self._network.refusal(lines)) is not None:
-            raise Busy(refusal)
-        frames = {bus: self._network.frames_of(bus, keys, lines) for bus, keys in due.items()}
-        self._commit.begin(outputs, frames, lambda: self._network.refusal(lines), now, self._clock.at(now))
+        self._begin(outputs, due, None, now)
 
     def question(self, board: int, now: float) -> None:
         """Asks a board for its inputs by SDO; see `questioning`."""
@@ -225,6 +223,11 @@ class Master:
     def outputs(self) -> int:
         """Levels of the output lines after the last SYNC that was sent, or as read back by `boot`."""
         return self._network.outputs.states
+
+    @property
+    def doubtful(self) -> int:
+        """Mask of the output lines that a SYNC may have switched: their bus was lost while it was being sent."""
+        return self._network.outputs.doubtful
 
     @property
     def outputs_known(self) -> bool:
@@ -281,6 +284,34 @@ class Master:
     def _look_halted(self, now: float) -> None:
         if (fault := self.halted(now)) is not None:
             self._network.log.report(fault)
+
+    def _release(self, outputs: int, now: float) -> None:
+        """Switches the lines off that are not in `outputs`; a release that waits for its echoes goes on."""
+        network = self._network
+        states, off = network.released(~outputs)
+        if self._commit.collecting and self._releasing == (states, off):
+            return
+        if not off:
+            return
+        self._commit.give_up("an output had to be switched off first")
+        if self._commit.under_way:
+            raise Busy("the SYNC of the previous commit was not sent yet")
+        due = network.outputs.due(states, off)
+        booted = [i for bus in due for i in network.left_out(bus, off)] if self._booting.under_way else []
+        self._begin(states, due, off, now)
+        self._releasing = states, off
+        for station in (network.stations[i] for i in booted):
+            if station.board.heard:  # it was told to leave operational, in which its boot may have put it
+                self._booting.rebooted(station, self._clock.at(now))
+
+    def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float) -> None:
+        """Starts a commit; `off`: mask of lines if they only go off, else None."""
+        network = self._network
+        if (refusal := network.refusal(off)) is not None:
+            raise Busy(refusal)
+        frames = {bus: network.frames_of(bus, keys, off) for bus, keys in due.items()}
+        self._releasing = 0, 0
+        self._commit.begin(states, frames, lambda: network.refusal(off), now, self._clock.at(now))
 
     def _lose(self, fault: Fault) -> None:
         """Handles the loss of a bus."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from drivers.canopen.faults import Fault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
+from drivers.canopen.pdo import union
 from drivers.canopen.run.board import Board, StateImage
 from drivers.canopen.run.outputs import Key, Outputs
 from drivers.canopen.run.station import Station
@@ -71,12 +72,13 @@ class Network:
         """Returns why nothing may be switched now, or None.
 
         Args:
-            lines: mask of lines that only go off: a lost board may still hear, so only its bus counts. None: any.
+            lines: mask of lines that only go off: a lost board may still hear, so it counts only whether its bus
+                sends frames, armed or not. None: any.
         """
         stations = [s for s in self.stations if lines is None or s.board.layout.output_lines & lines]
         buses = self.links if lines is None else {station.board.layout.bus for station in stations}
         for link in (self.links[bus] for bus in buses):
-            if not link.armed:
+            if not (link.armed if lines is None else link.usable):
                 return f"{link.name} is {link.state} or was lost: nothing is sent until its boards are booted"
         for station in stations if lines is None else ():
             if not station.board.ready:
@@ -89,10 +91,32 @@ class Network:
         A SYNC would also switch a lost board that is operational and has latched a frame. A lost board of `lines`,
         which only go off, gets its frame like a ready one.
         """
-        here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
-        lost = {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
+        lost = self.left_out(bus, lines)
         orders = [cia301.command(Command.PRE_OPERATIONAL, self.stations[i].board.layout.node) for i in sorted(lost)]
         return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
+
+    def left_out(self, bus: str, lines: int | None) -> set[int]:
+        """Returns the indices of the boards of a bus that are not ready and have none of the `lines` that go off."""
+        here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
+        return {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
+
+    def released(self, lines: int) -> tuple[int, int]:
+        """Returns what a release of lines switches.
+
+        The release leaves out boards that have restarted: their outputs are off, and their frames could switch others
+        on. Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
+
+        Args:
+            lines: mask of lines to switch off.
+
+        Returns:
+            Levels of all lines after it, and the mask of the lines that go off.
+        """
+        states, doubtful = self.outputs.states, self.outputs.doubtful
+        boards = [s.board for s in self.stations if s.board.layout.output_lines & lines]
+        off = (states | doubtful) & lines & union(b.layout.output_lines for b in boards if not b.restarted)
+        touched = union(b.layout.output_lines for b in boards if b.layout.output_lines & off)
+        return states & ~off & ~(doubtful & touched), off
 
     def warnings(self) -> tuple[Fault, ...]:
         """Returns a warning for each ready board with limits."""

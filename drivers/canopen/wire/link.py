@@ -39,7 +39,8 @@ class Link:
     """One CAN bus.
 
     `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
-    it is armed: the kernel sends the frames that it still holds when the bus comes back.
+    it is armed: the kernel sends the frames that it still holds when the bus comes back. Only a release, which switches
+    lines off, is sent on a bus that is not armed.
 
     Attributes:
         settings: name, interface, channel and bit rate.
