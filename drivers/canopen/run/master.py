@@ -8,13 +8,14 @@ from drivers.canopen.boot.booting import Booting
 from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
+from drivers.canopen.run.input_watch import InputWatch
 from drivers.canopen.run.network import Network
 from drivers.canopen.run.outputs import Key
 from drivers.canopen.run.verification import Verification
 from drivers.canopen.status import Status
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
 from drivers.canopen.wire.load import BITS
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -48,12 +49,14 @@ class Master:
         self._receptions = network.receptions(self._booting.rebooted)
         self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
         self._verification = Verification(network)
+        interlocks = sum(1 << line for line in wiring.interlock_lines)
+        self._inputs = InputWatch(network.stations, network.links.values(), interlocks)
         self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
         self._releasing = 0, 0  # levels and lines of the last release
         self._halt_reported: float | None = None  # real time of the last tick before a halt
 
     def take(self, event: Event, now: float) -> None:
-        """Passes an event of a bus to one of the five methods below."""
+        """Passes an event of a bus to one of the six methods below."""
         if isinstance(event, Received):
             self.receive(event.bus, event.frame, now)
         elif isinstance(event, Echoed):
@@ -62,6 +65,8 @@ class Master:
             self.ignore(event.bus, event.bits, now)
         elif isinstance(event, Changed):
             self.bus_changed(event.bus, event.state, event.why, event.errors, now)
+        elif isinstance(event, Overrun):
+            self.overrun(event.bus, now)
         else:
             self.send_failed(event.bus, event.frame, event.why, now)
 
@@ -100,6 +105,16 @@ class Master:
         if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
             self._lose(fault)
 
+    def overrun(self, bus: str, now: float) -> None:
+        """Records that the controller of a bus has lost received frames, and asks for the inputs again at once.
+
+        Echoes may be among them. A running commit still waits for its own: without them it fails, or its bus counts as
+        lost, and its outputs are read back.
+        """
+        self._links[bus].overrun(give_up=not self._commit.under_way)
+        if not self._booting.under_way:
+            self._inputs.hurry(bus, self._clock.at(now))
+
     def tick(self, now: float) -> None:
         """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call every 10 ms.
 
@@ -116,6 +131,7 @@ class Master:
         self._network.tick(time, self._timing.heartbeat_timeout)
         if not self._booting.under_way:
             self._verification.tick(time)
+            self._inputs.tick(time)
 
     def halted(self, now: float) -> Fault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master.
@@ -142,6 +158,7 @@ class Master:
         self._network.log.clear()
         self._commit.forget()
         self._verification.begin()
+        self._inputs.begin(self._clock.at(now))
         self._booting.begin(self._network.rearm(), self._clock.at(now))
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
