@@ -68,6 +68,7 @@ class BoardStatus:
         node: its node id.
         state: NMT state in words; "unknown" before the first heartbeat, "lost" after a timeout.
         heartbeat_age: time since its last heartbeat [s]; None before the first.
+        unverified: switches and reads whose outputs could not be read back.
         emergency: its last emergency in words; None without an emergency, or after its end.
     """
 
@@ -75,6 +76,7 @@ class BoardStatus:
     node: int
     state: str
     heartbeat_age: float | None
+    unverified: int
     emergency: str | None
 
 

@@ -41,6 +41,9 @@ class Board:
         input_frames: number of TPDOs received from it.
         emergency: error code of its last emergency; None without an emergency, or after its end.
         guarded: whether node guarding supervises the board, in place of heartbeats.
+        emergency_register: error register, 1001h, in that emergency; 0 without one.
+        unverified: number of switches and reads whose outputs could not be read back.
+        history: newest error, 1003h sub 1, at the end of the last boot; None if it is not there.
         ignored_errors: bits of the error register 1001h that are no fault.
         warnings: sentences on the board's limits from its last boot, without its name.
         expected: values of its objects at the end of the last boot.
@@ -62,7 +65,8 @@ class Board:
         self._beat_at: float | None = None
         self.emergency: int | None = None
         self.guarded = False
-        self.ignored_errors = 0
+        self.ignored_errors = self.emergency_register = self.unverified = 0
+        self.history: int | None = None
         self.warnings: tuple[str, ...] = ()
         self.expected: tuple[Need, ...] = ()
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
@@ -148,7 +152,7 @@ class Board:
                 inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
             self._take_inputs(inputs)
         elif function == cia301.EMERGENCY and len(data) >= 2:
-            self._receive_emergency(int.from_bytes(data[:2], "little"))
+            self._receive_emergency(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else 0)
         elif function != cia301.SDO_ANSWER or len(data) != 8:
             return False
         self.frames += 1
@@ -172,6 +176,7 @@ class Board:
             node=self.layout.node,
             state="lost" if self._lost and self.state is not None else state,
             heartbeat_age=None if self._beat_at is None else now - self._beat_at,
+            unverified=self.unverified,
             emergency=None if self.emergency is None else cia301.emergency_words(self.emergency),
         )
 
@@ -200,11 +205,11 @@ class Board:
             self._fault("board-stopped", f"{what}: read its errors, then reset")
         return True
 
-    def _receive_emergency(self, code: int) -> None:
+    def _receive_emergency(self, code: int, register: int) -> None:
         if code >> 8 == 0:
-            self.emergency = None
+            self.emergency, self.emergency_register = None, 0
             return
-        self.emergency = code
+        self.emergency, self.emergency_register = code, register
         if self._ready:  # before, it may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 

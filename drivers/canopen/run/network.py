@@ -29,6 +29,7 @@ class Network:
         image: levels of the input lines, and which are known.
         log: faults that the caller has not taken yet.
         sensed: mask of the actuators that have an end-stop.
+        pulsed: mask of the output lines that are on for a pulse only.
 
     Args:
         wiring: buses, boards and actuators.
@@ -42,6 +43,9 @@ class Network:
         ended = [c.input is not None or c.input_contracted is not None for c in channels]
         self.sensed = sum(1 << k for k, has in enumerate(ended) if has)
         self._extended = sum(1 << k for k, c in enumerate(channels) if c.input is not None)
+        self.pulsed = sum(
+            1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
+        )
         self._actuators = (1 << len(channels)) - 1
         self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
