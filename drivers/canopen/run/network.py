@@ -158,6 +158,10 @@ class Network:
         for station in self.stations:
             station.board.tick(now, heartbeat_timeout)
             station.runner.tick(now)
+            if station.runner.answered_twice and station.board.ready:
+                name = station.board.name
+                text = f"two boards answer as {name}: give each its own node id, then reset"
+                station.board.fail(Fault("duplicate-node", name, text))
 
     def status(self, now: float) -> Status:
         """Returns state and counters for diagnostics."""
