@@ -11,7 +11,7 @@ from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
-LATE = 0.1  # [s] after its end at which a pulse is no longer waited for: its bus accepts no frames
+LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waited for: its bus accepts no frames
 EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
 
 
@@ -60,6 +60,9 @@ class Actuation:
         self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
         self._busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
+        self._watched = 0  # mask of the actuators whose pulse is not known to have ended
+        self._told = 0  # mask of those that are reported as overdue
+        self._adopted_at = -math.inf
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
         self._given_up = False  # the running commit is not wanted any more
         self._boots: tuple[int, ...] = ()  # boot count of each board when the outputs were adopted
@@ -135,15 +138,30 @@ class Actuation:
         """Switches off the outputs whose pulse is over. Call every period, in every mode."""
         if not self._kinds.paired:
             return
-        outputs = self._master.outputs
-        extending, contracting = self._kinds.on(outputs)
-        over = (extending & contracting) | ((extending | contracting) & ~self._on(now))
+        extending, contracting = self._kinds.on(self._master.outputs)
+        over = (extending & contracting) | ((extending | contracting) & ~self._on(now)) | self._doubtful_pulses(now)
         if not over:
             return
+        possible = self._master.outputs | self._master.doubtful
         try:
-            self._master.commit(self._kinds.without(outputs, over), now, release=True)
+            self._master.commit(self._kinds.without(possible, over), now, release=True)
         except Busy:
             return  # the next tick tries again; a board without its master switches its outputs off itself
+
+    def overdue(self, now: float) -> list[Fault]:
+        """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
+
+        A pulse has ended when its outputs are off and its board is ready, so that it is read back. Call every period.
+        """
+        if not self._watched or self._master.booting:
+            self._told = 0
+            return []
+        extending, contracting = self._kinds.on(self._master.outputs | self._master.doubtful)
+        self._watched &= extending | contracting | ~self._master.known
+        untold = indices(self._watched & ~self._told)
+        due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
+        self._told |= sum(1 << k for k in due)
+        return [self._overdue(k) for k in due]
 
     def switched(self, lines: int, now: float) -> int:
         """Records that the SYNC of output lines was sent; returns the mask of the actuators that it moves."""
@@ -153,6 +171,7 @@ class Actuation:
         moved = (states ^ self._states) | (energised & self.uncertain)
         for k in indices(energised & self._kinds.pulsed):
             self._pulse_ends[k] = now + self._kinds.pulse[k]
+            self._watched |= 1 << k
         self.uncertain &= ~energised
         self._doubtful &= ~energised
         self._states = self._adopted = states
@@ -197,7 +216,8 @@ class Actuation:
         states, first = self.states, self._adopted is None
         self.switches += self._journal.resolve(states, self.uncertain).bit_count()
         self._moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
-        self._adopted = states
+        self._adopted, self._adopted_at = states, now
+        self._watched = (extending | contracting) & self._kinds.pulsed
         self.rest()
 
     def rest(self) -> None:
@@ -210,6 +230,23 @@ class Actuation:
         on = extending ^ contracting
         over = (k for k in indices(on & self._kinds.pulsed) if now >= self._pulse_ends[k] - EARLY)
         return on & ~sum(1 << k for k in over)
+
+    def _doubtful_pulses(self, now: float) -> int:
+        """Returns the mask of the actuators whose pulse may have begun with a SYNC that was lost with its bus."""
+        doubtful = self._master.doubtful & ~self._master.outputs
+        if not doubtful:
+            return 0
+        extending, contracting = self._kinds.on(doubtful)
+        pulses = (extending | contracting) & self._kinds.pulsed
+        for k in indices(pulses & ~self._watched):
+            self._pulse_ends[k] = now
+        self._watched |= pulses
+        return pulses
+
+    def _overdue(self, k: int) -> Fault:
+        place = self._arm.wiring.channels[k].place
+        text = f"the pulse of actuator {place} could not be ended in time: its coil may be on"
+        return Fault("pulse-overdue", place, f"{text}; it is ended as soon as its bus and its board can be reached")
 
     def _rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""

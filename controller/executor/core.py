@@ -178,6 +178,8 @@ class Executor:
         self._master.tick(now)
         self._conclude(None, now)
         self.motion.actuation.tick(now)
+        for fault in self.motion.actuation.overdue(now):
+            self.modes.fail(fault, now)
         for finding in self.motion.supervise(now):
             if finding.fault.code == "stuck":
                 self._locked.note_stuck(finding.actuator)

@@ -14,7 +14,7 @@ from drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
 # Codes of faults that clear by themselves.
-CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing"})
+CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
 
 
 class ActiveFaults:
@@ -162,7 +162,7 @@ class Modes:
         self.enter("ready", f"holding what the boards measured{locked}")
 
     def _begin_boot(self, now: float) -> None:
-        """Starts the master's boot when no switch is under way, and no pulse is on: the boot could not end it."""
+        """Starts the master's boot when no switch is under way, and no pulse is on: the boot would delay its end."""
         actuation = self._motion.actuation
         if self._waits and not actuation.pulsing(now) and not actuation.under_way:
             self._waits = False

@@ -18,6 +18,11 @@ ADVICE = {
     "sdo-refused": "Change the board or the arm's file as the message says. " + RESET,
     "board-error": "Remove the cause of the board's error. " + RESET,
     "not-switched": "An output does not follow: check the board. " + RESET,
+    "pulse-overdue": "A coil may be on although its pulse is over: cut its supply if it gets hot."
+    f" Check bus and board. {ITSELF}",
+    "not-verified": "The board does not let its outputs be read back: check the board and its firmware. " + RESET,
+    "duplicate-node": "Two boards have one node id: remove one, and give it another node id with hyperbit node-id. "
+    + RESET,
     "board-changed": "Another program changed the board: stop it. " + RESET,
     "stuck": "Check that the actuator moves freely and has power, and that its end-stop works. Then hold Reset,"
     " or lock the actuator.",

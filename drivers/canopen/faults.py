@@ -20,7 +20,8 @@ class Fault:
     Attributes:
         code: a short stable word. The master reports "board-missing", "board-lost", "board-rebooted", "board-stopped",
             "wrong-device", "wrong-length", "sdo-refused", "emergency", "bus-off", "bus-down", "bus-busy",
-            "bus-passive", "foreign-master" and "halted"; the executor adds "stuck", "unexpected-motion" and others.
+            "bus-passive", "foreign-master", "not-verified", "duplicate-node" and "halted"; the executor
+            adds "stuck", "unexpected-motion", "pulse-overdue" and others.
         source: a board ("can0/5"), a bus ("can0") or an actuator ("5.left (can0/5 output 0)").
         message: a sentence for the user.
     """

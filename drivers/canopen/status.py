@@ -37,6 +37,7 @@ class BusStatus:
         rx_errors: receive error counter, likewise.
         dropped: frames that could not be sent.
         ignored: received frames that were not understood (remote, extended, too short, other nodes).
+        overruns: times that the controller has lost received frames, since its buffer was full.
         frames_per_second: all sent and received frames, over about the last second.
         bits_per_second: bits of those frames, with the greatest possible number of stuff bits.
         load: these bits as a fraction of the bit rate, 0..1.
@@ -51,6 +52,7 @@ class BusStatus:
     rx_errors: int
     dropped: int
     ignored: int
+    overruns: int
     frames_per_second: float
     bits_per_second: float
     load: float
@@ -66,6 +68,7 @@ class BoardStatus:
         node: its node id.
         state: NMT state in words; "unknown" before the first heartbeat, "lost" after a timeout.
         heartbeat_age: time since its last heartbeat [s]; None before the first.
+        unverified: switches and reads whose outputs could not be read back.
         emergency: its last emergency in words; None without an emergency, or after its end.
     """
 
@@ -73,6 +76,7 @@ class BoardStatus:
     node: int
     state: str
     heartbeat_age: float | None
+    unverified: int
     emergency: str | None
 
 

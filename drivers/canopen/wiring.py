@@ -270,6 +270,11 @@ class Wiring:
         contracted = [line for line in self._of_all("input_contracted") if line is not None]
         return (*self._of_all("input"), *contracted, *(lock.line for lock in self.interlocks))
 
+    @property
+    def interlock_lines(self) -> range:
+        """Indices of the input lines of the interlocks: the last ones."""
+        return range(len(self.input_lines) - len(self.interlocks), len(self.input_lines))
+
     @cached_property
     def loss_levels(self) -> tuple[int | None, ...]:
         """The level that each output line takes when its board loses the master; None: it keeps its level.

@@ -21,7 +21,7 @@ class FakeMaster:
         ends = [[line.board for name, line in c.lines.items() if name.startswith("input")] for c in wiring.channels]
         self.input_boards_of = tuple(tuple(sorted({nodes.index(board) for board in boards})) for boards in ends)
         self._wiring, self._size = wiring, len(wiring.channels)
-        self.outputs = self.inputs = 0
+        self.outputs = self.inputs = self.doubtful = 0
         for i in range(len(wiring.input_lines) - self._size):  # contracted ends, closed interlocks
             self.inputs |= 1 << self._size + i
         self.all, self._travel = (1 << self._size) - 1, timing.travel_time

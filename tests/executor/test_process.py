@@ -35,7 +35,10 @@ from tests.keys import DEPLOY
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
 ROOMS = {
     "controller." + name
-    for name in ("actuators", "executor", "journal", "notify", "program", "scheduling", "settings", "sockets", "strict")
+    for name in (
+        *("actuators", "error_states", "executor", "journal", "notify", "program", "scheduling", "settings"),
+        *("sockets", "strict", "terminals"),
+    )
 }
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIZE = 48

@@ -121,5 +121,5 @@ def test_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None
 
 
 def _run_until_one_fails() -> None:
-    for seed in range(30):
+    for seed in range(60):
         World(seed).run(STEPS)

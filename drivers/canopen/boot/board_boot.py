@@ -236,7 +236,7 @@ def _check_errors(boot: Boot) -> Procedure:
     for _ in range(6):
         register, text, lost = yield from inspection.read_errors(it, board)
         if not register:
-            board.emergency = None  # its end was missed
+            board.emergency, board.emergency_register = None, 0  # its end was missed
             return
         yield Wait(lambda: False, _ERROR_PATIENCE / 5)
     if not lost:
@@ -250,6 +250,7 @@ def _read_back(boot: Boot) -> Procedure:
     """Reads outputs and inputs, and adopts them."""
     board, it, inputs = boot.board, boot.it, dict[int, int]()
     rpdos, tpdos = pdo_search.adopt(it)
+    pdo_search.check_pairs(it.layout, rpdos)
     values = yield from _carried_values(board, rpdos)
     board.take_inputs_from(tpdos)
     before = board.input_frames
@@ -266,6 +267,10 @@ def _read_back(boot: Boot) -> Procedure:
             board.set_input(sub, value)
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
     board.expected = _expected(it, rpdos + tpdos)
+    if it.standing_errors:  # only a new entry of the history tells a further error in these bits
+        newest = yield Transfer(0x1003, 1, fresh=True)
+        empty = 0 if newest.abort == objects.NO_DATA else None
+        board.history = empty if newest.data is None else int.from_bytes(newest.data, "little")
     board.ready = True
 
 

@@ -21,7 +21,7 @@ from drivers.canopen.wiring import MASTER, ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
 _NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)
-_MASTER_LOST, _COMMUNICATION = 0x8130, 0x11  # error code, and the bits of 1001h that it sets
+_MASTER_LOST, _GENERIC, _COMMUNICATION = 0x8130, 0x01, 0x10  # error code, and the bits of 1001h that it sets
 _MOST_ENTRIES = 8  # of the error history that are read
 
 
@@ -118,7 +118,7 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     sub, entry = yield from _newest_error(it)
     if entry:
         text += f"; 1003h sub {sub} is {entry:08X}h, {cia301.emergency_words(entry & 0xFFFF)}"
-        lost = entry & 0xFFFF == _MASTER_LOST and not register & ~_COMMUNICATION
+        lost = entry & 0xFFFF == _MASTER_LOST and register & ~_GENERIC == _COMMUNICATION
     if board is not None and board.emergency is not None:
         text += f"; it reported {cia301.emergency_words(board.emergency)}"
     return register, text, lost

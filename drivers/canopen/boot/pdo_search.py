@@ -7,6 +7,7 @@ from collections.abc import Container, Generator, Iterable
 from drivers.canopen.boot.inspection import Inspection, Reading, ensure
 from drivers.canopen.boot.pdo_setup import ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
 from drivers.canopen.faults import Fault
+from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.client import Outcome
@@ -96,6 +97,25 @@ def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
                 " switch at once with their frame, not at the same instant as other boards"
             )
     return rpdos, tuple(present.pdo for _, present in it.tpdos)
+
+
+def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:
+    """Checks that the two outputs of an actuator change at one instant: in one RPDO, or with one SYNC.
+
+    Raises:
+        BoardError: both could be on between two frames.
+    """
+    for pair in layout.pairs:
+        both = pair[0] | pair[1]
+        carrying = [pdo for pdo in rpdos if carried_bits([pdo], layout.settings.object) & both]
+        if len(carrying) > 1 and not all(pdo.on_sync for pdo in carrying):
+            outputs = " and ".join(str(bit.bit_length() - 1) for bit in pair)
+            frames = " and ".join(pdo_words(pdo.parameters) for pdo in carrying)
+            text = (
+                f"board {layout.name}: outputs {outputs} of one actuator are in {frames}, which do not wait for SYNC:"
+                " both could be on between two frames. Wire them to outputs of one RPDO"
+            )
+            raise BoardError(Fault("wrong-device", layout.name, text))
 
 
 def set_up_pdos(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:

@@ -49,9 +49,13 @@ class Board:
         state: NMT state; None if unknown.
         frames: number of frames received from the board.
         boots: number of boot-up messages received from it.
+        restarted: whether it has restarted since its last boot, so that its outputs are off or unknown.
         input_frames: number of TPDOs received from it.
         emergency: error code of its last emergency; None without an emergency, or after its end.
         guarded: whether node guarding supervises the board, in place of heartbeats.
+        emergency_register: error register, 1001h, in that emergency; 0 without one.
+        unverified: number of switches and reads whose outputs could not be read back.
+        history: newest error, 1003h sub 1, at the end of the last boot; None if it is not there.
         ignored_errors: bits of the error register 1001h that are no fault.
         warnings: sentences on the board's limits from its last boot, without its name.
         expected: values of its objects at the end of the last boot.
@@ -69,12 +73,13 @@ class Board:
         self.frames = self.boots = self.input_frames = 0
         self._image, self.report = image, report
         self._inputs = 0
-        self._ready = self._booted = self._lost = False
+        self._ready = self._booted = self._lost = self.restarted = False
         self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
         self.emergency: int | None = None
         self.guarded = False
-        self.ignored_errors = 0
+        self.ignored_errors = self.emergency_register = self.unverified = 0
+        self.history: int | None = None
         self.warnings: tuple[str, ...] = ()
         self.expected: tuple[Need, ...] = ()
         self.released = False
@@ -103,7 +108,7 @@ class Board:
     def ready(self, ready: bool) -> None:
         self._ready = ready
         if ready:
-            self._booted = True
+            self._booted, self.restarted = True, False
         else:
             self._frames_before = self.frames
         self._image.set_ready(self.layout, ready)
@@ -112,7 +117,7 @@ class Board:
         """Marks outputs, inputs and NMT state as unknown until the next boot."""
         self.released &= not self._booted  # an attempt that failed is not the last start
         self.ready = self._booted = False
-        self.state = None
+        self.state = self.history = None
 
     def fail(self, fault: Fault) -> None:
         """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
@@ -159,7 +164,7 @@ class Board:
                 inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
             self._take_inputs(inputs)
         elif function == cia301.EMERGENCY and len(data) >= 2:
-            self._receive_emergency(int.from_bytes(data[:2], "little"))
+            self._receive_emergency(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else 0)
         elif function != cia301.SDO_ANSWER or len(data) != 8:
             return False
         self.frames += 1
@@ -183,6 +188,7 @@ class Board:
             node=self.layout.node,
             state="lost" if self._lost and self.state is not None else state,
             heartbeat_age=None if self._beat_at is None else now - self._beat_at,
+            unverified=self.unverified,
             emergency=None if self.emergency is None else cia301.emergency_words(self.emergency),
         )
 
@@ -200,6 +206,7 @@ class Board:
         self._beat_at, self._lost = now, False
         if state is State.BOOT_UP:
             self.boots += 1
+            self.restarted = True
             self._toggle = None
         if state is State.BOOT_UP and self._booted:  # also if it was lost before that
             self.ready = self._booted = False
@@ -210,11 +217,11 @@ class Board:
             self._fault("board-stopped", f"{what}: read its errors, then reset")
         return True
 
-    def _receive_emergency(self, code: int) -> None:
+    def _receive_emergency(self, code: int, register: int) -> None:
         if code >> 8 == 0:
-            self.emergency = None
+            self.emergency, self.emergency_register = None, 0
             return
-        self.emergency = code
+        self.emergency, self.emergency_register = code, register
         if self._ready:  # before, it may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 

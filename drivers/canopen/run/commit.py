@@ -72,6 +72,8 @@ class Commit:
 
     def forget(self) -> None:
         """Cancels the commit; the caller reads the outputs back."""
+        for bus in self._syncs:
+            self._outputs.bus_lost(bus, self._states)
         self._waiting, self._syncs, self._leaving, self.failed = {}, set(), {}, None
 
     def begin(
@@ -137,6 +139,7 @@ class Commit:
 
     def bus_lost(self, bus: str) -> None:
         """Records the loss of a bus. Its outputs stay unknown until the boot if its SYNC was handed out."""
+        self._outputs.bus_lost(bus, self._states if bus in self._syncs else None)
         if bus in self._syncs:
             self._syncs.remove(bus)
             self.failed = f"{bus} was lost while its SYNC was being sent"

@@ -8,12 +8,14 @@ from drivers.canopen.boot.booting import Booting
 from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
+from drivers.canopen.run.input_watch import InputWatch
 from drivers.canopen.run.network import Network
+from drivers.canopen.run.outputs import Key
 from drivers.canopen.run.verification import Verification
 from drivers.canopen.status import Status
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
 from drivers.canopen.wire.load import BITS
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -49,12 +51,14 @@ class Master:
         self._receptions = network.receptions(self._booting.rebooted)
         self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
         self._verification = Verification(network)
+        interlocks = sum(1 << line for line in wiring.interlock_lines)
+        self._inputs = InputWatch(network.stations, network.links.values(), interlocks)
         self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
-        self._releasing = False  # whether the last commit only switches lines off
+        self._releasing = 0, 0  # levels and lines of the last release
         self._halt_reported: float | None = None  # real time of the last tick before a halt
 
     def take(self, event: Event, now: float) -> None:
-        """Passes an event of a bus to one of the five methods below."""
+        """Passes an event of a bus to one of the six methods below."""
         if isinstance(event, Received):
             self.receive(event.bus, event.frame, now)
         elif isinstance(event, Echoed):
@@ -63,6 +67,8 @@ class Master:
             self.ignore(event.bus, event.bits, now)
         elif isinstance(event, Changed):
             self.bus_changed(event.bus, event.state, event.why, event.errors, now)
+        elif isinstance(event, Overrun):
+            self.overrun(event.bus, now)
         else:
             self.send_failed(event.bus, event.frame, event.why, now)
 
@@ -101,6 +107,16 @@ class Master:
         if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
             self._lose(fault)
 
+    def overrun(self, bus: str, now: float) -> None:
+        """Records that the controller of a bus has lost received frames, and asks for the inputs again at once.
+
+        Echoes may be among them. A running commit still waits for its own: without them it fails, or its bus counts as
+        lost, and its outputs are read back.
+        """
+        self._links[bus].overrun(give_up=not self._commit.under_way)
+        if not self._booting.under_way:
+            self._inputs.hurry(bus, self._clock.at(now))
+
     def tick(self, now: float) -> None:
         """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call every 10 ms.
 
@@ -117,6 +133,7 @@ class Master:
         self._network.tick(time, self._timing.heartbeat_timeout)
         if not self._booting.under_way:
             self._verification.tick(time)
+            self._inputs.tick(time)
 
     def halted(self, now: float) -> Fault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master.
@@ -143,6 +160,7 @@ class Master:
         self._network.log.clear()
         self._commit.forget()
         self._verification.begin()
+        self._inputs.begin(self._clock.at(now))
         self._booting.begin(self._network.rearm(), self._clock.at(now))
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
@@ -154,32 +172,27 @@ class Master:
         Args:
             outputs: levels of all lines.
             now: see above.
-            release: only switch lines off, also those of boards that are not ready; cancels a commit whose RPDOs wait.
+            release: only switch lines off, also those of boards that are not ready, on buses that were lost and send
+                frames again, and during a boot; cancels a commit whose RPDOs wait.
 
         Raises:
             Busy: a commit is running, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
         self._look_halted(now)
-        if release and self._booting.under_way:  # a restarted board would apply its earlier outputs
-            raise Busy("the boards are being booted")
         if release:
-            self._commit.give_up("an output had to be switched off first")
+            self._release(outputs, now)
+            return
         if self._commit.under_way:
             raise Busy("frames of the previous commit were not sent yet")
-        if self._verification.blocking and not release:
+        if self._verification.blocking:
             raise Busy("the outputs of the previous commit are being read back")
-        lines = self._network.outputs.states ^ outputs if release else None
-        due = self._network.outputs.due(outputs, only_changed=release)
+        due = self._network.outputs.due(outputs)
         self._verification.failed = None
         if not due:
             self._commit.failed = None
             return
-        if (refusal := self._network.refusal(lines)) is not None:
-            raise Busy(refusal)
-        frames = {bus: self._network.frames_of(bus, keys, lines) for bus, keys in due.items()}
-        self._releasing = release
-        self._commit.begin(outputs, frames, lambda: self._network.refusal(lines), now, self._clock.at(now))
+        self._begin(outputs, due, None, now)
 
     def give_up(self, why: str) -> None:
         """Gives up a commit whose SYNC was not handed out. Does nothing after that, or if it only switches lines off.
@@ -189,7 +202,7 @@ class Master:
         Args:
             why: reason for `commit_failed`, as a sentence.
         """
-        if not self._releasing:
+        if self._releasing == (0, 0):
             self._commit.give_up(why)
 
     def question(self, board: int, now: float) -> None:
@@ -247,6 +260,11 @@ class Master:
         return self._network.outputs.states
 
     @property
+    def doubtful(self) -> int:
+        """Mask of the output lines that a SYNC may have switched: their bus was lost while it was being sent."""
+        return self._network.outputs.doubtful
+
+    @property
     def outputs_known(self) -> bool:
         """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
         return self._network.all_known and not self._commit.unknown
@@ -301,6 +319,34 @@ class Master:
     def _look_halted(self, now: float) -> None:
         if (fault := self.halted(now)) is not None:
             self._network.log.report(fault)
+
+    def _release(self, outputs: int, now: float) -> None:
+        """Switches the lines off that are not in `outputs`; a release that waits for its echoes goes on."""
+        network = self._network
+        states, off = network.released(~outputs)
+        if self._commit.collecting and self._releasing == (states, off):
+            return
+        if not off:
+            return
+        self._commit.give_up("an output had to be switched off first")
+        if self._commit.under_way:
+            raise Busy("the SYNC of the previous commit was not sent yet")
+        due = network.outputs.due(states, off)
+        booted = [i for bus in due for i in network.left_out(bus, off)] if self._booting.under_way else []
+        self._begin(states, due, off, now)
+        self._releasing = states, off
+        for station in (network.stations[i] for i in booted):
+            if station.board.heard:  # it was told to leave operational, in which its boot may have put it
+                self._booting.rebooted(station, self._clock.at(now))
+
+    def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float) -> None:
+        """Starts a commit; `off`: mask of lines if they only go off, else None."""
+        network = self._network
+        if (refusal := network.refusal(off)) is not None:
+            raise Busy(refusal)
+        frames = {bus: network.frames_of(bus, keys, off) for bus, keys in due.items()}
+        self._releasing = 0, 0
+        self._commit.begin(states, frames, lambda: network.refusal(off), now, self._clock.at(now))
 
     def _lose(self, fault: Fault) -> None:
         """Handles the loss of a bus."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from drivers.canopen.faults import Fault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
+from drivers.canopen.pdo import union
 from drivers.canopen.run.board import Board, StateImage
 from drivers.canopen.run.outputs import Key, Outputs
 from drivers.canopen.run.station import Station
@@ -28,6 +29,7 @@ class Network:
         image: levels of the input lines, and which are known.
         log: faults that the caller has not taken yet.
         sensed: mask of the actuators that have an end-stop.
+        pulsed: mask of the output lines that are on for a pulse only.
 
     Args:
         wiring: buses, boards and actuators.
@@ -41,6 +43,9 @@ class Network:
         ended = [c.input is not None or c.input_contracted is not None for c in channels]
         self.sensed = sum(1 << k for k, has in enumerate(ended) if has)
         self._extended = sum(1 << k for k, c in enumerate(channels) if c.input is not None)
+        self.pulsed = sum(
+            1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
+        )
         self._actuators = (1 << len(channels)) - 1
         self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
@@ -71,12 +76,13 @@ class Network:
         """Returns why nothing may be switched now, or None.
 
         Args:
-            lines: mask of lines that only go off: a lost board may still hear, so only its bus counts. None: any.
+            lines: mask of lines that only go off: a lost board may still hear, so it counts only whether its bus
+                sends frames, armed or not. None: any.
         """
         stations = [s for s in self.stations if lines is None or s.board.layout.output_lines & lines]
         buses = self.links if lines is None else {station.board.layout.bus for station in stations}
         for link in (self.links[bus] for bus in buses):
-            if not link.armed:
+            if not (link.armed if lines is None else link.usable):
                 return f"{link.name} is {link.state} or was lost: nothing is sent until its boards are booted"
         for station in stations if lines is None else ():
             if not station.board.ready:
@@ -89,10 +95,32 @@ class Network:
         A SYNC would also switch a lost board that is operational and has latched a frame. A lost board of `lines`,
         which only go off, gets its frame like a ready one.
         """
-        here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
-        lost = {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
+        lost = self.left_out(bus, lines)
         orders = [cia301.command(Command.PRE_OPERATIONAL, self.stations[i].board.layout.node) for i in sorted(lost)]
         return [*orders, *(key for key in keys if not self.outputs.takers(key) <= lost)]
+
+    def left_out(self, bus: str, lines: int | None) -> set[int]:
+        """Returns the indices of the boards of a bus that are not ready and have none of the `lines` that go off."""
+        here = [s for s in self.stations if s.board.layout.bus == bus and not s.board.ready]
+        return {s.index for s in here if not s.board.layout.output_lines & (lines or 0)}
+
+    def released(self, lines: int) -> tuple[int, int]:
+        """Returns what a release of lines switches.
+
+        The release leaves out boards that have restarted: their outputs are off, and their frames could switch others
+        on. Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
+
+        Args:
+            lines: mask of lines to switch off.
+
+        Returns:
+            Levels of all lines after it, and the mask of the lines that go off.
+        """
+        states, doubtful = self.outputs.states, self.outputs.doubtful
+        boards = [s.board for s in self.stations if s.board.layout.output_lines & lines]
+        off = (states | doubtful) & lines & union(b.layout.output_lines for b in boards if not b.restarted)
+        touched = union(b.layout.output_lines for b in boards if b.layout.output_lines & off)
+        return states & ~off & ~(doubtful & touched), off
 
     def warnings(self) -> tuple[Fault, ...]:
         """Returns the warnings of ready boards: limits, and outputs that were written off before the start."""
@@ -135,6 +163,10 @@ class Network:
         for station in self.stations:
             station.board.tick(now, heartbeat_timeout)
             station.runner.tick(now)
+            if station.runner.answered_twice and station.board.ready:
+                name = station.board.name
+                text = f"two boards answer as {name}: give each its own node id, then reset"
+                station.board.fail(Fault("duplicate-node", name, text))
 
     def status(self, now: float) -> Status:
         """Returns state and counters for diagnostics."""

@@ -20,11 +20,13 @@ class Outputs:
     Attributes:
         states: levels of the lines after the last SYNC.
         changes: number of changes, also possible ones, of the lines of each board.
+        doubtful: mask of the lines that a SYNC may have switched: the bus was lost while it was being sent.
     """
 
     def __init__(self, layout: Layout) -> None:
         self.states = 0
         self.changes = [0] * len(layout.boards)
+        self.doubtful = 0
         self._boards = layout.boards
         self._lines = sum(board.output_lines for board in layout.boards)
         self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
@@ -54,9 +56,10 @@ class Outputs:
             frame = self._frames[key]
             lines = frame.lines & board.output_lines
             self.states = self.states & ~lines | _levels(frame, self._image[key]) & lines
+        self.doubtful &= ~board.output_lines
         self.changes[i] += 1
 
-    def due(self, states: int, only_changed: bool = False) -> dict[str, list[Key]]:
+    def due(self, states: int, released: int = 0) -> dict[str, list[Key]]:
         """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
 
         A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames with
@@ -64,7 +67,7 @@ class Outputs:
 
         Args:
             states: levels of all lines.
-            only_changed: skip buses on which no output changes.
+            released: mask of lines; not 0: only their buses get a SYNC, and their frames are always sent.
 
         Raises:
             ValueError: `states` has a bit that is no line.
@@ -78,9 +81,9 @@ class Outputs:
             image, latched = self._image[key], self._latched[key]
             wanted = self._wanted(key, states) if changed & frame.lines else image
             waits = frame.on_sync and latched not in (None, wanted)
-            if wanted != image or (not only_changed and (waits or key in self._uncertain)):
+            if frame.lines & released if released else wanted != image or waits or key in self._uncertain:
                 buses.add(frame.bus)
-            if wanted != latched:
+            if wanted != latched or frame.lines & released:
                 stale.append(key)
         due: dict[str, list[Key]] = {key[0]: [] for key in self._frames if key[0] in buses}
         for key in stale:
@@ -126,7 +129,22 @@ class Outputs:
 
     def switched(self, bus: str, states: int) -> int:
         """Records that the SYNC of a bus was sent; returns the mask of the lines that it switched."""
-        return union(self._switch(key, states) for key, frame in self._frames.items() if frame.bus == bus)
+        here = [key for key, frame in self._frames.items() if frame.bus == bus]
+        self.doubtful &= ~union(self._frames[key].lines for key in here)
+        return union(self._switch(key, states) for key in here)
+
+    def bus_lost(self, bus: str, states: int | None) -> None:
+        """Records the loss of a bus: nothing is known of the bytes that its boards have latched.
+
+        Args:
+            bus: its name.
+            states: levels that its SYNC, which was being sent, may have switched to; None: none was being sent.
+        """
+        for key, frame in self._frames.items():
+            if frame.bus == bus:
+                self._latched[key] = None
+                if states is not None:
+                    self.doubtful |= (states ^ self.states) & frame.lines
 
     def bits(self, i: int) -> int:
         """Returns the expected levels of the used output bits of board `i`."""

@@ -6,10 +6,11 @@ from collections.abc import Generator
 
 from drivers.canopen.faults import Fault
 from drivers.canopen.pdo import subs_of
+from drivers.canopen.run.board import Board
 from drivers.canopen.run.network import Network
 from drivers.canopen.run.station import Station
 from drivers.canopen.sdo.client import Outcome, Transfer
-from drivers.canopen.sdo.objects import Need
+from drivers.canopen.sdo.objects import Need, abort_words
 from drivers.canopen.sdo.procedure import Step, Wait
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import wire_bits
@@ -17,6 +18,9 @@ from drivers.canopen.wire.cia301 import wire_bits
 _SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time between two reads on one bus [s]
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch
 _PAUSE, _TRIES = 0.05, 8  # [s] between two reads of outputs that are not yet right, and number of reads
+_PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: as many wrong reads prove that it did not begin
+_MOST_SILENT = 3  # reads in a row without a result
+_MOST_MISSED = 3  # pulses in a row that were over before they were read
 
 
 class Verification:
@@ -35,6 +39,9 @@ class Verification:
         self.failed: str | None = None
         self._network = network
         self._unverified = set(range(len(network.stations)))  # boards not verified since their boot
+        self._pulses: set[int] = set()  # boards with a pulse that was not read back
+        self._silent = [0] * len(network.stations)  # reads in a row without a result
+        self._missed = [0] * len(network.stations)  # pulses in a row that were not read back
         self._due: dict[int, None] = {}  # boards whose outputs must be read back, the oldest first
         self._next = dict.fromkeys(network.links, 0.0)  # time of the next read on each bus
         self._turns = dict.fromkeys(network.links, 0)
@@ -49,6 +56,7 @@ class Verification:
         """Records that a boot of all boards has begun."""
         self._unverified = set(range(len(self._network.stations)))
         self._due.clear()
+        self._pulses.clear()
         self.blocking.clear()
         self.failed = None
 
@@ -58,6 +66,8 @@ class Verification:
             layout, i = station.board.layout, station.index
             if switched := layout.output_lines & lines:
                 self._due[i] = None
+                if switched & self._network.pulsed & self._network.outputs.states:
+                    self._pulses.add(i)
                 if i in self._unverified and switched & ~layout.sensed:
                     self.blocking.add(i)
 
@@ -66,7 +76,7 @@ class Verification:
         stations = self._network.stations
         for i in [i for i in self._due if not stations[i].board.ready]:
             self._end(i)
-        for i in [i for i in self.blocking if not stations[i].runner.running]:
+        for i in [i for i in self.blocking | self._pulses if not stations[i].runner.running]:
             self._start(stations[i], self._outputs(stations[i]), now)
         for bus, link in self._network.links.items():
             if not link.armed:
@@ -109,29 +119,78 @@ class Verification:
     def _end(self, i: int) -> None:
         self._due.pop(i, None)
         self.blocking.discard(i)
+        self._pulses.discard(i)
 
     def _outputs(self, station: Station) -> Generator[Step, Outcome, None]:
         """Compares the outputs of a board with the switched levels; a board may need some time."""
-        board, i = station.board, station.index
-        layout, outputs = board.layout, self._network.outputs
+        board, i, outputs = station.board, station.index, self._network.outputs
+        changes, wrong = outputs.changes[i], list[tuple[int, int]]()
         for _ in range(_TRIES):
-            changes, bits = outputs.changes[i], 0
-            for sub in subs_of(layout.output_bits):
-                outcome = yield Transfer(layout.settings.object, sub, fresh=True)
-                if not outcome.data:  # its heartbeats tell whether the board is there
-                    self._end(i)
-                    return
-                bits |= outcome.data[0] << 8 * (sub - 1)
-            if outputs.changes[i] != changes:
-                return  # it was switched meanwhile: read again later
-            should = outputs.bits(i)
-            if bits & layout.output_bits == should:
-                self._end(i)
-                self._unverified.discard(i)
+            pulsing = bool(outputs.states & self._network.pulsed & board.layout.output_lines)
+            bits = yield from self._read(station)
+            if bits is None:
                 return
-            yield Wait(lambda: False, _PAUSE)
-        if outputs.changes[i] == changes and board.ready:
-            self._not_switched(station, bits & layout.output_bits, should)
+            if outputs.changes[i] != changes:
+                break  # it was switched meanwhile: read again later
+            should = outputs.bits(i)
+            if bits == should:
+                self._right(station, pulsing)
+                return
+            wrong.append((bits, should))
+            yield Wait(lambda: False, _PULSE_PAUSE if pulsing else _PAUSE)
+        missed = len(wrong) == _TRIES or (len(wrong) >= _PULSE_TRIES and i in self._pulses)
+        if missed and board.ready:
+            self._not_switched(station, *wrong[-1])
+
+    def _read(self, station: Station) -> Generator[Step, Outcome, int | None]:
+        """Reads the used outputs of a board; None, and a fault the third time, if the board does not tell them."""
+        board, bits = station.board, 0
+        for sub in subs_of(board.layout.output_bits):
+            outcome = yield Transfer(board.layout.settings.object, sub, fresh=True)
+            if not outcome.data:
+                self._unread(station, sub, outcome)
+                return None
+            bits |= outcome.data[0] << 8 * (sub - 1)
+        self._silent[station.index] = 0
+        return bits & board.layout.output_bits
+
+    def _unread(self, station: Station, sub: int, outcome: Outcome) -> None:
+        """Counts a read without a result; it verifies nothing, so the board stays due."""
+        board, i = station.board, station.index
+        board.unverified += 1
+        self._silent[i] += 1
+        if self._silent[i] < _MOST_SILENT or not board.ready:
+            return
+        why = outcome.silence or f"it refuses: {abort_words(outcome.abort or 0)}"
+        place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"
+        text = f"board {board.name} does not let {place} be read back, {_MOST_SILENT} times in a row: {why}"
+        if i in self.blocking:
+            self.failed = text
+        self._silent[i] = 0
+        self._end(i)
+        board.fail(Fault("not-verified", board.name, text))
+
+    def _right(self, station: Station, pulsing: bool) -> None:
+        """Records that the outputs are right; after the end of a pulse, this tells nothing of the pulse."""
+        board, i = station.board, station.index
+        pulsed = i in self._pulses
+        self._end(i)
+        if pulsing:
+            self._missed[i] = 0
+        if pulsing or not board.layout.output_lines & self._network.pulsed:
+            self._unverified.discard(i)
+        elif pulsed:
+            board.unverified += 1
+            self._missed[i] += 1
+            if self._missed[i] == _MOST_MISSED:
+                self._unverified.discard(i)  # no commit waits for it any more
+                self._warn(board)
+
+    def _warn(self, board: Board) -> None:
+        """Warns that the pulses of a board are not verified, unless end-stops tell of all of them."""
+        if board.layout.output_lines & self._network.pulsed & ~board.layout.sensed:
+            text = "its pulses are too short to be read back; only end-stops tell whether its outputs follow"
+            board.warnings = (*board.warnings, text)
 
     def _not_switched(self, station: Station, bits: int, should: int) -> None:
         board = station.board
@@ -166,9 +225,11 @@ class Verification:
         board = station.board
         for _ in range(2):
             outcome = yield Transfer(0x1001, 0, fresh=True)
-            register = (outcome.data or b"\0")[0] & ~board.ignored_errors
-            if not register or board.emergency is not None:
+            found = (outcome.data or b"\0")[0]
+            register = found & ~board.ignored_errors & ~board.emergency_register
+            if not register and not (found and (yield from self._new_error(board))):
                 return
+            register = register or found
             yield Wait(lambda: False, 4 * _PAUSE)
         history = yield Transfer(0x1003, 1)
         text = f"error register 1001h sub 0 is {register:02X}h"
@@ -178,3 +239,11 @@ class Verification:
         if board.ready:
             text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
             board.report(Fault("board-error", board.name, text))
+
+    def _new_error(self, board: Board) -> Generator[Step, Outcome, bool]:
+        """Returns whether the error history, 1003h sub 1, has a new error since the boot; an entry 0000h is an end."""
+        if board.history is None or board.emergency is not None:
+            return False
+        outcome = yield Transfer(0x1003, 1, fresh=True)
+        newest = int.from_bytes(outcome.data[:4], "little") if outcome.data else board.history
+        return newest != board.history and bool(newest & 0xFFFF)

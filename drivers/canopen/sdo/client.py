@@ -14,6 +14,7 @@ TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
 _PATIENCE, _LONGEST = 2.5, 3.0  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
+_WINDOW, _MOST_TWICE = 20, 15  # transfers, and of them those that one board alone never has answered twice
 _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 
 
@@ -61,6 +62,7 @@ class SdoClient:
 
     Attributes:
         outcome: result of the last transfer; None while it runs.
+        twice: whether three of four transfers were answered twice though asked once: two boards have the node id.
     """
 
     def __init__(self, node: int, link: Link) -> None:
@@ -78,6 +80,9 @@ class SdoClient:
         self._slowest = 0.0  # longest answer time [s]
         self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers that may come, and until when
         self._skip = 0  # late answers to ignore
+        self.twice = False
+        self._answered = self._doubled = 0  # transfers asked once, and those of them that were answered twice
+        self._last = b""  # object of the last of them, until its second answer
 
     def begin(self, transfer: Transfer, now: float) -> None:
         """Starts a transfer; a running one is cancelled."""
@@ -119,6 +124,8 @@ class SdoClient:
         self._slowest = max(self._slowest, now - (self._asked_at if self._asked > 1 else outgoing.first_at))
         if self._asked > 1:
             self._owe(self._asked - 1, now)
+        else:
+            self._count_answer()
         if kind == 0x80:
             self._end(Outcome(abort=int.from_bytes(data[4:], "little")))
         elif self._segments is not None:
@@ -173,6 +180,17 @@ class SdoClient:
                 self._owed[multiplexer] = owed[0] - 1, owed[1]
             else:
                 del self._owed[multiplexer]
+        elif multiplexer == self._last:
+            self._last = b""
+            self._doubled += 1
+
+    def _count_answer(self) -> None:
+        """Counts a transfer that was asked once; judges the last ones."""
+        if self._answered == _WINDOW:
+            self.twice = self._doubled >= _MOST_TWICE
+            self._answered = self._doubled = 0
+        self._answered += 1
+        self._last = self._multiplexer
 
     def _take_segment(self, data: bytes, now: float) -> None:
         assert self._segments is not None

@@ -68,6 +68,11 @@ class Runner:
         """Whether a procedure is running."""
         return self._procedure is not None
 
+    @property
+    def answered_twice(self) -> bool:
+        """Whether two boards answer; see `SdoClient.twice`."""
+        return self._sdo.twice
+
     def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None], now: float) -> None:
         """Starts a procedure in place of the running one; `ended` takes its fault, or None, and the time."""
         self.cancel()

@@ -12,7 +12,7 @@ import can
 
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
 from drivers.canopen.wiring import BusSettings
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
@@ -23,6 +23,7 @@ _NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
 
 # Error frames of SocketCAN, from linux/can/error.h.
 _CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100  # classes, in the identifier
+_OVERRUN = 0x01  # a detail: the receive buffer of the controller ran over
 _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
 
 
@@ -32,10 +33,12 @@ class ErrorFrame(NamedTuple):
     Attributes:
         state: controller state, "active", "warning", "passive" or "bus-off"; None if the frame does not tell.
         errors: transmit and receive error counter; None if the frame does not tell.
+        overrun: whether received frames were lost.
     """
 
     state: str | None
     errors: tuple[int, int] | None
+    overrun: bool = False
 
 
 def read_error(identifier: int, data: bytes) -> ErrorFrame:
@@ -49,7 +52,8 @@ def read_error(identifier: int, data: bytes) -> ErrorFrame:
         state = "active"
     if identifier & _BUS_OFF:
         state = "bus-off"
-    return ErrorFrame(state, (data[6], data[7]) if identifier & _CONTROLLER else None)
+    controller = bool(identifier & _CONTROLLER)
+    return ErrorFrame(state, (data[6], data[7]) if controller else None, controller and bool(data[1] & _OVERRUN))
 
 
 class CanBus:
@@ -152,6 +156,8 @@ class CanBus:
     def _event(self, message: can.Message) -> Event:
         if message.is_error_frame:
             said = read_error(message.arbitration_id, bytes(message.data))
+            if said.overrun:
+                self._events.append(Overrun(self.name))
             return Changed(self.name, said.state, "", said.errors)
         remote = message.is_remote_frame
         if (remote and message.is_rx) or message.is_extended_id or message.is_fd:

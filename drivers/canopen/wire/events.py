@@ -71,4 +71,10 @@ class Changed(NamedTuple):
     errors: tuple[int, int] | None
 
 
-Event = Received | Ignored | Echoed | SendFailed | Changed
+class Overrun(NamedTuple):
+    """The controller has lost received frames, since its buffer was full."""
+
+    bus: str
+
+
+Event = Received | Ignored | Echoed | SendFailed | Changed | Overrun

@@ -39,7 +39,8 @@ class Link:
     """One CAN bus.
 
     `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
-    it is armed: the kernel sends the frames that it still holds when the bus comes back.
+    it is armed: the kernel sends the frames that it still holds when the bus comes back. Only a release, which switches
+    lines off, is sent on a bus that is not armed.
 
     Attributes:
         settings: name, interface, channel and bit rate.
@@ -67,7 +68,7 @@ class Link:
         self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
         self._meter = Meter()
         self._errors = 0, 0
-        self._dropped = self._ignored = 0
+        self._dropped = self._ignored = self._overruns = 0
 
     @property
     def usable(self) -> bool:
@@ -132,6 +133,15 @@ class Link:
     def ignored(self) -> None:
         """Counts a received frame that was not understood."""
         self._ignored += 1
+
+    def overrun(self, give_up: bool) -> None:
+        """Counts a loss of received frames; `give_up`: echoes may be lost, so they are no longer waited for."""
+        self._overruns += 1
+        if give_up:
+            for outgoing in self._unsent.values():
+                outgoing.sent = True
+            self._unsent.clear()
+            self.pending.give_up()
 
     def echoed(self, frame: Frame, now: float) -> bool:
         """Takes the echo of a sent frame; returns whether the master had sent it."""
@@ -220,6 +230,7 @@ class Link:
             rx_errors=self._errors[1],
             dropped=self._dropped,
             ignored=self._ignored,
+            overruns=self._overruns,
             frames_per_second=meter.frames_per_second,
             bits_per_second=meter.bits_per_second,
             load=min(1.0, meter.bits_per_second / self.settings.bitrate),

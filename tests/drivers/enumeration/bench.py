@@ -67,7 +67,8 @@ class Bench:
     def __init__(self, wiring: Wiring, timing: Timing, variant: Variant) -> None:
         self.now = 0.0
         self.wiring, self.timing, self.variant = wiring, timing, variant
-        wired = [wire(channel, build_actuator(channel, timing)) for channel in wiring.channels]
+        actuators = {channel.actuator: build_actuator(channel, timing) for channel in wiring.channels}
+        [wired] = wire(wiring, actuators).values()
         self.board = SimulatedBoard(wiring.channels[0].node, wired, self._from_board, variant)
         self.master: Master | None = None
         self.off = self.stalled = self._commanded = False

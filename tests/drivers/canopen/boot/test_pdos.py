@@ -199,3 +199,12 @@ def test_a_quirk_takes_a_bit_of_the_error_register_as_no_fault(monkeypatch):
 
 def test_every_quirk_names_its_device_and_source():
     assert all(quirk.device and quirk.source for quirk in quirks.QUIRKS.values())
+
+
+def test_a_pair_in_two_rpdos_needs_sync():
+    far = [Channel("5.left", "can0", 5, 0, None, output_off=64)]
+    assert World(far, variants={"can0/5": VARIANTS["many-outputs"]}).boot().master.boot_faults == []
+    variant = dataclasses.replace(VARIANTS["many-outputs"], synchronous=False, read_only=frozenset({0x1600, 0x1604}))
+    world = World(far, variants={"can0/5": variant}).boot()
+    [fault] = world.master.boot_faults
+    assert "outputs 0 and 64 of one actuator are in RPDO1 and RPDO5, which do not wait for SYNC" in fault.message

@@ -48,9 +48,112 @@ def test_a_release_of_one_board_leaves_the_other_alone() -> None:
     assert world.master.outputs == 0b1000
 
 
-def test_nothing_is_released_while_boards_are_booted() -> None:
-    world = lost(2)
-    world.lost = lambda bus, node, frame: False
-    world.master.boot(world.now)
-    with pytest.raises(Busy, match="being booted"):
+def bus_lost(channels: list[Channel] | None = None) -> World:
+    """A world in which both actuators have an output on, and the bus was off for a moment."""
+    world = World(channels or pairs()).up()
+    world.master.commit(0b1001, world.now)
+    world.flush()
+    world.run(0.02)
+    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    return world
+
+
+def test_outputs_go_off_as_soon_as_a_lost_bus_is_usable() -> None:
+    world = bus_lost()
+    with pytest.raises(Busy, match="bus-off"):
         world.master.commit(0, world.now, release=True)
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    with pytest.raises(Busy, match="until its boards are booted"):
+        world.master.commit(0, world.now)
+    world.master.commit(0, world.now, release=True)
+    world.flush()
+    world.run(0.02)
+    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+    assert world.master.outputs == 0
+
+
+def test_a_release_after_a_lost_bus_switches_nothing_that_was_latched_before() -> None:
+    world = World(pairs()).up()
+    world.commit_when_possible(1, 0, 0, 0)
+    world.buses["can0"].echo = False  # the RPDO of the second board is latched, and its SYNC is never sent
+    world.run(0.02)
+    world.frames()
+    world.master.commit(0b0011, world.now)
+    world.flush()
+    world.run(0.005)
+    assert (0x202, "01") in world.frames()
+    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    world.buses["can0"].echo = True
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.master.commit(0b0010, world.now, release=True)
+    world.flush()
+    world.run(0.02)
+    frames = world.frames()
+    assert frames.index((0x000, "80 02")) < frames.index((0x080, "")), "the other board leaves operational first"
+    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+
+
+@pytest.mark.parametrize("sent", [False, True])
+def test_an_output_whose_sync_is_in_doubt_goes_off_too(sent: bool) -> None:
+    world = World(pairs()).up()
+    world.master.commit(0b0001, world.now)
+    world.flush()
+    world.until(lambda: not world.master.collecting)  # SYNC was handed out
+    if not sent:
+        world.buses["can0"].queues["master"].clear()
+    world.run(0.00001)
+    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    world.run(0.02)
+    assert (world.master.outputs, world.master.doubtful) == (0, 0b0001)
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.master.commit(0, world.now, release=True)
+    world.flush()
+    world.run(0.02)
+    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+    assert world.master.doubtful == 0
+
+
+def test_outputs_of_a_ready_board_go_off_while_another_one_is_booted() -> None:
+    world = lost(2)
+    world.lost = lambda bus, node, frame: node == 2
+    world.master.boot(world.now)
+    world.flush()
+    world.until(lambda: world.master.known == 0b01)
+    assert world.master.booting
+    world.master.commit(0b1000, world.now, release=True)
+    world.flush()
+    world.run(0.02)
+    assert world.actuators["1"].coils == (0, 0)
+
+
+def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
+    world = World([*pairs(), Channel("plain", "can0", 1, 5, None)]).up()
+    world.master.commit(0b00101, world.now)
+    world.flush()
+    world.run(0.05)
+    board = world.boards["can0", 1]
+    board.power_cut(world.now)
+    board.power_on(world.now)
+    world._schedule(board)
+    world.run(0.1)
+    assert world.codes() == ["board-rebooted"]
+    world.frames()
+    world.master.commit(0b00100, world.now, release=True)
+    world.flush()
+    world.run(0.05)
+    assert world.frames() == []
+    assert not world.master.committing
+
+
+def test_a_release_that_waits_for_its_echo_is_not_sent_again_at_each_tick() -> None:
+    world = bus_lost()
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.frames()
+    world.buses["can0"].blocked = True
+    for _ in range(5):
+        world.master.commit(0, world.now, release=True)
+        world.flush()
+        world.run(0.01)
+    world.buses["can0"].blocked = False
+    world.run(0.05)
+    assert [cob_id for cob_id, _ in world.frames()] == [0x201, 0x202, 0x080]

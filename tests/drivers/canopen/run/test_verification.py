@@ -102,3 +102,73 @@ def test_nothing_is_read_of_boards_that_switch_all_the_time_but_they_are_no_faul
         world.run(0.02)
     world.run(2.0)
     assert world.faults == []
+
+
+def pulse(world: World, length: float) -> None:
+    """Switches an output on for a time."""
+    world.master.commit(1, world.now)
+    world.flush()
+    world.run(length)
+    world.master.commit(0, world.now, release=True)
+    world.flush()
+
+
+def deaf(length: float) -> World:
+    world = World([Channel("1.a", "can0", 5, 0, None, output_off=1, pulse=length)]).up()
+    world.boards["can0", 5]._pdos.receive = lambda cob_id, data, now: False
+    return world
+
+
+@pytest.mark.parametrize("length", [0.05, 0.2])
+def test_a_pulse_that_a_board_does_not_follow_is_noticed_inside_the_pulse(length):
+    world = deaf(length)
+    pulse(world, length)
+    world.run(1.0)
+    assert world.codes() == ["not-switched"]
+
+
+def test_pulses_that_are_too_short_to_be_read_back_are_told():
+    world = World([Channel("1.a", "can0", 5, 0, None, output_off=1, pulse=0.02)], latency=0.03).up()
+    for _ in range(3):
+        pulse(world, 0.02)
+        world.run(1.0)
+        assert not world.master.committing
+    assert world.faults == []
+    assert "pulses are too short to be read back" in world.master.warnings()[0].message
+    assert world.master.status().boards[0].unverified == 3
+
+
+@pytest.mark.parametrize("answer", ["abort", "silence"])
+def test_outputs_that_cannot_be_read_back_are_not_verified(answer):
+    world = World([Channel("1.a", "can0", 5, 0, None)]).up()
+    if answer == "abort":
+        world.boards["can0", 5].objects.refused[0x6200, 1] = 0x08000022
+    else:
+        world.lost = lambda bus, node, frame: frame.id == 0x585
+    world.commit(1)
+    assert world.codes() == ["not-verified"]
+    assert world.master.commit_failed == world.faults[0].message
+    assert world.master.status().boards[0].unverified == 3
+
+
+def test_an_old_emergency_does_not_hide_another_error():
+    world = World(BLIND)
+    world.run(0.05)
+    world.boards["can0", 5].send_message(0x85, bytes.fromhex("2081") + bytes(6))
+    world.run(0.01)
+    world.up()
+    world.boards["can0", 5].objects.put(0x1001, 0, 0x05)
+    world.until(lambda: world.codes())
+    assert world.codes() == ["board-error"]
+
+
+@pytest.mark.parametrize(("newest", "codes"), [(0x2320, ["board-error"]), (0x1B000000, []), (0x8130, [])])
+def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(newest, codes):
+    world = World(BLIND).up()
+    board = world.master._network.stations[0].board
+    board.ignored_errors, board.history = 0x11, 0x8130
+    world.boards["can0", 5].objects.put(0x1001, 0, 0x11)
+    for sub, value in ((0, 1), (1, newest)):
+        world.boards["can0", 5].objects.put(0x1003, sub, value)
+    world.run(10.0)
+    assert world.codes() == codes

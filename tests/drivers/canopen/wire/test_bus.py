@@ -12,7 +12,7 @@ import pytest
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Received
+from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
 from drivers.canopen.wiring import BusSettings
 from tests import emulated
 
@@ -93,10 +93,11 @@ def test_error_frames_change_the_state(buses):
         other.send(
             can.Message(arbitration_id=kind, data=bytes.fromhex(data), is_error_frame=True, is_extended_id=False)
         )
-    assert wait(bus, lambda events: len(events) == 3) == [
+    assert wait(bus, lambda events: len(events) == 4) == [
         Changed("can0", "passive", "", (130, 7)),
         Changed("can0", "bus-off", "", None),
         Changed("can0", None, "", (2, 3)),
+        Overrun("can0"),
     ]
 
 
