@@ -61,7 +61,7 @@ class Bench:
     def __init__(self, path: Path) -> None:
         self.now, self.step = 10.0, PERIOD
         self.core = Executor(small_arm(), MemoryJournal(SIZE), 1, build_master=FakeMaster)
-        self.buses, self.server = NoBuses(), Server(path)
+        self.buses, self.server = NoBuses(), Server(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
         self.loop._time.start(self.now + PERIOD)
         self.client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
