@@ -17,11 +17,14 @@ panel: $(VENV)/kernels
 	$(BIN)/hyperbit run deploy/planar16.yaml --simulate --panel
 
 # What runs in real time comes last, two files at a time, and leaves the processors idle for half of the time. Two
-# processes leave BLAS no threads to gain by.
+# processes leave BLAS no threads to gain by. The second part runs even if the first one fails; then make fails, too.
 REAL_TIME := tests/system
 test: check $(VENV)/kernels
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) --ignore tests/page
-	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS)
+	failed=0; \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
+		--ignore tests/page || failed=$$?; \
+	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS) || failed=$$?; \
+	exit $$failed
 
 # Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed

@@ -5,11 +5,10 @@ import contextlib
 import secrets
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from controller.executor.arm import read_arm
-from controller.executor.buses import Buses, CanBuses, EmbeddedBoards
+from controller.executor.buses import Buses, CanBuses
 from controller.executor.core import Executor
 from controller.executor.log_lines import start_logging
 from controller.executor.real_time import enter_real_time
@@ -19,10 +18,6 @@ from controller.executor.switch_journal import FileJournal, JournalInUse, defaul
 from controller.notify import Notifier
 from controller.sockets import socket_path
 from controller.strict import InputFaults
-from drivers.simulation.buses import board_names
-from drivers.simulation.variants import choose
-
-PATIENCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -59,18 +54,18 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         board: variants of the simulated boards, in the notation of `choose`.
 
     Raises:
-        InputFaults: the arm's file is wrong, or a board or variant is unknown.
+        InputFaults: the arm's file is wrong, a board or variant is unknown, or a variant is given without `simulate`.
         SocketInUse: another executor uses the socket.
         JournalInUse: another executor uses the journal.
         OSError: socket or journal cannot be created.
     """
     arm = read_arm(file)
-    if simulate:
-        arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + PATIENCE))
-    try:
-        variants = choose(board, board_names(arm.wiring))
-    except ValueError as error:
-        raise InputFaults(Path("--board"), [str(error)]) from None
+    if simulate:  # the process of a real arm loads no simulation
+        from controller.executor.embedded_boards import simulated
+
+        arm, simulation = simulated(arm, board)
+    elif board:
+        raise InputFaults(Path("--board"), ["the variant of a simulated board needs --simulate"])
     with contextlib.ExitStack() as closing:  # the log ends last
         closing.callback(start_logging(arm.name))
         notifier = Notifier()
@@ -79,7 +74,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         server = Server(socket_path(socket, arm.name))
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         core.reports.real_time = enter_real_time(arm.real_time)
-        buses: Buses = EmbeddedBoards(arm.wiring, arm.timing, variants) if simulate else CanBuses(arm.wiring.buses)
+        buses: Buses = simulation if simulate else CanBuses(arm.wiring.buses)
         EventLoop(core, buses, server, notifier).run_until_signal()
 
 

@@ -1,73 +1,50 @@
 """The executor's socket: its clients and their messages. Nothing here blocks."""
 
-import contextlib
 import fcntl
 import logging
 import os
 import socket
-import struct
-from collections import deque
-from collections.abc import Collection
+import time
+from collections.abc import Callable, Collection
 from pathlib import Path
 
+from controller.executor.connections import Connection, LimitedLog, late, superfluous
 from controller.executor.events import Client, ClientGone, FromClient
-from controller.program import MOST_BYTES, Diagnostics, Goodbye, Malformed, Snapshot, Up, decode_down, encode
+from controller.program import MOST_BYTES, Diagnostics, Goodbye, Hello, Malformed, Snapshot, Up, decode_down, encode
 
 log = logging.getLogger(__name__)
+BACKLOG = 128  # connections that wait to be accepted
 
-MOST_CLIENTS = 16
+MOST_ACCEPTED = 16  # connections in one poll, so that a flood of them does not block the loop
 MOST_MESSAGES = 64  # of one client in one poll, so that a flood does not block the loop
 MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
-CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: pid, uid, gid
 
 
 class SocketInUse(Exception):
     """Another executor uses the socket."""
 
 
-class Connection:
-    """The connection of one client, with the messages that wait to be sent."""
-
-    def __init__(self, number: int, connected: socket.socket) -> None:
-        """Takes the number of the connection and its socket."""
-        connected.setblocking(False)
-        options = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
-        self.client = Client(number, CREDENTIALS.unpack(options)[0])
-        self.socket = connected
-        self.waiting: deque[bytes] = deque()
-        self.closing = False  # after a Goodbye
-
-    def flush(self) -> bool:
-        """Sends waiting messages until the client's buffer is full; returns whether the connection is still open."""
-        try:
-            while self.waiting:
-                self.socket.send(self.waiting[0])
-                self.waiting.popleft()
-        except BlockingIOError:
-            return True
-        except OSError:
-            return False
-        return not self.closing
-
-
 class Server:
     """Listens on a Unix socket of the type SOCK_SEQPACKET.
 
     Snapshots and diagnostics are dropped for a client that does not read; other messages are queued.
+    Connections before their Hello, operators, and the planner have places of their own, see `PLACES`.
 
     Attributes:
         dropped: number of dropped snapshots and diagnostics.
 
     Args:
         path: of the socket. A locked file beside it, with the suffix ".lock", excludes a second executor.
+        clock: of the event loop [s].
 
     Raises:
         SocketInUse: another executor listens there; the text names its process.
         OSError: the socket cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self.dropped = 0
+        self._clock, self._log = clock, LimitedLog(log)
         self._path, self._number = path, 0
         self._connections: dict[Client, Connection] = {}
         self._gone: list[Client] = []
@@ -78,7 +55,7 @@ class Server:
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._listening.bind(str(path))
         path.chmod(0o660)  # the folder decides who may connect
-        self._listening.listen(MOST_CLIENTS)
+        self._listening.listen(BACKLOG)
 
     def readable(self) -> list[int]:
         """Returns the file descriptors to wait on for `poll`."""
@@ -94,13 +71,17 @@ class Server:
         Args:
             ready: readable file descriptors; None: try all.
         """
-        if ready is None or self._listening.fileno() in ready:
-            self._accept()
-            ready = None
+        now = self._clock()
         events: list[FromClient | ClientGone] = []
-        for connection in list(self._connections.values()):
-            if (ready is None or connection.socket.fileno() in ready) and not self._read(connection, events):
-                self._drop(connection)
+        known = list(self._connections.values())
+        if ready is None or self._listening.fileno() in ready:
+            self._accept(events, now)
+            ready = None
+        for connection in known:
+            if ready is None or connection.socket.fileno() in ready or late(connection, now):
+                self._read(connection, events)
+            if late(connection, now) and connection.client in self._connections:
+                self._close(connection, "it said no Hello, or read no Goodbye, in time", now)
         events += [ClientGone(client) for client in self._gone]
         self._gone = []
         return events
@@ -139,43 +120,56 @@ class Server:
         self._path.unlink(missing_ok=True)
         os.close(self._lock)
 
-    def _accept(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                try:
-                    connected, _ = self._listening.accept()
-                except BlockingIOError:
-                    raise
-                except OSError as error:  # out of file descriptors
-                    log.warning("a client cannot connect: %s", error)
-                    return
-                if len(self._connections) >= MOST_CLIENTS:
-                    connected.close()
-                    continue
-                self._number += 1
-                connection = Connection(self._number, connected)
-                self._connections[connection.client] = connection
+    def _accept(self, events: list[FromClient | ClientGone], now: float) -> None:
+        """Accepts the connections that wait, reads each at once, and makes room for it."""
+        for _ in range(MOST_ACCEPTED):
+            try:
+                connected, _ = self._listening.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:  # out of file descriptors
+                self._log.warning(f"a client cannot connect: {error}", now)
+                return
+            self._number += 1
+            connection = Connection(self._number, connected, now)
+            self._connections[connection.client] = connection
+            self._read(connection, events)
+            self._make_room(events, now)
 
-    def _read(self, connection: Connection, events: list[FromClient | ClientGone]) -> bool:
-        """Reads the messages of a client; returns whether the connection is still open."""
+    def _make_room(self, events: list[FromClient | ClientGone], now: float) -> None:
+        """Closes connections of which there are too many. Each is read first: its Hello may wait."""
+        for connection in superfluous(self._connections.values()):
+            self._read(connection, events)
+        for connection in superfluous(self._connections.values()):
+            self._close(connection, f"too many {connection.place} connections", now)
+
+    def _read(self, connection: Connection, events: list[FromClient | ClientGone]) -> None:
+        """Reads the messages of a client; drops a connection that was closed."""
         for _ in range(MOST_MESSAGES):
             try:
                 size = connection.socket.recv_into(self._buffer)
             except BlockingIOError:
-                return True
+                return
             except OSError:
-                return False
+                size = 0
             if size == 0:
-                return False
+                self._drop(connection)
+                return
             try:
                 message = decode_down(bytes(self._buffer[:size]))
             except Malformed as error:
-                log.warning("process %d: %s", connection.client.pid, error)
+                self._log.warning(f"process {connection.client.pid}: {error}", self._clock())
                 self.send(connection.client, Goodbye(str(error)[:1_000]))
-                return not connection.closing
+                return
             if not connection.closing:
+                if isinstance(message, Hello):
+                    connection.role = message.role
                 events.append(FromClient(connection.client, message))
-        return True
+
+    def _close(self, connection: Connection, why: str, now: float) -> None:
+        """Closes a connection and logs the reason."""
+        self._log.warning(f"the connection of process {connection.client.pid} is closed: {why}", now)
+        self._drop(connection)
 
     def _drop(self, connection: Connection) -> None:
         if self._connections.pop(connection.client, None) is not None:

@@ -109,13 +109,14 @@ class FileJournal(MemoryJournal):
     The first page of a file has the number of the process that uses it. The two records follow on further pages.
 
     Args:
-        path: of the file on the disk. Only the constructor and `close` write it.
+        path: of the file on the disk. Only the constructor and `close` write it. A disk that is full or read-only is a
+            problem, but no error: the counts are kept in memory, and `close` tries again.
         actuators: labels (A,); counts of other actuators are not read.
         memory: file in memory, empty or of an earlier process; None: one in /dev/shm, which `close` removes.
 
     Raises:
         JournalInUse: another process uses the journal; the text names it.
-        OSError: a file cannot be written.
+        OSError: the file in memory cannot be written.
     """
 
     def __init__(self, path: Path, actuators: Sequence[str], memory: IO[bytes] | None = None) -> None:
@@ -127,10 +128,11 @@ class FileJournal(MemoryJournal):
         self._part = -(-(4 + self._record.size) // PAGE) * PAGE
         self._path, size = path, PAGE + 2 * self._part
         self._shared = shared_path(path) if memory is None else None
+        self._disk: IO[bytes] | None = None
         with contextlib.ExitStack() as closing:
-            self._disk = closing.enter_context(locked_file(path))
+            self._closing = closing
+            kept = self._open_disk(size)
             memory = closing.enter_context(memory or locked_file(shared_path(path)))
-            kept = self._disk.read(size)
             os.posix_fallocate(memory.fileno(), 0, size)  # no SIGBUS when the memory is full
             self._map = mmap.mmap(memory.fileno(), size)
             found = self._read(kept), self._read(self._map[:])
@@ -139,28 +141,50 @@ class FileJournal(MemoryJournal):
                 log.warning("%s", self.problem)
             self._map[:PAGE] = (MAGIC + b"%d\n" % os.getpid()).ljust(PAGE, b"\0")
             self._write()
-            self._save()
+            self._try_to_save()
             self._closing = closing.pop_all()
 
     def close(self) -> None:
         """Copies the records to the disk and closes the files."""
         if self._map.closed:
             return
-        try:
-            self._save()
-        except OSError as error:
-            log.error("counts of switches cannot be written to %s: %s", self._path, error)
-        else:
-            if self._shared is not None:
-                self._shared.unlink(missing_ok=True)
+        if self._try_to_save() and self._shared is not None:
+            self._shared.unlink(missing_ok=True)
         self._map.close()
         self._closing.close()
 
-    def _save(self) -> None:
-        """Copies the file in memory to the disk."""
-        self._disk.seek(0)
-        self._disk.write(self._map[:])
-        os.fsync(self._disk.fileno())
+    def _open_disk(self, size: int) -> bytes:
+        """Opens and locks the file on the disk, if that is possible; returns up to `size` bytes of its content.
+
+        Raises:
+            JournalInUse: another process uses it.
+        """
+        try:
+            self._disk = self._closing.enter_context(locked_file(self._path))
+            return self._disk.read(size)
+        except OSError:
+            with contextlib.suppress(OSError):  # a file that can be read only
+                return self._path.read_bytes()[:size]
+        return b""
+
+    def _try_to_save(self) -> bool:
+        """Copies the file in memory to the disk; returns whether that succeeded. A failure becomes the problem."""
+        try:
+            if self._disk is None:
+                self._disk = self._closing.enter_context(locked_file(self._path))
+            self._disk.seek(0)
+            if self._disk.write(self._map[:]) < len(self._map):
+                raise OSError("the disk is full")
+            os.fsync(self._disk.fileno())
+        except (OSError, JournalInUse) as error:
+            lost = "" if self.problem is None else f"; {self.problem}"
+            self.problem = (
+                f"counts of switches cannot be written to {self._path}: {error}; they are kept in memory, and a power"
+                f" failure loses them: free disk space, or make the folder writable{lost}"
+            )
+            log.error("%s", self.problem)
+            return False
+        return True
 
     def _write(self) -> None:
         """Writes a record over the older of the two."""

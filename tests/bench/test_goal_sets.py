@@ -11,7 +11,7 @@ from controller.bench.arm import bench_arm
 from controller.bench.checking import check
 from controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, sample_evenly
 from controller.config import load
-from tests.benchmarks.goal_sets import RECIPES, again, drawn, same
+from tests.benchmarks.goal_sets import RECIPES, ROUNDING, again, drawn, same
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 COUNTS = {"paper": 1000} | dict.fromkeys(
@@ -32,7 +32,7 @@ def test_every_set_is_complete_and_has_its_proofs():
 @pytest.mark.parametrize("name", ["planar16", "revolute24", "platform8", "motor12"])
 def test_the_arms_are_those_of_deploy(name):
     own, deployed = load_arm(name), load(DEPLOY / f"{name}.yaml")
-    assert np.array_equal(own.manipulator.frames, deployed.manipulator.frames)
+    np.testing.assert_allclose(own.manipulator.frames, deployed.manipulator.frames, rtol=0.0, atol=ROUNDING)
     assert np.array_equal(own.manipulator.bits, deployed.manipulator.bits)
     assert own.tolerance == deployed.tolerance
 
@@ -66,3 +66,17 @@ def test_few_goals_are_spread_over_all_arms():
     tasks = read("obstacles")
     assert set(by_arm(sample_evenly(tasks, 12))) == set(by_arm(tasks))
     assert sample_evenly(tasks, 500) == tasks
+
+
+def test_the_last_bits_of_a_goal_may_differ_and_nothing_else():
+    task = read("paper-poses")[0]
+    assert task.angle is not None
+    asked = (task.start, task.position, task.angle, task.tolerance, task.angle_tolerance, task.best)
+    last_bits = tuple(np.nextafter(task.position, 9.0).tolist()), np.nextafter(task.angle, 9.0)
+    assert same(task, task.arm, (task.start, *last_bits, *asked[3:]))
+    assert not same(task, "motor12", asked)
+    assert not same(task, task.arm, ((task.start + 1) % 8, *asked[1:]))
+    assert not same(task, task.arm, (task.start, tuple(x + 1e-6 for x in task.position), *asked[2:]))
+    assert not same(task, task.arm, (*asked[:2], task.angle + 1e-6, *asked[3:]))
+    assert not same(task, task.arm, (*asked[:2], None, *asked[3:]))
+    assert not same(task, task.arm, (*asked[:3], task.tolerance * 2, *asked[4:]))

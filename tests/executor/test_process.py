@@ -41,13 +41,14 @@ ROOMS = {
     )
 }
 MOST_RESIDENT = 80 * 1024  # [kB]
+SIMULATION = {"canopen", "drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48
 
 
 class Process:
-    """`hyperbit execute --simulate` on an arm of the paper."""
+    """`hyperbit execute` on an arm of the paper, with simulated boards or with buses that do not exist."""
 
-    def __init__(self, folder: Path, *options: str) -> None:
+    def __init__(self, folder: Path, *options: str, simulate: bool = True) -> None:
         self.socket = folder / "planar16.sock"
         arguments = [
             sys.executable,
@@ -55,7 +56,7 @@ class Process:
             "controller.cli",
             "execute",
             str(patient(Path(DEPLOY) / "planar16.yaml", folder)),
-            "--simulate",
+            *["--simulate"] * simulate,
         ]
         self.process = subprocess.Popen(
             [*arguments, "--socket", str(folder), "--journal", str(folder / "journal"), *options],
@@ -139,6 +140,22 @@ def test_a_program_is_run_and_nothing_is_loaded_that_a_loop_has_no_use_for(execu
     rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("controller.")}
     assert rooms <= ROOMS
     assert not executor.socket.exists()
+
+
+def test_without_simulated_boards_neither_simulation_nor_canopen_is_loaded(tmp_path: Path) -> None:
+    process = Process(tmp_path, "--list-modules", simulate=False)
+    assert Planner(process.socket).wait(Welcome).arm == "planar16"
+    code, out, err = process.end()
+    assert code == 0, err
+    loaded = set(out.split())
+    assert "controller.executor.buses" in loaded
+    assert not [name for name in loaded if any(f"{name}.".startswith(f"{room}.") for room in SIMULATION)]
+
+
+def test_a_variant_without_simulated_boards_is_refused(tmp_path: Path) -> None:
+    process = Process(tmp_path, "--board", "wago", simulate=False)
+    _, err = process.process.communicate(timeout=60)
+    assert (process.process.returncode, "needs --simulate" in err) == (2, True), err
 
 
 def test_an_ended_executor_gives_its_result_and_counts_go_on(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor.events import ClientGone, FromClient
-from controller.executor.server import MOST_CLIENTS, MOST_QUEUED, Server, SocketInUse
+from controller.executor.connections import HELLO_TIMEOUT, PLACES, Connection, superfluous
+from controller.executor.events import Client, ClientGone, FromClient
+from controller.executor.server import MOST_QUEUED, Server, SocketInUse
 from controller.program import (
     MOST_BYTES,
     Alive,
@@ -18,6 +19,7 @@ from controller.program import (
     Ended,
     Goodbye,
     Halt,
+    Hello,
     decode_up,
     encode,
 )
@@ -125,18 +127,119 @@ def test_a_flood_does_not_stop_the_caller(server: Server, path: Path) -> None:
         assert heard == sent
 
 
-def test_only_so_many_clients(server: Server, path: Path) -> None:
-    clients = []
-    for _ in range(MOST_CLIENTS + 1):
-        clients.append(connected(path))
-        server.poll()
-    assert clients[-1].recv(1) == b""
-    for client in clients:
-        client.close()
-    assert len([e for e in server.poll() if isinstance(e, ClientGone)]) == MOST_CLIENTS
+class Clock:
+    """A time that the test sets [s]."""
+
+    now = 50.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def timed(path: Path, clock: Clock) -> Iterator[Server]:
+    server = Server(path, clock)
+    yield server
+    server.close()
+
+
+def is_open(client: socket.socket) -> bool:
+    client.setblocking(False)
+    try:
+        return client.recv(1) != b""
+    except BlockingIOError:
+        return True
+
+
+def halted(server: Server, path: Path, role: str = "operator") -> bool:
+    """Whether a new client of a role is heard."""
     with connected(path) as client:
-        client.send(encode(Alive()))
-        assert isinstance(server.poll()[0], FromClient)
+        server.poll()
+        client.send(encode(Hello(1, role, "")))
+        client.send(encode(Halt(1)))
+        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(1, role, ""), Halt(1)]
+
+
+def test_silent_connections_keep_nobody_out(timed: Server, path: Path) -> None:
+    silent = []
+    for _ in range(100):
+        silent.append(connected(path))
+        timed.poll()
+    assert sum(map(is_open, silent)) == PLACES["silent"]
+    assert halted(timed, path)
+    assert halted(timed, path, "planner")
+
+
+def test_operators_keep_neither_operators_nor_the_planner_out(timed: Server, path: Path) -> None:
+    operators = []
+    for _ in range(100):
+        operators.append(connected(path))
+        operators[-1].send(encode(Hello(1, "operator", "")))
+        timed.poll()
+    assert sum(map(is_open, operators)) == PLACES["operator"]
+    assert is_open(operators[-1])
+    assert halted(timed, path)
+    assert halted(timed, path, "planner")
+
+
+def test_who_says_nothing_in_time_is_closed(timed: Server, path: Path, clock: Clock) -> None:
+    with connected(path) as silent, connected(path) as wrong, connected(path) as client:
+        wrong.send(encode(Alive()))
+        client.send(encode(Hello(1, "operator", "")))
+        timed.poll()
+        clock.now += 0.9 * HELLO_TIMEOUT
+        timed.poll([])
+        assert [is_open(it) for it in (silent, wrong, client)] == [True] * 3
+        clock.now += 0.2 * HELLO_TIMEOUT
+        timed.poll([])
+        assert [is_open(it) for it in (silent, wrong, client)] == [False, False, True]
+
+
+def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: Server, path: Path, clock: Clock) -> None:
+    with connected(path) as client:
+        timed.poll()
+        client.send(encode(Hello(1, "operator", "")))
+        clock.now += 60.0
+        (event,) = timed.poll([])
+        assert isinstance(event, FromClient)
+        assert is_open(client)
+
+
+def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: Server, path: Path, clock: Clock) -> None:
+    with connected(path) as client:
+        client.send(encode(Hello(1, "planner", "")))
+        (event,) = timed.poll()
+        while not timed.waiting:
+            timed.send(event.client, TELEMETRY)
+        timed.send(event.client, Goodbye("no"))
+        clock.now += HELLO_TIMEOUT
+        assert timed.poll([]) == [ClientGone(event.client)]
+
+
+def test_the_process_with_the_most_connections_gives_way() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        connections = [Connection(k, ours, 0.0) for k in range(PLACES["silent"] + 2)]
+        for k, connection in enumerate(connections):
+            connection.client = Client(k, 4000 + (k > 0))
+        assert list(superfluous(connections)) == connections[1:3]
+
+
+def test_a_flood_of_connections_writes_few_lines(
+    timed: Server, path: Path, clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
+    for k in range(200):
+        with connected(path) as client:
+            client.send(b"nonsense")
+            timed.poll()
+            clock.now += 0.02 * (k < 100)
+    assert 2 <= len(caplog.records) <= 3
+    assert "warnings like this were not written" in caplog.text
 
 
 def test_a_second_executor_hears_who_the_first_is(server: Server, path: Path) -> None:

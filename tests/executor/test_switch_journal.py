@@ -1,6 +1,7 @@
 """The switch journal: its counts survive every end of a process."""
 
 import os
+import resource
 from pathlib import Path
 
 import pytest
@@ -152,6 +153,47 @@ def test_a_disk_that_fails_at_the_end_leaves_the_file_in_memory(
     journal = FileJournal(path, LABELS)
     assert journal.counts[:3] == [1, 1, 0]
     journal.close()
+
+
+def restarted(journal: FileJournal, path: Path) -> list[int]:
+    """Ends a journal in order and returns the counts that the next one reads."""
+    journal.close()
+    journal = FileJournal(path, LABELS)
+    counts = journal.counts[:3]
+    journal.close()
+    return counts
+
+
+@pytest.mark.parametrize("most", [0, 1, PAGE - 1, PAGE + 100])
+def test_a_start_on_a_full_disk_is_a_warning_and_the_end_writes_what_it_can(path: Path, most: int) -> None:
+    memory = os.fdopen(os.memfd_create("journal"), "r+b", buffering=0)
+    memory.truncate(16 * PAGE)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))  # a write fails or is cut short, as on a full disk
+    try:
+        journal = FileJournal(path, LABELS, memory)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert f"cannot be written to {path}" in (journal.problem or "")
+    switched(journal, 0b11)
+    assert restarted(journal, path) == [1, 1, 0]
+
+
+def test_a_start_without_a_writable_folder_is_a_warning(tmp_path: Path) -> None:
+    blocked = tmp_path / "state"
+    blocked.touch()  # no folder can be made here, as on a read-only disk; root may write everywhere else
+    path = blocked / "arm.switches"
+    journal = FileJournal(path, LABELS)
+    assert f"cannot be written to {path}" in (journal.problem or "")
+    switched(journal, 0b11)
+    with pytest.raises(JournalInUse):
+        FileJournal(path, LABELS)
+    killed(journal)
+    journal = FileJournal(path, LABELS)
+    assert journal.counts[:3] == [1, 1, 0]
+    blocked.unlink()
+    assert restarted(journal, path) == [1, 1, 0]
+    assert path.exists()
 
 
 def test_counts_of_other_actuators_are_not_taken_over(path: Path) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from controller.executor.buses import EmbeddedBoards
 from controller.executor.core import Executor
+from controller.executor.embedded_boards import EmbeddedBoards
 from controller.executor.events import FromClient, Send, Tick, ToClient
 from controller.executor.kinds import Ends
 from controller.executor.switch_journal import MemoryJournal
