@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from controller.executor.core import Executor
 from controller.program import (
     Accepted,
@@ -92,8 +94,13 @@ class Judge:
             case _:
                 pass
 
-    def judge(self, frame: Frame, core: Executor) -> None:
+    def judge(self, frame: Frame, core: Executor, pins: Callable[[int], int]) -> None:
         """Checks a frame of the executor.
+
+        Args:
+            frame: the frame.
+            core: of the executor.
+            pins: returns the pins of a board that are on, by its node id.
 
         Raises:
             Moved: the executor may not send this frame now.
@@ -112,8 +119,9 @@ class Judge:
         if sdo and data[0] in (0x40, 0x80):  # to read, and to abort
             return
         if core._master.booting and (cob_id == cia301.NMT or sdo):
-            if sdo and data[1:3] == b"\x00\x62" and data[0] & 0xE0 == 0x20:
-                raise Moved("outputs were written by SDO")
+            written = sdo and data[1:3] == b"\x00\x62" and data[0] & 0xE0 == 0x20
+            if written and data[4] << 8 * (data[3] - 1) & ~pins(cob_id & 0x7F):  # the boot may write outputs off
+                raise Moved("outputs were switched on by SDO")
             return
         raise Moved(f"{cob_id:03X}h {data.hex()} was sent in mode {core.modes.mode} without a goal that asks for it")
 

@@ -55,15 +55,15 @@ def test_hypothesis_finds_nothing(name, examples):
 def test_a_frame_that_no_goal_asks_for_is_found():
     world = World()
     with pytest.raises(Moved, match="080h  was sent in mode ready without a goal"):
-        world.judge.judge(Frame(cia301.SYNC), world.core)
+        world.judge.judge(Frame(cia301.SYNC), world.core, lambda node: 0)
 
 
 def test_states_that_no_goal_asks_for_are_found():
     world = World()
     world.program(0b000001)
-    world.judge.judge(Frame(cia301.RPDO1 + 5, bytes([0b000011])), world.core)
+    world.judge.judge(Frame(cia301.RPDO1 + 5, bytes([0b000011])), world.core, lambda node: 0)
     with pytest.raises(Moved, match=r"000011 was switched, \['000001'\] are asked for"):
-        world.judge.judge(Frame(cia301.SYNC), world.core)
+        world.judge.judge(Frame(cia301.SYNC), world.core, lambda node: 0)
 
 
 def test_outputs_that_differ_from_the_command_are_found():

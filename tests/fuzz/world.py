@@ -55,7 +55,8 @@ class Wire(CanBus):
 
     def send(self, frame: Frame) -> str | None:
         """Answers are there before this returns."""
-        self._world.judge.judge(frame, self._world.core)
+        world = self._world
+        world.judge.judge(frame, world.core, lambda node: world.boards.board(f"can0/{node}").pins)
         self.waiting.append(message(frame, own=True))
         self._world.ambush(frame)
         return None

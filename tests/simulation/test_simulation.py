@@ -91,7 +91,7 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
     "switches are counted that were not made": (MemoryJournal, "resolve", _count_everything),
     "results are sent again for ever": (Results, "acknowledge", lambda self, number: None),
-    "a program goes on after cancel and halt": (Motion, "end", lambda self, status, message: False),
+    "a program goes on after cancel and halt": (Motion, "hold", lambda self, status, message: None),
     "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
     "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
     "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),

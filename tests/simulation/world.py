@@ -165,7 +165,13 @@ class World:
     # --- for the invariants, and for a person
 
     def reaches(self, actuator: int) -> bool:
-        """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
+        """Returns whether frames of the executor reach the board of an actuator, and take effect there.
+
+        An executor that has just started learns of a pulse by its first boot.
+        """
+        core = self.executor.core
+        if core is None or core.motion.actuation._adopted is None:
+            return False
         channel = self.arm.wiring.channels[actuator]
         bus = self.buses[channel.bus]
         fit = self.executor.awake and bus.healthy and not bus.loss
