@@ -70,13 +70,17 @@ def nothing_is_commanded_without_a_request(world: World) -> None:
 
 
 def outputs_fall_only_with_a_cause(world: World) -> None:
-    """Outputs change without a SYNC only by a fault, or if a board did not hear the executor."""
+    """Outputs change without a SYNC only by a fault, if a board did not hear the executor, or off by a boot."""
     timing, now = world.arm.timing, world.agenda.now
     for switch in world.record.step.switches:
         if switch.cause == "time":
             since = now - world.record.disturbed_at[switch.bus]
             excused = since < 2 * timing.heartbeat_timeout
             require(excused, f"{switch.mask:b} went off on {switch.bus} without a fault")
+        elif switch.cause.startswith("frame 6"):  # the boot of a board that another program took out of operational
+            core = world.executor.core
+            off = core is not None and core._master.booting and not switch.mask & switch.after
+            require(off, f"{switch.mask:b} switched by {switch.cause}")
         else:
             require(switch.cause in ("SYNC", "fault"), f"{switch.mask:b} switched by {switch.cause}")
 

@@ -238,7 +238,8 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     it.has_error_mode = any(index == 0x6206 for index, _ in it.values)
     if it.has_error_mode:
         return
-    missing = "6206h (error mode)" if layout.settings.object == OUTPUTS else "error mode for its maker's object"
+    own = f"error mode for its maker's object {layout.settings.object:04X}h"
+    missing = "6206h (error mode)" if layout.settings.object == OUTPUTS else own
     if layout.loss[0] and not goes_off:
         text = f"board {it.name} has no {missing}; it is needed: with on_loss: contract, or with pulses, its outputs"
         text += " must go off when the master is lost; if they do so by themselves, set boards.error_state to off"

@@ -33,6 +33,7 @@ class Heartbeat:
         self._stations = stations
         self._polls: dict[int, tuple[float, Outgoing]] = {}  # of boards with node guarding, by index: time and frame
         self._last: float | None = None  # time of the last `tick`
+        self._halted: float | None = None  # time of the last `tick` before a halt that was told
         self._sent: dict[str, float] = {}  # of each bus, time of the last heartbeat
         self._before: dict[str, float] = {}  # and the one before it
 
@@ -71,13 +72,16 @@ class Heartbeat:
         self._sent[bus] = self._before.get(bus, -math.inf)
 
     def halted(self, clock: float) -> float | None:
-        """Returns the time since the last `tick` [s] if it was so long that boards lost their master, else None."""
+        """Returns once the time since the last `tick` [s] if boards lost their master in it, else None."""
         timing, last = self._timing, self._last
-        if last is None or clock - last < timing.heartbeat_timeout - timing.heartbeat:
+        if last is None or last == self._halted or clock - last < timing.heartbeat_timeout - timing.heartbeat:
             return None
         armed = [link.name for link in self._links if link.armed]
         without = any(clock - self._sent.get(name, clock) >= timing.heartbeat_timeout for name in armed)
-        return clock - last if without else None
+        if not without:
+            return None
+        self._halted = last
+        return clock - last
 
 
 class LoopClock:

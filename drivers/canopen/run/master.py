@@ -55,7 +55,6 @@ class Master:
         self._inputs = InputWatch(network.stations, network.links.values(), interlocks)
         self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
         self._releasing = 0, 0  # levels and lines of the last release
-        self._halt_reported: float | None = None  # real time of the last tick before a halt
 
     def take(self, event: Event, now: float) -> None:
         """Passes an event of a bus to one of the six methods below."""
@@ -81,8 +80,9 @@ class Master:
 
     def ignore(self, bus: str, bits: int, now: float) -> None:
         """Counts a frame of another kind, with `bits` on the wire."""
-        self._links[bus].received(bits)
-        self._links[bus].ignored()
+        link = self._links[bus]
+        link.received(bits)
+        link.ignored()
 
     def echoed(self, bus: str, frame: Frame, now: float) -> None:
         """Takes the echo of a sent frame; a frame of another program counts as received."""
@@ -106,12 +106,15 @@ class Master:
         """Takes state and error counters of a bus; None: unchanged."""
         if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
             self._lose(fault)
+        elif state is not None and self._releasing != (0, 0):
+            # A restart of the controller drops the frames that it holds: a release is sent again at once.
+            self._commit.give_up(f"{bus} is {state} again")
+            self._releasing = 0, 0
 
     def overrun(self, bus: str, now: float) -> None:
         """Records that the controller of a bus has lost received frames, and asks for the inputs again at once.
 
-        Echoes may be among them. A running commit still waits for its own: without them it fails, or its bus counts as
-        lost, and its outputs are read back.
+        Echoes may be among them. A running commit without its echoes fails, or its bus counts as lost.
         """
         self._links[bus].overrun(give_up=not self._commit.under_way)
         if not self._booting.under_way:
@@ -120,8 +123,7 @@ class Master:
     def tick(self, now: float) -> None:
         """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call every 10 ms.
 
-        Only this method sends the master's heartbeat, so that the boards of a hanging executor become safe. A late call
-        alone ends no timeout.
+        Only this method sends the master's heartbeat, so that the boards of a hanging executor become safe.
         """
         self._look_halted(now)
         time = self._clock.tick(now)
@@ -138,12 +140,11 @@ class Master:
     def halted(self, now: float) -> Fault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master.
 
-        Then the states of all boards are unknown until `boot`. During a boot there is no fault; the boot begins again.
-        Call this before any event is handled. `tick` and `commit` check this as well, and report it in `take_faults`.
+        Then the states of all boards are unknown until `boot`. A running boot begins again, without a fault. Call this
+        before any event is handled. `tick` and `commit` check this as well, and report it in `take_faults`.
         """
-        if self._halt_reported == self._clock.ticked or (pause := self._heartbeat.halted(now)) is None:
+        if (pause := self._heartbeat.halted(now)) is None:
             return None
-        self._halt_reported = self._clock.ticked
         if self._booting.under_way:
             self.boot(now)
             return None
@@ -154,8 +155,7 @@ class Master:
     def boot(self, now: float) -> None:
         """Boots all boards of all buses in parallel; switches no output.
 
-        Boards that are operational and correctly configured are not written to. A running boot begins again. Earlier
-        faults are forgotten.
+        Correctly configured boards are not written to. A running boot begins again. Earlier faults are forgotten.
         """
         self._network.log.clear()
         self._commit.forget()
@@ -197,10 +197,7 @@ class Master:
     def give_up(self, why: str) -> None:
         """Gives up a commit whose SYNC was not handed out. Does nothing after that, or if it only switches lines off.
 
-        Only the lines of `leaving` still switch.
-
-        Args:
-            why: reason for `commit_failed`, as a sentence.
+        Only the lines of `leaving` still switch. `why` is the reason for `commit_failed`, as a sentence.
         """
         if self._releasing == (0, 0):
             self._commit.give_up(why)
@@ -231,7 +228,7 @@ class Master:
 
     @property
     def back(self) -> bool:
-        """Whether `boot` may succeed: all buses send frames, and all boards are heard."""
+        """Whether `boot` may succeed: all buses send, and all boards are heard."""
         return self._network.back(self._clock.now)
 
     @property
@@ -324,9 +321,7 @@ class Master:
         """Switches the lines off that are not in `outputs`; a release that waits for its echoes goes on."""
         network = self._network
         states, off = network.released(~outputs)
-        if self._commit.collecting and self._releasing == (states, off):
-            return
-        if not off:
+        if not off or (self._commit.collecting and self._releasing == (states, off)):
             return
         self._commit.give_up("an output had to be switched off first")
         if self._commit.under_way:
@@ -349,7 +344,6 @@ class Master:
         self._commit.begin(states, frames, lambda: network.refusal(off), now, self._clock.at(now))
 
     def _lose(self, fault: Fault) -> None:
-        """Handles the loss of a bus."""
         self._network.forget(fault.source)  # one fault for the bus, not one for each board
         self._commit.bus_lost(fault.source)
         self._booting.bus_lost(fault)

@@ -49,7 +49,7 @@ class Verdict(NamedTuple):
 
     Attributes:
         started: number of changes of pins by START of the master.
-        energised: number of pins that came on without a commit, except by another program.
+        energised: number of pins that came on without a commit, except by another program or by the supply.
         ready: whether the board is ready at the end.
         boots: number of boots.
         broken: sentences on broken invariants, also those of `started` and `energised`.
@@ -184,7 +184,8 @@ def _wait_until_back(bench: Bench) -> None:
 
 def _verdict(bench: Bench, boots: int, ready: bool, broken: list[str]) -> Verdict:
     started = [change for change in bench.changes if change.cause == "START" and change.sender == MASTER]
-    energised = [change for change in bench.changes if change.on and change.sender != TOOL]
+    ours = [change for change in bench.changes if change.sender != TOOL and change.cause != "supply"]
+    energised = [change for change in ours if change.on]
     broken += [f"START has changed pins: {change}" for change in started]
     broken += [f"pins came on: {change}" for change in energised if change not in started]
     if ready and bench.master is not None and bench.master.outputs != _lines(bench):

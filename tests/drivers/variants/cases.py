@@ -93,7 +93,7 @@ CASES = (
         _MAKER_UNKNOWN,
         "unknown",
     ),
-    Case("maker-object", (), ("no error mode for its maker's object; by the arm's file",), _MAKER, "named"),
+    Case("maker-object", (), ("no error mode for its maker's object 2201h; by the arm's file",), _MAKER, "named"),
     Case("no-error-mode", _NO_MODE),
     Case(
         "no-error-mode", (), ("no 6206h (error mode); by the arm's file (error_state) its outputs hold",), _HOLD, "hold"

@@ -157,3 +157,20 @@ def test_a_release_that_waits_for_its_echo_is_not_sent_again_at_each_tick() -> N
     world.buses["can0"].blocked = False
     world.run(0.05)
     assert [cob_id for cob_id, _ in world.frames()] == [0x201, 0x202, 0x080]
+
+
+def test_a_release_whose_frames_the_controller_has_dropped_is_sent_again_at_its_restart() -> None:
+    world = bus_lost()
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].blocked = True  # nothing is echoed
+    world.master.commit(0, world.now, release=True)
+    world.flush()
+    world.buses["can0"].queues.clear()
+    world.buses["can0"].blocked = False
+    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.frames()
+    world.master.commit(0, world.now, release=True)
+    world.flush()
+    world.run(0.01)
+    frames = [frame for frame in world.frames() if frame[0] in (0x201, 0x80)]
+    assert frames == [(0x201, "00"), (0x80, "")]
