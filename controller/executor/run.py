@@ -61,7 +61,7 @@ class EventLoop:
         core.reports.dropped = lambda: server.dropped
 
     def quit(self) -> None:
-        """Asks the loop to end. Any thread or signal handler may call this."""
+        """Asks the loop to end; a second call ends it at once. Any thread or signal handler may call this."""
         self._quitting = True
         with contextlib.suppress(OSError):  # the loop has ended already
             os.write(self._woken, b"q")
@@ -156,10 +156,11 @@ class EventLoop:
             self._report(self._queued.popleft())
 
     def _end(self) -> None:
-        """Ends the program with a result, and closes everything."""
+        """Ends the program with a result, and closes everything. A second `quit` waits for no stage and contraction."""
+        self._quitting = False
         self._step(Quit())
         until = self._clock() + CLOSING + self._core.ending.patience
-        while not self._core.ended and self._clock() < until:
+        while not (self._core.ended or self._quitting) and self._clock() < until:
             self._round()
         self._step(Quit())
         self._report_all()

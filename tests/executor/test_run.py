@@ -58,9 +58,9 @@ class NoBuses:
 class Bench:
     """An event loop whose rounds the test runs; each takes one period."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, **fields: Any) -> None:
         self.now, self.step = 10.0, PERIOD
-        self.core = Executor(small_arm(), MemoryJournal(SIZE), 1, build_master=FakeMaster)
+        self.core = Executor(small_arm(**fields), MemoryJournal(SIZE), 1, build_master=FakeMaster)
         self.buses, self.server = NoBuses(), Server(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
         self.loop._time.start(self.now + PERIOD)
@@ -170,6 +170,25 @@ def test_at_the_end_the_result_is_sent_and_all_is_closed(bench: Bench, tmp_path:
     assert bench.buses.closed
     assert not (tmp_path / "arm.sock").exists()
     bench.loop.quit()  # a second signal, as of a parent that ends its child and dies then
+
+
+def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "arm.sock", contract_on_stop=True)
+    bench.go(10)
+    bench.run()
+    bench.go(20)
+    assert bench.core._master.outputs == 1
+    thread = threading.Thread(target=bench.loop.run, daemon=True)  # the clock stands still: no contraction ends
+    bench.loop.quit()
+    thread.start()
+    while not bench.core.ending.begun:
+        thread.join(0.01)
+    assert (bench.core.ended, bench.buses.closed) == (False, False)
+    bench.loop.quit()
+    thread.join(60)
+    assert (thread.is_alive(), bench.buses.closed) == (False, True)
+    assert bench.wait(Ended).status == "aborted"
+    bench.client.close()
 
 
 def test_quit_wakes_the_loop_from_another_thread(tmp_path: Path) -> None:
