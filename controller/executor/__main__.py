@@ -10,11 +10,12 @@ from pathlib import Path
 from controller.executor.arm import read_arm
 from controller.executor.buses import Buses, CanBuses
 from controller.executor.core import Executor
+from controller.executor.journal_copy import JournalInUse
 from controller.executor.log_lines import start_logging
 from controller.executor.real_time import enter_real_time
 from controller.executor.run import EventLoop
 from controller.executor.server import Server, SocketInUse
-from controller.executor.switch_journal import FileJournal, JournalInUse, default_path
+from controller.executor.switch_journal import FileJournal, default_path
 from controller.notify import Notifier
 from controller.sockets import socket_path
 from controller.strict import InputFaults
@@ -71,6 +72,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         notifier = Notifier()
         counts = FileJournal(journal or default_path(arm.name), arm.actuators, notifier.kept_file("switches"))
         closing.callback(counts.close)
+        counts.start_copier()
         server = Server(socket_path(socket, arm.name))
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         core.reports.real_time = enter_real_time(arm.real_time)

@@ -41,7 +41,8 @@ ADVICE = {
     "ledger-damaged": "The damaged ledger was renamed. No action is needed.",
     "in-obstacle": "Remove or change the obstacle: until then the arm accepts no goal.",
     "unknown-state": "Jog single actuators until the arm is in a configuration.",
-    "journal": "The switch journal was damaged. The counts continue from the ledger. No action is needed.",
+    "journal": "The switch journal was damaged: no action is needed. Or its disk cannot be written: free disk space,"
+    " make the folder writable, or restart the executor.",
     "unknown-position": "The first goal moves the actuator to an end; or jog it.",
     "degraded": "The arm works without this actuator. Unlock it after the repair.",
 }

@@ -80,6 +80,14 @@ def test_systemd_grants_the_executor_real_time_and_the_program_cannot_raise_it()
     assert executor["SystemCallFilter"][-1] == "~@privileged @resources", "which includes sched_setscheduler"
 
 
+def test_the_executors_copier_may_start_and_has_time_for_a_last_copy() -> None:
+    for name in ("hyperbit-executor", "hyperbit-executor@"):
+        executor = settings(UNITS[name])
+        assert not {"TasksMax", "LimitNPROC", "KillMode"} & executor.keys(), "SIGTERM to all, SIGKILL after a time"
+        assert "@process" not in " ".join(executor["SystemCallFilter"]), "which includes vfork and execve"
+        assert int(executor["TimeoutStopSec"][0]) >= 10
+
+
 def test_planner_has_no_real_time() -> None:
     planner = settings(UNITS["hyperbit"])
     assert planner["RestrictRealtime"] == ["yes"]

@@ -183,8 +183,7 @@ def test_a_second_quit_does_not_wait_for_the_contraction(tmp_path: Path) -> None
     thread.start()
     while not bench.core.ending.begun:
         thread.join(0.01)
-    assert not bench.core.ended
-    assert not bench.buses.closed
+    assert (bench.core.ended, bench.buses.closed) == (False, False)
     bench.loop.quit()
     thread.join(60)
     assert (thread.is_alive(), bench.buses.closed) == (False, True)

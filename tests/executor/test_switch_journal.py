@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.switch_journal import PAGE, FileJournal, JournalInUse, MemoryJournal, default_path, shared_path
+from controller.executor.journal_copy import PAGE, JournalInUse
+from controller.executor.switch_journal import FileJournal, MemoryJournal, default_path, shared_path
 
 LABELS = [f"1.{k}" for k in range(11)]
 
@@ -31,6 +32,7 @@ def switched(journal: FileJournal, states: int) -> None:
 
 def test_counts_survive_a_killed_process(path: Path) -> None:
     journal = FileJournal(path, LABELS)
+    assert journal.problem is None
     journal.intend(0, 0b111)
     assert journal.resolve(0b111) == 0b111
     journal.intend(0b111, 0b110)
@@ -58,7 +60,7 @@ def test_a_torn_record_leaves_the_previous_one(tmp_path_factory: pytest.TempPath
         journal.resolve(k + 1)
     last, number = list(journal.counts), journal._number
     journal.intend(0, 1)
-    begin = PAGE + (number + 1) % 2 * journal._part
+    begin = journal._layout.begin((number + 1) % 2)
     journal._map[begin + at] ^= 0xFF
     killed(journal)
     journal = FileJournal(path, LABELS)
@@ -146,7 +148,7 @@ def test_a_disk_that_fails_at_the_end_leaves_the_file_in_memory(
     journal = FileJournal(path, LABELS)
     switched(journal, 0b11)
     with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", fail)
+        patched.setattr(os, "fdatasync", fail)
         journal.close()
     assert "no space left" in caplog.text
     path.unlink()

@@ -267,6 +267,7 @@ def _read_back(boot: Boot) -> Procedure:
             board.set_input(sub, value)
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
     board.expected = _expected(it, rpdos + tpdos)
+    board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000
     if it.standing_errors:  # only a new entry of the history tells a further error in these bits
         newest = yield Transfer(0x1003, 1, fresh=True)
         empty = 0 if newest.abort == objects.NO_DATA else None

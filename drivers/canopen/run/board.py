@@ -13,6 +13,8 @@ from drivers.canopen.status import BoardStatus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import STATES, State
 
+_WINDOW = 10  # periods of the heartbeat in which it is counted
+
 
 @dataclass
 class StateImage:
@@ -41,6 +43,35 @@ class StateImage:
             self.known &= ~board.actuators
 
 
+class BeatCount:
+    """Counts the heartbeats of one node id: two boards send twice as many.
+
+    Attributes:
+        period: configured period of the heartbeat [s]; 0 if unknown, or with node guarding.
+    """
+
+    def __init__(self) -> None:
+        self.period = 0.0
+        self._heard = self._windows = 0
+        self._began: float | None = None
+
+    def heard(self) -> None:
+        """Counts a heartbeat."""
+        self._heard += 1
+
+    def twice(self, now: float, stalled: bool) -> bool:
+        """Returns whether two successive windows of 10 periods had 15 heartbeats or more. Call at each tick.
+
+        Frames that were held up come at once, but after a window with few of them.
+        """
+        if not self.period or stalled or self._began is None:
+            self._began, self._heard, self._windows = now, 0, 0
+        elif now - self._began >= _WINDOW * self.period:
+            self._windows = self._windows + 1 if self._heard >= 1.5 * _WINDOW else 0
+            self._began, self._heard = now, 0
+        return self._windows >= 2
+
+
 class Board:
     """One board.
 
@@ -59,6 +90,7 @@ class Board:
         ignored_errors: bits of the error register 1001h that are no fault.
         warnings: sentences on the board's limits from its last boot, without its name.
         expected: values of its objects at the end of the last boot.
+        beats: counts its heartbeats.
         released: whether outputs were written off before the last start.
 
     Args:
@@ -82,6 +114,7 @@ class Board:
         self.history: int | None = None
         self.warnings: tuple[str, ...] = ()
         self.expected: tuple[Need, ...] = ()
+        self.beats = BeatCount()
         self.released = False
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
@@ -203,6 +236,7 @@ class Board:
         if (state := STATES.get(byte)) is None:
             return False
         self.state = state
+        self.beats.heard()
         self._beat_at, self._lost = now, False
         if state is State.BOOT_UP:
             self.boots += 1

@@ -92,11 +92,13 @@ class LoopClock:
     Attributes:
         now: time at the last tick [s].
         ticked: real time of the last tick [s]; None before the first.
+        stalled: whether the last tick came so late that the time stood still.
     """
 
     def __init__(self) -> None:
         self.now = 0.0
         self.ticked: float | None = None
+        self.stalled = False
 
     def at(self, clock: float) -> float:
         """Returns the time at a real time [s]."""
@@ -106,6 +108,7 @@ class LoopClock:
 
     def tick(self, clock: float) -> float:
         """Advances to a tick at a real time; returns the time [s]."""
+        self.stalled = self.ticked is not None and clock - self.ticked > _LONGEST_STEP
         self.now = self.at(clock)
         self.ticked = clock
         return self.now

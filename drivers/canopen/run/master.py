@@ -132,7 +132,7 @@ class Master:
                 self._lose(fault)
         self._heartbeat.tick(now, time)
         self._commit.tick(now, time)
-        self._network.tick(time, self._timing.heartbeat_timeout)
+        self._network.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
         if not self._booting.under_way:
             self._verification.tick(time)
             self._inputs.tick(time)

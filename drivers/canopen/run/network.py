@@ -158,12 +158,19 @@ class Network:
                 station.cancel()
                 station.board.ready = False
 
-    def tick(self, now: float, heartbeat_timeout: float) -> None:
-        """Handles the timeouts of all boards; `now` stands still while the loop stalls [s]."""
+    def tick(self, now: float, heartbeat_timeout: float, stalled: bool) -> None:
+        """Handles the timeouts of all boards, and finds two boards with one node id.
+
+        Args:
+            now: time that stands still while the loop stalls [s].
+            heartbeat_timeout: longest silence of a board [s].
+            stalled: whether the loop has just stalled, so that frames of a longer time come at once.
+        """
         for station in self.stations:
             station.board.tick(now, heartbeat_timeout)
             station.runner.tick(now)
-            if station.runner.answered_twice and station.board.ready:
+            twice = station.board.beats.twice(now, stalled) or station.runner.answered_twice
+            if twice and station.board.ready:
                 name = station.board.name
                 text = f"two boards answer as {name}: give each its own node id, then reset"
                 station.board.fail(Fault("duplicate-node", name, text))

@@ -37,3 +37,28 @@ def test_a_bus_that_doubles_some_frames_is_no_fault() -> None:
     world = doubling(World(), 3).up()
     world.run(20.0)
     assert world.faults == []
+
+
+def test_two_boards_that_send_heartbeats_with_one_node_id_are_noticed() -> None:
+    world = World().up()
+    period = world.timing.heartbeat
+
+    def beat() -> None:  # of another board with the same node id, half a period later
+        world.say(0x705, b"\x05")
+        world.after(period, beat)
+
+    world.after(period / 2, beat)
+    world.run(21 * period)
+    assert world.codes() == ["duplicate-node"]
+    assert not world.master.ready
+
+
+def test_heartbeats_that_come_late_and_at_once_are_of_one_board() -> None:
+    world = World().up()
+    world.run(0.5)
+    for _ in range(12):
+        world.say(0x705, b"\x05")
+    world.run(3.0)
+    world.stall(0.2)
+    world.run(3.0)
+    assert world.codes() == []

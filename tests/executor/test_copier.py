@@ -1,0 +1,295 @@
+"""The copier: counts of switches survive a power failure, and the event loop never waits for the disk."""
+
+import itertools
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller.executor import copier
+from controller.executor.journal_copy import PAGE, JournalInUse, locked_file
+from controller.executor.switch_journal import FileJournal, shared_path
+
+LABELS = [f"1.{k}" for k in range(11)]
+OFTEN, NEVER = 0.02, 1e6  # [s] between two copies
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from controller.executor.switch_journal import FileJournal
+journal = FileJournal(Path(sys.argv[1]), [f"1.{k}" for k in range(11)])
+journal.start_copier(1e6)
+journal.intend(0, 0b11)
+journal.resolve(0b11)
+journal.intend(0b11, 0b111)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+class Bench:
+    """A journal whose copier writes at each interval."""
+
+    def __init__(self, path: Path, interval: float) -> None:
+        self.path, self.journal = path, FileJournal(path, LABELS)
+        self.journal.start_copier(interval)
+
+    @property
+    def copier(self) -> copier.Copier:
+        assert self.journal._copier is not None
+        return self.journal._copier
+
+    def switch(self, times: int = 1) -> None:
+        for _ in range(times):
+            self.journal.intend(0, 1)
+            self.journal.resolve(1)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "arm.switches"
+
+
+@pytest.fixture
+def bench(path: Path) -> Iterator[Bench]:
+    bench = Bench(path, OFTEN)
+    yield bench
+    bench.journal.close()
+
+
+def eventually(holds: Callable[[], Any]) -> Any:
+    """Waits for a condition, for a minute at most."""
+    deadline = time.monotonic() + 60
+    while not (found := holds()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return found
+
+
+def after_power_failure(path: Path) -> list[int]:
+    """Returns the counts that an executor finds on a copy of the disk's file, without the file in memory."""
+    other = path.with_name("after.switches")
+    shutil.copyfile(path, other)
+    journal = FileJournal(other, LABELS)
+    assert journal.problem is None
+    journal.close()
+    return journal.counts
+
+
+def test_counts_reach_the_disk_while_the_executor_runs(bench: Bench) -> None:
+    for count in range(1, 4):
+        bench.switch()
+        eventually(lambda count=count: after_power_failure(bench.path)[0] == count)
+    assert bench.journal.problem is None
+
+
+def test_signals_to_all_processes_of_the_executor_do_not_end_the_copier(bench: Bench) -> None:
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGABRT):
+        os.kill(bench.copier.pid, number)
+    bench.switch()
+    eventually(lambda: after_power_failure(bench.path)[0] == 1)
+
+
+def test_the_disk_is_written_only_if_counts_have_changed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.switch()
+    eventually(lambda: after_power_failure(bench.path)[0] == 1)
+    content = bench.path.read_bytes()
+    disk = bench.journal._disk
+    disk.copy(bench.journal._map[:])
+    written: list[int] = []
+    monkeypatch.setattr(os, "pwrite", lambda *_: written.append(1))
+    disk.copy(bench.journal._map[:])
+    assert (written, bench.path.read_bytes()) == ([], content)
+
+
+def test_a_copy_is_one_record_over_the_older_one(path: Path) -> None:
+    bench = Bench(path, NEVER)
+    disk, layout = bench.journal._disk, bench.journal._layout
+    changed = []
+    for _ in range(5):
+        bench.switch(2)  # the numbers of both copied records are even
+        before = path.read_bytes()
+        disk.copy(bench.journal._map[:])
+        after = path.read_bytes()
+        places = {(at - PAGE) // layout.slot for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b}
+        assert len(places) == 1
+        changed += places
+    assert sorted(changed[:2]) == [0, 1]
+    assert all(a != b for a, b in itertools.pairwise(changed))
+    bench.journal.close()
+
+
+@pytest.mark.parametrize("rest", ["old", "zeros", "random"])
+def test_after_a_power_failure_at_each_byte_of_a_copy_one_record_is_whole(path: Path, rest: str) -> None:
+    bench = Bench(path, NEVER)
+    disk, layout = bench.journal._disk, bench.journal._layout
+    for count in range(1, 4):  # each slot is written
+        before = path.read_bytes()
+        bench.switch()
+        disk.copy(bench.journal._map[:])
+        after = path.read_bytes()
+        begin = next(at for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b) // PAGE * PAGE
+        length = 4 + layout.size
+        old = {"old": before[begin : begin + length], "zeros": bytes(length), "random": os.urandom(length)}[rest]
+        for at in range(length + 1):
+            torn = after[begin : begin + at] + old[at:]
+            path.write_bytes(before[:begin] + torn + before[begin + length :])
+            expected = {count} if torn == after[begin : begin + length] else {count - 1}
+            assert {after_power_failure(path)[0]} == expected
+        path.write_bytes(after)
+    bench.journal.close()
+
+
+@pytest.mark.parametrize("length", [0, 1, PAGE, PAGE + 50])
+def test_a_file_that_was_cut_off_is_extended_by_the_next_copy(bench: Bench, length: int) -> None:
+    os.truncate(bench.path, length)
+    bench.switch()
+    layout = bench.journal._layout
+    eventually(lambda: any(layout.records(bench.path.read_bytes())))
+    assert bench.path.stat().st_size == layout.length
+    eventually(lambda: after_power_failure(bench.path)[0] == 1)
+
+
+def test_the_last_record_reaches_the_disk_after_a_kill(path: Path) -> None:
+    ended = subprocess.run([sys.executable, "-c", KILLED, str(path)], stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    shared_path(path).unlink()
+
+    def released() -> bool:
+        try:
+            locked_file(path).close()
+        except JournalInUse:  # the last copy
+            return False
+        return True
+
+    eventually(released)
+    journal = FileJournal(path, LABELS)
+    assert journal.counts[:4] == [1, 1, 0, 0]
+    assert journal.resolve(0b111) == 0b100, "the intention is on the disk as well"
+    journal.close()
+
+
+def test_a_start_waits_for_the_last_copy_of_a_killed_executor(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("controller.executor.switch_journal.LAST_COPY", 60.0)
+    bench = Bench(path, NEVER)
+    bench.switch()
+    os.kill(bench.copier.pid, signal.SIGSTOP)
+    bench.copier._input.close()
+    bench.journal._map.close()
+    bench.journal._closing.close()  # as the end of the process does
+    waking = subprocess.Popen(["sh", "-c", f"sleep 0.3; kill -CONT {bench.copier.pid}"])
+    journal = FileJournal(path, LABELS)
+    assert bench.copier._process.wait(60) == waking.wait(60) == 0
+    journal.close()
+    assert after_power_failure(path)[0] == 1
+
+
+def test_a_full_disk_is_a_problem_until_it_is_freed(path: Path) -> None:
+    memory = os.fdopen(os.memfd_create("journal"), "r+b", buffering=0)
+    memory.truncate(16 * PAGE)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (PAGE, before[1]))  # writes fail, as on a full disk
+    try:
+        journal = FileJournal(path, LABELS, memory)
+        journal.start_copier(OFTEN)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert f"cannot be written to {path}" in (journal.problem or "")
+    assert journal._copier is not None
+    resource.prlimit(journal._copier.pid, resource.RLIMIT_FSIZE, before)
+    eventually(lambda: journal.problem is None)
+    resource.prlimit(journal._copier.pid, resource.RLIMIT_FSIZE, (PAGE, before[1]))
+    journal.intend(0, 1)
+    eventually(lambda: f"cannot be written to {path}" in (journal.problem or ""))
+    resource.prlimit(journal._copier.pid, resource.RLIMIT_FSIZE, before)
+    eventually(lambda: journal.problem is None)
+    journal.close()
+
+
+def test_a_folder_that_cannot_be_written_at_the_start_is_used_when_it_can(tmp_path: Path) -> None:
+    blocked = tmp_path / "state"
+    blocked.touch()
+    bench = Bench(blocked / "arm.switches", OFTEN)
+    bench.switch()
+    assert bench.journal.problem is not None
+    blocked.unlink()
+    eventually(lambda: bench.journal.problem is None)
+    assert after_power_failure(bench.path)[0] == 1
+    bench.journal.close()
+    assert after_power_failure(bench.path)[0] == 1
+
+
+def test_a_disk_that_hangs_at_the_end_is_left_to_the_copier(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(copier, "ENDING", 0.05)
+    bench = Bench(path, NEVER)
+    bench.switch()
+    before = path.read_bytes()
+    os.kill(bench.copier.pid, signal.SIGSTOP)  # as in a slow write
+    bench.journal.close()
+    assert f"process {bench.copier.pid} still copies them" in (bench.journal.problem or "")
+    assert bench.journal.problem in caplog.text
+    assert (path.read_bytes(), shared_path(path).exists()) == (before, True)
+    os.kill(bench.copier.pid, signal.SIGCONT)
+    assert bench.copier._process.wait(60) == 0
+    shared_path(path).unlink()
+    assert after_power_failure(path)[0] == 1
+
+
+def test_a_copier_that_cannot_start_is_a_warning_and_the_end_copies(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(sys, "executable", "/nowhere/python")
+        bench = Bench(path, OFTEN)
+    assert "cannot be started" in (bench.journal.problem or "")
+    bench.switch()
+    bench.journal.close()
+    assert after_power_failure(path)[0] == 1
+
+
+def test_a_killed_copier_is_a_problem_and_the_end_copies(bench: Bench) -> None:
+    os.kill(bench.copier.pid, signal.SIGKILL)
+    assert "has ended" in eventually(lambda: bench.journal.problem)
+    assert "has ended" in (bench.journal.problem or "")
+    bench.switch()
+    bench.journal.close()
+    assert after_power_failure(bench.path)[0] == 1
+
+
+def test_the_copier_keeps_no_file_of_the_executor_but_its_own(bench: Bench) -> None:
+    bench.switch()
+    eventually(lambda: after_power_failure(bench.path)[0] == 1)
+    folder = Path(f"/proc/{bench.copier.pid}/fd")
+    opened = sorted(os.readlink(file).split(":")[0] for file in folder.iterdir())
+    assert opened == sorted(["pipe", "pipe", "/dev/null", str(bench.path), str(shared_path(bench.path))])
+    assert os.sched_getscheduler(bench.copier.pid) == os.SCHED_OTHER
+    with pytest.raises(JournalInUse, match=f"the switch journal {bench.path} is in use by process {os.getpid()}"):
+        FileJournal(bench.path, LABELS)
+    locked_file(bench.path.with_name("other")).close()
+
+
+def test_switching_calls_nothing_that_may_wait_for_a_file(bench: Bench) -> None:
+    called: set[str] = set()
+
+    def note(_frame: Any, event: str, function: Any) -> None:
+        if event == "c_call":
+            called.add(f"{function.__module__ or type(function.__self__).__module__}.{function.__name__}")
+
+    bench.switch()
+    sys.setprofile(note)
+    try:
+        bench.switch(3)
+    finally:
+        sys.setprofile(None)
+    rooms = {name.split(".")[0] for name in called}
+    assert "zlib" in rooms, "the checksum shows that calls are seen"
+    assert not rooms & {"posix", "_io", "io", "fcntl", "select", "mmap", "time", "_posixsubprocess"}, called
