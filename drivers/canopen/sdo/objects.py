@@ -17,7 +17,7 @@ ABSENT = frozenset({NO_OBJECT, NO_SUB_INDEX, UNSUPPORTED, GENERAL, NO_DATA})
 
 _ROUNDING = 10  # [ms] by which a board may round a time, at most half of it
 
-_WORDS = {
+WORDS = {
     0x0503_0000: "toggle bit not alternated",
     0x0504_0000: "SDO protocol timed out",
     0x0504_0001: "command specifier not valid",
@@ -51,7 +51,7 @@ _WORDS = {
 
 def abort_words(code: int) -> str:
     """Returns an abort code in words, e.g. "object does not exist (abort 06020000h)"."""
-    return f"{_WORDS.get(code, 'reason unknown')} (abort {code:08X}h)"
+    return f"{WORDS.get(code, 'reason unknown')} (abort {code:08X}h)"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,48 @@
+"""Each object that a boot asks for is refused with each abort code: the board boots, or the sentence names the object."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+
+from drivers.canopen.sdo import objects
+from drivers.canopen.wire import cia301
+from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.boot.test_pins import boot, extended
+from tests.drivers.canopen.world import World
+
+BOARDS = {"hold": ("standard", "guarding-only", "many-outputs"), "contract": ("standard", "guarding-with-1029h")}
+
+
+def lost(on_loss: str, variant: str) -> World:
+    """An arm whose outputs were on when its board lost the master."""
+    return extended(variants={"can0/5": VARIANTS[variant]}, on_loss=on_loss)
+
+
+@functools.cache
+def asked(on_loss: str, variant: str) -> tuple[tuple[int, int], ...]:
+    """Returns the objects that a boot reads or writes."""
+    world = lost(on_loss, variant)
+    world.frames(sdo=True)
+    assert boot(world) == []
+    requests = (bytes.fromhex(data) for cob_id, data in world.frames(sdo=True) if cob_id == cia301.SDO_REQUEST + 5)
+    return tuple(dict.fromkeys((data[1] | data[2] << 8, data[3]) for data in requests))
+
+
+@pytest.mark.parametrize("code", sorted(objects.WORDS), ids=lambda code: f"{code:08X}h")
+@pytest.mark.parametrize("on_loss", BOARDS)
+def test_an_abort_at_any_object_refuses_the_board_in_words_or_does_no_harm(on_loss, code):
+    variant = BOARDS[on_loss][code % len(BOARDS[on_loss])]
+    for index, sub in asked(on_loss, variant):
+        world = lost(on_loss, variant)
+        board = world.boards["can0", 5]
+        pins, before = board.pins, len(board.started)
+        board.objects.refused[index, sub] = code
+        faults = boot(world)
+        world.run(0.2)
+        place = f"{index:04X}h sub {sub}: {code:08X}h"
+        assert not board.pins & ~pins, place
+        assert all(first == second for first, second in board.started[before:]), place
+        for sentence in faults:
+            assert f"{index:04X}h" in sentence, f"{place}: {sentence}"
