@@ -1,4 +1,4 @@
-"""Each object that a boot asks for is refused with each abort code: the board boots, or the sentence names the object."""
+"""Each object of a boot is refused with each abort code: the board boots, or the sentence names the object."""
 
 from __future__ import annotations
 
