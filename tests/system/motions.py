@@ -113,7 +113,7 @@ class Motions:
             self._sync(stamp)
         elif function == cia301.RPDO1:
             self._latch(cob_id, data)
-        else:
+        elif data:  # a remote frame of node guarding has none
             for k, board in enumerate(self._layout.boards):
                 if board.node == node and function == cia301.HEARTBEAT:
                     self._set(k, data[0] == State.OPERATIONAL)

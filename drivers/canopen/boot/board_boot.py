@@ -64,8 +64,8 @@ def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error
     try:
         yield from undo.recorded(_steps(boot))
     except BoardError as error:
+        board.guarded = False
         if error.fault.code != "board-missing":
-            board.guarded = False
             yield from undo.restore()
         raise
 
