@@ -126,6 +126,11 @@ class Observer:
     def feedback(self, goal: str) -> list[Message]:
         return [feedback for feedback in self.heard["feedback"] if names(feedback, goal)]
 
+    def last_feedback(self, goal: str, waypoint: int) -> list[Message]:
+        """Returns the feedback of a goal when that of its last waypoint has come, perhaps after the result."""
+        eventually(lambda: [one for one in self.feedback(goal) if one["waypoint"] == waypoint])
+        return self.feedback(goal)
+
     def diagnosed(self) -> Message:
         """Returns the next diagnostics."""
         before = len(self.heard["diagnostics"])

@@ -146,4 +146,4 @@ def test_forty_waypoints_under_three_floods_have_forty_feedbacks_and_one_result(
         over.set()
         for thread in floods:
             thread.join()
-    assert [feedback["waypoint"] for feedback in client.feedback("a")] == list(range(40))
+    assert [feedback["waypoint"] for feedback in client.last_feedback("a", 39)] == list(range(40))

@@ -65,7 +65,7 @@ def test_stages_are_published_as_they_are_on_the_bus(client: Observer, motions: 
     assert client.goal(MIDDLE, RIGHT, times=[0.0, 2.0], id="a")["accepted"]
     assert client.result("a")["status"] == "succeeded"
     motions.read()
-    feedback = client.feedback("a")
+    feedback = client.last_feedback("a", 1)
     assert len(feedback) == 2
     assert sum(it["stages"] for it in feedback) == len([count for count in counts if count])
     assert all(it["excursion"] is None or it["excursion"] >= 0 for it in feedback)
