@@ -1,0 +1,293 @@
+"""Events and actions of the planner's core, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+from controller.motion.goal import GoalMessage
+from controller.planning.core.tasks import Answer, Task
+from controller.program import Down, Fault, Up
+
+Payload = Mapping[str, Any]
+
+
+class CancelMessage(NamedTuple):
+    """The payload of `cancel`: id of the goal to cancel; None cancels whatever runs, and bars all earlier requests."""
+
+    goal: str | None = None
+
+
+class LockMessage(NamedTuple):
+    """The payload of `degrade`: label of an actuator, and the state to lock it in; None unlocks it."""
+
+    actuator: str
+    state: int | None
+
+
+class ObstaclesMessage(NamedTuple):
+    """The payload of `obstacles`.
+
+    Attributes:
+        obstacles: `controller.obstacles.obstacles.Obstacles`; the core compares and passes it on.
+        regions: as they came, for the description of the arm.
+    """
+
+    obstacles: Any
+    regions: list[Any]
+
+
+Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "arm"]
+# A jog has the new state of each actuator by index. Keys without a content have None.
+Message = GoalMessage | dict[int, int] | CancelMessage | LockMessage | ObstaclesMessage | None
+
+
+class Request(NamedTuple):
+    """A request of a client, decoded. It is answered by exactly one `Reply`.
+
+    A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
+
+    Attributes:
+        number: of the request, from 1, ascending.
+        key: of the interface.
+        message: content.
+        wall: time of arrival [UNIX s].
+    """
+
+    number: int
+    key: Key
+    message: Message
+    wall: float
+
+
+class Unsent(NamedTuple):
+    """A `stop` or `cancel` could not be sent to the executor; comes after its `Request`."""
+
+    number: int
+    reason: str
+
+
+class SetpointArrived(NamedTuple):
+    """The latest set-point, as it came."""
+
+    payload: bytes
+
+
+class TipArrived(NamedTuple):
+    """The latest measured tip, as it came."""
+
+    payload: bytes
+
+
+class FromExecutor(NamedTuple):
+    """A message of the executor. `Welcome` is the first one of a connection."""
+
+    message: Up
+
+
+class LinkDown(NamedTuple):
+    """There is no connection to the executor, and why. The shell repeats it only if the reason changes."""
+
+    reason: str
+
+
+class Answered(NamedTuple):
+    """A worker's answer to the task of a number; a task may have several answers, the last one is marked."""
+
+    task: int
+    answer: Answer
+    last: bool
+
+
+class Published(NamedTuple):
+    """A result was published, and noted as published; `result` is the number of its action."""
+
+    result: int
+
+
+class Recorded(NamedTuple):
+    """The ledger has written an entry, or has failed to; `entry` is the number of its action."""
+
+    entry: int
+
+
+class Warned(NamedTuple):
+    """The active warnings of the shell have changed: clock, network, ledger."""
+
+    warnings: tuple[Fault, ...]
+
+
+class Tick(NamedTuple):
+    """The time of the last `Wake` has come."""
+
+
+class Quit(NamedTuple):
+    """The process is asked to end."""
+
+
+Event = (
+    Request
+    | Unsent
+    | SetpointArrived
+    | TipArrived
+    | FromExecutor
+    | LinkDown
+    | Answered
+    | Published
+    | Recorded
+    | Warned
+    | Tick
+    | Quit
+)
+
+
+class Reply(NamedTuple):
+    """The one answer to a request."""
+
+    number: int
+    payload: Payload
+
+
+class Publish(NamedTuple):
+    """A payload for "state", "diagnostics" or "feedback"."""
+
+    key: Literal["state", "diagnostics", "feedback"]
+    payload: Payload
+
+
+class Identity(NamedTuple):
+    """Identifies a program for ever: the executor's process, and the number of the program."""
+
+    instance: int
+    program: int
+
+
+class PublishResult(NamedTuple):
+    """A result. The shell publishes it, notes durably that it did, and then posts `Published`.
+
+    Attributes:
+        number: of this action.
+        identity: of the program.
+        inherited: whether an earlier planner process accepted the goal; clients must first find this process.
+        payload: of the result.
+    """
+
+    number: int
+    identity: Identity
+    inherited: bool
+    payload: Payload
+
+
+class Accepted(NamedTuple):
+    """The acceptance of a goal or jog, for the ledger.
+
+    Attributes:
+        goal: its id.
+        wall: time [UNIX s].
+        waypoints: number.
+    """
+
+    goal: str
+    wall: float
+    waypoints: int
+
+
+class Ended(NamedTuple):
+    """The result of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
+
+    wall: float
+    status: str
+    code: int
+    message: str
+    switches: int
+
+
+class Record(NamedTuple):
+    """An entry for the ledger. The shell posts `Recorded` when it is written, or cannot be written.
+
+    Attributes:
+        entry: number of this action.
+        identity: of the program.
+        accepted: the acceptance. With `ended` too, the goal may not be in the ledger yet.
+        ended: the result.
+    """
+
+    entry: int
+    identity: Identity
+    accepted: Accepted | None
+    ended: Ended | None
+
+
+class RecordCounts(NamedTuple):
+    """The executor's counts of switches, one for each actuator, for the ledger."""
+
+    counts: tuple[int, ...]
+
+
+class ToExecutor(NamedTuple):
+    """A message for the executor; dropped without a connection."""
+
+    message: Down
+
+
+class Start(NamedTuple):
+    """A task for a worker; answered by one or several `Answered` of this number."""
+
+    number: int
+    task: Task
+
+
+class Abandon(NamedTuple):
+    """A task is no longer needed: its worker ends it soon. Its last answer comes nevertheless."""
+
+    number: int
+
+
+class Disconnect(NamedTuple):
+    """The executor is silent: close the connection, and connect again."""
+
+    reason: str
+
+
+class Wake(NamedTuple):
+    """Post `Tick` at this time [s]; replaces the `Wake` before."""
+
+    at: float
+
+
+class Notify(NamedTuple):
+    """An assignment for systemd, e.g. "WATCHDOG=1"."""
+
+    text: str
+
+
+class Log(NamedTuple):
+    """A line of the log, with a level of the module logging, and fields for the journal."""
+
+    level: int
+    text: str
+    fields: Mapping[str, str] = MappingProxyType({})
+
+
+class Fail(NamedTuple):
+    """The process must end with this message, because a worker does not answer; the service manager starts it again."""
+
+    reason: str
+
+
+Action = (
+    Reply
+    | Publish
+    | PublishResult
+    | Record
+    | RecordCounts
+    | ToExecutor
+    | Start
+    | Abandon
+    | Disconnect
+    | Wake
+    | Notify
+    | Log
+    | Fail
+)
