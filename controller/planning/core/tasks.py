@@ -298,12 +298,12 @@ class SceneBuilt(NamedTuple):
 
     Attributes:
         scene: the new one.
-        count: number of all obstacles.
+        total: number of all obstacles.
         sent: number of those sent.
     """
 
     scene: Scene
-    count: int
+    total: int
     sent: int
 
 
