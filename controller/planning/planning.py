@@ -48,6 +48,7 @@ class Ledger(GoalLedger, Protocol):
     """Records goals, results and switches; must not wait."""
 
     fault: str | None
+    instance: int
 
     def counts(self, counts: Sequence[int]) -> None:
         """Takes the executor's counts, one for each actuator."""
