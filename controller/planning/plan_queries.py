@@ -108,6 +108,7 @@ def described(whole: Manipulator, reduced: Manipulator, previous: Configuration,
             "error": solution.error,
             "orientation_error": solution.angle if trajectory.turns[k] < np.inf else None,
             "switches": solution.switches,
+            "cost": solution.cost,
             **solution.proof(),
             "stages": labels,
             "excursion": transition.deviation,
@@ -121,4 +122,5 @@ def described(whole: Manipulator, reduced: Manipulator, previous: Configuration,
     along = f", {between} points between them" if between else ""
     message = f"{len(trajectory.waypoints)} waypoints{along}, {plan.switches} switches"
     bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
-    return {**done(message), "waypoints": points, "switches": plan.switches, **plan.proof(), **bias}
+    proof = {"switches": plan.switches, "cost": plan.cost, **plan.proof()}
+    return {**done(message), "waypoints": points, **proof, **bias}
