@@ -1,10 +1,13 @@
-"""Tasks under way at the workers, and the numbers of programs."""
+"""The time of the present step, tasks under way at the workers, and the numbers of programs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
+from controller.planning.core.admission import Admission
+from controller.planning.core.arm import ExecutorView
 from controller.planning.core.events import Abandon, Action, Fail, Start
 from controller.planning.core.tasks import Answer, Task
 
@@ -12,6 +15,19 @@ HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts
 
 # Takes an answer, whether it is the task's last one, and the time [s].
 OnAnswer = Callable[[Answer, bool, float], None]
+
+
+@dataclass(eq=False)
+class Moment:
+    """The time of the present step, written by the core only.
+
+    Attributes:
+        now: by a clock that never goes back [s].
+        wall: UNIX time [s].
+    """
+
+    now: float = 0.0
+    wall: float = 0.0
 
 
 @dataclass(eq=False)
@@ -82,3 +98,14 @@ class ProgramNumbers:
     def at_least(self, number: int) -> None:
         """Continues after the executor's greatest number."""
         self._last = max(self._last, number)
+
+
+class Shared(NamedTuple):
+    """What all parts of the core share; each has one owner, the others ask."""
+
+    view: ExecutorView
+    admission: Admission
+    jobs: Jobs
+    moment: Moment
+    numbers: ProgramNumbers
+    act: Callable[[Action], None]
