@@ -181,7 +181,7 @@ class Goals:
             return
         motion.program = None
         if message.cause == "moved":
-            motion.tries += 1
+            motion.planned = None
             motion.waits, motion.since = self._view.state, self._moment.now
         else:
             self._end(motion, Refusal(INVALID_GOAL, BARRED if message.cause == "epoch" else message.reason))

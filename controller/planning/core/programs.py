@@ -123,7 +123,8 @@ class Programs:
 
     def unchecked(self) -> list[str]:
         """Returns the ids of programs whose stages are not yet checked among the present obstacles."""
-        return [program.report.id for program in self._programs.values() if program.feed.waits_for_check]
+        running = [program for program in self._programs.values() if program.outcome is None]
+        return [program.report.id for program in running if program.feed.waits_for_check]
 
     # --- sending
 
