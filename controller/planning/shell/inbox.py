@@ -19,6 +19,7 @@ class Inbox:
     def __init__(self) -> None:
         self.events: deque[Event] = deque()
         self._asleep = False  # whether the reading thread must be woken
+        self._woken = self._closed = False  # whether there is a wake-up to read, and whether no more is needed
         self._wakeups = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._poll = select.poll()
         self._poll.register(self._wakeups, select.POLLIN)
@@ -29,10 +30,11 @@ class Inbox:
         self.events.append(event)
         if self._asleep:
             self._asleep = False  # before the wake-up: the reading thread then sets it again
-            self.wake()
+            os.eventfd_write(self._wakeups, 1)
 
-    def wake(self) -> None:
-        """Ends `wait`, the present one or the next. For any thread."""
+    def close(self) -> None:
+        """Ends `wait`, from now on. For any thread."""
+        self._closed = True
         os.eventfd_write(self._wakeups, 1)
 
     def wait(self, timeout: float, link: int, sending: bool) -> bool:
@@ -48,14 +50,13 @@ class Inbox:
         """
         if self._watched != (link, sending):
             self._watch(link, sending)
-        self._asleep = True  # before the look at `events`, so that no event is missed
-        ready = self._poll.poll(0 if self.events else timeout * 1000)
-        self._asleep = False
-        numbers = [number for number, _ in ready]
-        if self._wakeups in numbers:
+        if self._woken:  # read only now: the call releases the GIL, and no event should wait for the GIL again
             os.eventfd_read(self._wakeups)
-            numbers.remove(self._wakeups)
-        return bool(numbers)
+        self._asleep = True  # before the look at `events`, so that no event is missed
+        ready = self._poll.poll(0 if self.events or self._closed else timeout * 1000)
+        self._asleep = False
+        self._woken = any(number == self._wakeups for number, _ in ready)
+        return len(ready) > self._woken
 
     def _watch(self, link: int, sending: bool) -> None:
         if self._watched[0] >= 0:

@@ -97,7 +97,7 @@ class Loop:
     def close(self, timeout: float = 2.0) -> None:
         """Ends the thread, and refuses the requests that the core has not answered."""
         self._closing = True
-        self._inbox.wake()
+        self._inbox.close()
         if self._thread.ident is not None:
             self._thread.join(timeout)
         for number in list(self._replies):
@@ -133,30 +133,36 @@ class Loop:
     def _round(self) -> None:
         """Waits for events and handles them.
 
-        The link is read first, but its messages are handled after the posted events: a request is posted before its
-        stop is sent to the executor, so that the core knows the request when the executor's answer comes.
+        After the link was read, the posted events come before its messages: a request is posted before its stop is sent
+        to the executor, so that the core knows the request when the executor's answer comes.
         """
         ready = self._wait()
+        self._handle_posted()
         self._link.connect(self._clock())
         if self._link.sending:
             self._link.flush()
-        messages = self._link.receive() if ready or self._link.pending else ()
+        if ready or self._link.pending:
+            messages = self._link.receive()
+            self._handle_posted()
+            self._step_all(messages)
+        self._handle_times()
+        if self._core.ended and not self._link.sending:
+            self.ended.set()
+
+    def _handle_posted(self) -> None:
+        """Handles the events posted so far."""
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
             if isinstance(event, Request):  # a set-point that waits has its place before a later request
                 self._step_all(self._mailboxes.look(self._clock()))
             self._step(event)
-        self._step_all(messages)
-        self._handle_times()
-        if self._core.ended and not self._link.sending:
-            self.ended.set()
 
     def _wait(self) -> bool:
         """Waits for events or the next time; returns whether the link is ready."""
         due = min(self._wake, self._warnings_at, self._mailboxes.due)
         if (number := self._link.fileno()) < 0:
             due = min(due, self._link.retry_at)
-        timeout = 0.0 if self._link.pending or self._closing else max(due - self._clock(), 0.0)
+        timeout = 0.0 if self._link.pending else max(due - self._clock(), 0.0)
         return self._inbox.wait(timeout, number, self._link.sending)
 
     def _handle_times(self) -> None:
