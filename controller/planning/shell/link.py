@@ -14,7 +14,7 @@ from controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hello, Malfor
 
 log = logging.getLogger(__name__)
 
-RETRY = 0.5  # [s] between two attempts to connect
+RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
 SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read
 MOST_BEHIND = 1.0  # [s] that a message waits in the queue
 MOST_QUEUED = 1_000  # messages in the queue
@@ -122,6 +122,7 @@ class ExecutorLink:
         if self._connection is not None:
             self._report(reason)
             self.close()
+            self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
 
     # --- from the executor
 

@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 WARNINGS_EVERY = 0.25  # [s]
 
 OnReply = Callable[[Payload], None]
-Recorder = Callable[[Event, float, float, Sequence[Action]], None]
+Recorder = Callable[[Event, float, float, Sequence[Action] | None], None]
 
 
 class PlannerFailed(Exception):
@@ -65,7 +65,7 @@ class Loop:
         inbox: events of other threads; the loop is its reader.
         link: to the executor; used by the loop's thread only.
         services: carry out the actions.
-        recorder: gets each event, its times, and the actions; None: nobody records.
+        recorder: takes each event, its times, and the actions, None after an exception; None: nobody records.
         clocks: monotonic [s] and UNIX [s].
     """
 
@@ -201,7 +201,7 @@ class Loop:
             Exception: of the core.
         """
         now, wall = self._clock(), self._wall()
-        actions: Sequence[Action] = ()
+        actions: Sequence[Action] | None = None
         try:
             actions = self._core.step(event, now, wall)
             for action in actions:
@@ -209,7 +209,7 @@ class Loop:
         finally:
             self._record(event, now, wall, actions)
 
-    def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action]) -> None:
+    def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
         """Gives a step to the recorder, until the recorder fails."""
         if self._recorder is not None:
             try:

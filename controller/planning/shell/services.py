@@ -1,7 +1,7 @@
 """What the loop needs from its surroundings, as protocols."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from controller.planning.core.events import Action, Event, Payload, PublishResult, Record
 from controller.planning.core.tasks import Task
@@ -42,7 +42,7 @@ class Ledger(Protocol):
 class Out(Protocol):
     """Publishes payloads; no method waits."""
 
-    def publish(self, key: str, payload: Payload) -> None:
+    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: Payload) -> None:
         """Publishes a payload."""
 
     def publish_result(self, result: PublishResult) -> None:

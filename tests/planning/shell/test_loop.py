@@ -276,7 +276,7 @@ def test_an_exception_of_the_core_ends_the_process(bench: Bench, caplog: pytest.
     assert bench.services.calls == [("fatal", "the planner failed: KeyError(1)")]
     assert "Traceback" in caplog.text
     assert bench.core.steps[-1] == REQUEST
-    assert bench.recorded[-1] == (REQUEST, 100.0, 1e9, ())
+    assert bench.recorded[-1] == (REQUEST, 100.0, 1e9, None)
 
 
 def test_the_core_can_end_the_process(bench: Bench) -> None:
