@@ -96,6 +96,14 @@ class Executor:
         """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
         return self._master.collecting
 
+    @property
+    def picklable(self) -> bool:
+        """Whether the core can be pickled now: no procedure runs with a board, since generators cannot be pickled.
+
+        The journal must be picklable too. Procedures run during a boot all the time, otherwise for milliseconds.
+        """
+        return not self._master.asking
+
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event.
 
