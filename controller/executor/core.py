@@ -100,7 +100,8 @@ class Executor:
     def picklable(self) -> bool:
         """Whether the core can be pickled now: no procedure runs with a board, since generators cannot be pickled.
 
-        The journal must be picklable too. Procedures run during a boot all the time, otherwise for milliseconds.
+        Procedures run all the time during a boot, otherwise for milliseconds. A pickle has the journal's counts, and
+        not its files.
         """
         return not self._master.asking
 
