@@ -96,6 +96,15 @@ class Executor:
         """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
         return self._master.collecting
 
+    @property
+    def picklable(self) -> bool:
+        """Whether the core can be pickled now: no procedure runs with a board, since generators cannot be pickled.
+
+        Procedures run all the time during a boot, otherwise for milliseconds. A pickle has the journal's counts, and
+        not its files.
+        """
+        return not self._master.asking
+
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event.
 
