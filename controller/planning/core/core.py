@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -166,15 +167,20 @@ class Core:
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
         self._close()
-        self._status.report(now, wall, self._changed)
-        due = min(self._alive_at, self._goals.due(), self._stream.due(now), self._status.due(now))
-        self._act(Wake(due if self._quit_at is None else min(due, self._quit_at)))
+        if isinstance(event, Tick) or not self._actions:  # otherwise what is urgent does not wait for a report
+            self._status.report(now, wall, self._changed)
+            self._changed = False
+        report_at = now if self._changed else self._status.due(now)
+        due = min(self._alive_at, self._goals.due(), self._stream.due(now), report_at)
+        if self._quit_at is not None:
+            due = math.inf if self.ended else min(due, self._quit_at)
+        self._act(Wake(due))
         actions, self._actions = self._actions, []
         return actions
 
     def _handle(self, event: Event) -> None:
         moment = self._moment
-        self._changed = not isinstance(event, Tick | TipArrived | SetpointArrived)
+        self._changed |= not isinstance(event, Tick | TipArrived | SetpointArrived)
         match event:
             case FromExecutor(message):
                 self._silent = 0
@@ -286,13 +292,12 @@ class Core:
         Silence is counted in keep-alives, so that a stop of this process does not count as the executor's silence.
         """
         now = self._moment.now
-        if not self._view.connected:
-            self._alive_at = now + ALIVE_EVERY
-            return
         if now < self._alive_at:
             return
         self._alive_at = now + ALIVE_EVERY
         self._jobs.tick(now)
+        if not self._view.connected:
+            return
         self._act(ToExecutor(Alive()))
         self._silent += 1
         if self._silent > self._most_silent or self._requests.overdue():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -103,6 +104,7 @@ class Goals:
         self._bias, self._prepares, self._name = bias, prepares, name
         self._waiting = deque[Motion]()
         self._current: Motion | None = None
+        self._due = math.inf
         self._idle_since = 0.0  # since when no request waits [s]
         self._preparing: int | None = None  # the task that prepares the next search
         self._prepared: object = None  # start, scene and tables for which the next search is prepared
@@ -140,6 +142,7 @@ class Goals:
 
     def advance(self) -> None:
         """Brings the first request as far as it can go now. Call at the end of each step."""
+        self._due = math.inf
         while True:
             if self._current is None:
                 if not self._waiting:
@@ -157,11 +160,7 @@ class Goals:
 
     def due(self) -> float:
         """Returns when `advance` must be called again, without another event [s]."""
-        if self._current is not None:
-            longest = NEWER_WITHIN if self._current.waits else LONGEST_PLANNING if self._current.job else PATIENCE
-            return self._current.since + longest
-        idle = self._prepares and self._preparing is None and self._prepared is None
-        return self._idle_since + IDLE if idle else float("inf")
+        return self._due
 
     # --- the executor
 
@@ -201,29 +200,28 @@ class Goals:
         Raises:
             Refusal: the request cannot be carried out.
         """
-        admission, now = self._parts.admission, self._moment.now
+        admission = self._parts.admission
         if motion.program is not None:
-            if now >= motion.since + PATIENCE:
-                self._programs.give_up(motion.program)
-                raise Refusal(INVALID_GOAL, f"the executor did not answer within {PATIENCE:g} s")
-            return
+            if self._waits(motion, PATIENCE):
+                return
+            self._programs.give_up(motion.program)
+            raise Refusal(INVALID_GOAL, f"the executor did not answer within {PATIENCE:g} s")
         if self.closing:
             raise Refusal(INVALID_GOAL, CLOSING)
         if admission.barred(motion.ticket):
             raise Refusal(INVALID_GOAL, BARRED)
         if motion.job is not None:
-            if now >= motion.since + LONGEST_PLANNING:
-                words = f"planning took longer than {LONGEST_PLANNING:g} s: send fewer waypoints"
-                raise Refusal(INVALID_GOAL, words)
-            return
-        if motion.waits is not None and motion.waits is self._view.state and now < motion.since + NEWER_WITHIN:
+            if self._waits(motion, LONGEST_PLANNING):
+                return
+            words = f"planning took longer than {LONGEST_PLANNING:g} s: send fewer waypoints"
+            raise Refusal(INVALID_GOAL, words)
+        if motion.waits is not None and motion.waits is self._view.state and self._waits(motion, NEWER_WITHIN):
             return
         motion.waits = None
         if motion.ticket.epoch is None:
-            if now >= motion.since + PATIENCE:
-                words = "the executor has not answered an earlier request; send it again"
-                raise Refusal(INVALID_GOAL, words)
-            return
+            if self._waits(motion, PATIENCE):
+                return
+            raise Refusal(INVALID_GOAL, "the executor has not answered an earlier request; send it again")
         state, (mode, reason) = self._view.state, self._locks.mode()
         if state is None or mode not in ("ready", "executing"):
             raise no_motion(mode, reason)
@@ -238,6 +236,11 @@ class Goals:
             self._offer(motion, state, scene)
         else:
             self._plan(motion, state, scene, tables)
+
+    def _waits(self, motion: Motion, longest: float) -> bool:
+        """Returns whether a request may wait longer; if so, notes until when [s]."""
+        self._due = motion.since + longest
+        return self._moment.now < self._due
 
     def _plan(self, motion: Motion, state: ArmState, scene: Scene, tables: Tables) -> None:
         """Starts to plan a request from the arm's present state.
@@ -340,7 +343,10 @@ class Goals:
     def _prepare(self) -> None:
         """Prepares the next search from where the arm is, once for each start."""
         state, scene, tables, now = self._view.state, self._obstacles.scene, self._locks.tables, self._moment.now
-        if not self._prepares or self._preparing is not None or now < self._idle_since + IDLE:
+        if not self._prepares or self._preparing is not None:
+            return
+        if now < self._idle_since + IDLE:
+            self._due = self._idle_since + IDLE
             return
         if state is None or scene is None or tables is None or state.configuration is None or self.closing:
             return

@@ -167,10 +167,9 @@ class Programs:
             self._cancel(message.program, GAVE_UP)
             return None
         program.accepted, program.begin, self.last_accepted = True, message.begin, message.program
-        waypoints = max(len(program.report.waypoints), 1)
         entry = self._results.next_entry()
         self._replies[entry] = program.request, program.answer
-        accepted = AcceptedEntry(program.report.id, self._moment.wall, waypoints)
+        accepted = AcceptedEntry(program.report.id, self._moment.wall, program.report.count)
         self._act(Record(entry, self._identity(program), accepted, None))
         self._improve(program)
         self._feed(program)

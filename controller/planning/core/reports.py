@@ -44,6 +44,7 @@ class GoalReport:
     Attributes:
         id: of the goal.
         trajectory: of the goal.
+        count: number of waypoints.
 
     Args:
         manipulator: the whole arm.
@@ -52,7 +53,7 @@ class GoalReport:
     """
 
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
-        self.id, self.trajectory = goal, trajectory
+        self.id, self.trajectory, self.count = goal, trajectory, len(trajectory.waypoints)
         self._manipulator = manipulator
         self._point = -1
         self._stages, self._deviation = 0, 0.0  # since the waypoint before
@@ -168,6 +169,7 @@ class JogReport:
     """
 
     waypoint = target = present = None
+    count = 1
     waypoints: Sequence[Payload] = ()
 
     def __init__(self, name: str, jogged: dict[int, int]) -> None:
