@@ -19,6 +19,7 @@ from controller.planning.core.events import (
     Identity,
     LinkDown,
     ObstaclesMessage,
+    OpenGoal,
     Payload,
     Published,
     Quit,
@@ -44,7 +45,7 @@ from controller.planning.core.programs import Programs
 from controller.planning.core.queries import Queries
 from controller.planning.core.reports import Outcome
 from controller.planning.core.requests import ExecutorRequests
-from controller.planning.core.results import OwedGoal, Results
+from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream
 from controller.planning.core.tasks import Scene, Tables
@@ -94,7 +95,7 @@ class Beginning(NamedTuple):
     obstacles: int
     counts: tuple[int, ...]
     published: Iterable[Identity] = ()
-    owed: Iterable[OwedGoal] = ()
+    owed: Iterable[OpenGoal] = ()
 
 
 class Core:
