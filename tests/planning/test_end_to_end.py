@@ -11,7 +11,7 @@ import pytest
 from controller.config import Arm
 from controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT
-from tests.planning.core import CoreExecutor
+from tests.planning.core_executor import CoreExecutor
 from tests.planning.executor import Inbox
 from tests.planning.process import RunningPlanner
 from tests.waiting import PATIENCE, eventually

@@ -21,6 +21,7 @@ from controller.planning.core.events import (
     ObstaclesMessage,
     OpenGoal,
     Payload,
+    Publish,
     Published,
     Quit,
     RecordCounts,
@@ -321,7 +322,9 @@ class Core:
     def _close(self) -> None:
         over = self._programs.idle and self._results.idle and not self._goals.waiting
         if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
-            self._obstacles.answer([], at_once=True)
+            if not self.ended:
+                self._obstacles.answer([], at_once=True)
+                self._act(Publish("state", self._status.state(self._moment.now, self._moment.wall)))
             self.ended = True
 
     # ---
