@@ -17,6 +17,7 @@ from controller.motion.plan import Plan
 from controller.motion.point_by_point import PLANNING_TIME, plan
 from controller.motion.restaging import restage
 from controller.motion.trajectory import Trajectory
+from controller.planning.core.feed import most_stages
 from controller.planning.core.tasks import (
     ArmStart,
     DescribePlan,
@@ -27,7 +28,6 @@ from controller.planning.core.tasks import (
     PrepareSearch,
     Proof,
 )
-from controller.planning.program_feed import most_stages
 from controller.planning.workers.arm_model import ArmModel, Proceed, States
 from controller.planning.workers.keep_out import KeepOutSet
 from controller.program import MOST_PROGRAM_STAGES
