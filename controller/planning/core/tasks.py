@@ -290,7 +290,7 @@ class Followed(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """The first collision of the checked stages, in words; None if all are clear, or the check was abandoned."""
+    """The first collision of the checked stages, in words; None if all are clear."""
 
     collision: str | None
 
