@@ -41,7 +41,7 @@ class Commit:
         self.switched: list[tuple[int, float]] = []
         self._links, self._outputs, self._longest = links, outputs, longest
         self._note = note
-        self._refusal: Callable[[], str | None] = lambda: None
+        self._refusal: Callable[[], str | None] | None = None
         self._states = 0
         self._began = 0.0
         self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that were not sent yet
@@ -153,7 +153,7 @@ class Commit:
         """Call every period. On a bus without echoes, frames that did not fail count as sent."""
         if not self.under_way:
             return
-        for bus in [bus for bus in self._syncs if not self._links[bus].echoes]:
+        for bus in [bus for bus in sorted(self._syncs) if not self._links[bus].echoes]:
             self._sync_sent(bus, clock)
         for bus, frames in self._waiting.items():
             if not self._links[bus].echoes:
@@ -187,7 +187,7 @@ class Commit:
             late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
             self.give_up(f"{late} for {self._longest:g} s")
         elif not waiting:
-            if (refusal := self._refusal()) is not None:
+            if self._refusal is not None and (refusal := self._refusal()) is not None:
                 self.give_up(refusal)
                 return
             buses, self._waiting = list(self._waiting), {}

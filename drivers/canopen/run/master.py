@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from drivers.canopen.boot.booting import Booting
 from drivers.canopen.faults import Busy, Fault
@@ -232,6 +233,11 @@ class Master:
         return self._network.back(self._clock.now)
 
     @property
+    def calm(self) -> bool:
+        """Whether no commit, boot, read or question is under way. Only then the master can be pickled."""
+        return not (self.committing or self.booting) and not any(s.runner.running for s in self._network.stations)
+
+    @property
     def committing(self) -> bool:
         """Whether a commit is running."""
         return self._commit.under_way or bool(self._verification.blocking)
@@ -341,7 +347,7 @@ class Master:
             raise Busy(refusal)
         frames = {bus: network.frames_of(bus, keys, off) for bus, keys in due.items()}
         self._releasing = 0, 0
-        self._commit.begin(states, frames, lambda: network.refusal(off), now, self._clock.at(now))
+        self._commit.begin(states, frames, partial(network.refusal, off), now, self._clock.at(now))
 
     def _lose(self, fault: Fault) -> None:
         self._network.forget(fault.source)  # one fault for the bus, not one for each board
