@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from controller.commands.common import Failed
-from controller.event_file import KINDS, SHARED, Refused, about, read_generation, save
+from controller.flight_recorder.keeper import KINDS, SHARED, Refused, about, read_generation, save
 
 
 def record_events(arm: str, folder: Path) -> tuple[list[Path], list[str]]:

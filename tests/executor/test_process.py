@@ -36,7 +36,7 @@ FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer
 ROOMS = {
     "controller." + name
     for name in (
-        *("actuators", "error_states", "event_file", "executor", "flight_recorder", "journal", "notify", "program"),
+        *("actuators", "error_states", "executor", "flight_recorder", "journal", "notify", "program"),
         *("scheduling", "settings", "sockets", "strict", "terminals"),
     )
 }

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.event_file import KINDS, load, ring_paths
+from controller.flight_recorder.keeper import KINDS, ring_paths
+from controller.flight_recorder.loading import load
 from controller.program import Program, Snapshot, Stage, pack
 from tests.executor.test_process import SIZE, Planner, Process
 from tests.simulation.events import replay

@@ -1,11 +1,12 @@
 """Replays the recorded events of a planner or executor: `python -m tests.simulation --events FILE`.
 
 The core of the checkpoint takes each event at its time, and each action must be the recorded one. A test can do the
-same with a file from the field: `assert replay(load(path)).difference is None`.
+same with a file from the field: `assert replay(load(path, arm_objects)).difference is None`.
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
 import traceback
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller.event_file import Entry, Generation, load
+from controller import config
+from controller.flight_recorder.loading import Entry, Generation, load
 
 
 class Difference(NamedTuple):
@@ -72,7 +74,7 @@ def replay(generations: Sequence[Generation]) -> Replayed:
                 continue
             count += 1
             actions = step(core, entry)
-            reproduced = same(entry.actions, actions) if isinstance(actions, list) else entry.actions is None
+            reproduced = entry.actions is None if isinstance(actions, str) else same(entry.actions, actions)
             if not reproduced:
                 return Replayed(count, skipped, Difference(count + skipped, entry, actions), core)
     return Replayed(count, skipped, None, core)
@@ -82,8 +84,7 @@ def step(core: Any, entry: Entry) -> list[Any] | str:
     """Returns the actions of a core on a recorded event; the traceback if its step raises an exception."""
     times = (entry.now,) if entry.wall is None else (entry.now, entry.wall)
     try:
-        actions: list[Any] = core.step(entry.event, *times)
-        return actions
+        return list(core.step(entry.event, *times))
     except Exception:
         return traceback.format_exc()
 
@@ -102,9 +103,20 @@ def same(recorded: Any, now: Any) -> bool:
     return bool(type(recorded) is type(now) and (recorded == now or (recorded != recorded and now != now)))
 
 
+def arm_objects(about: Mapping[str, Any]) -> dict[str, object]:
+    """Returns what a planner's core refers to by name, made from the recorded text of the arm's file."""
+    if not about.get("file"):
+        return {}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.yaml"
+        path.write_text(about["file"])
+        arm = config.load(path)
+    return {"arm": arm, "manipulator": arm.manipulator}
+
+
 def main(path: Path) -> int:
     """Replays a file and prints the result; returns 1 if an action differs, or nothing can be replayed."""
-    generations = load(path)
+    generations = load(path, arm_objects)
     about = generations[-1].about
     digest = str(about.get("digest", ""))[:12]
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(float(about.get("wall", 0.0))))

@@ -12,11 +12,13 @@ from typing import Any
 
 import pytest
 
-from controller import event_file, flight_recorder
-from controller.event_file import KEPT, LENGTH, Refused, load, save, unpickle
 from controller.executor.events import Log, Send
 from controller.executor.server import Server
-from controller.flight_recorder import FlightRecorder, Label
+from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
+from controller.flight_recorder import recorder as recording
+from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save
+from controller.flight_recorder.loading import load
+from controller.flight_recorder.pickling import unpickle
 from tests.simulation.events import main, replay
 from tests.simulation.world import World
 
@@ -43,7 +45,7 @@ def run(recorder: FlightRecorder, seed: int, steps: int) -> World:
 def test_a_run_with_checkpoints_is_reproduced(
     recorder: FlightRecorder, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flight_recorder, "WANTED", 400)
+    monkeypatch.setattr(recording, "WANTED", 400)
     run(recorder, seed, 4000)
     generations = load(save(recorder.paths, tmp_path, "request"))
     assert [generation.core is not None for generation in generations] == [True, True]
@@ -85,12 +87,12 @@ def test_an_exception_in_a_step_is_recorded_and_reproduced(recorder: FlightRecor
 
 def test_without_a_calm_moment_the_ring_goes_on(recorder: FlightRecorder, tmp_path: Path) -> None:
     recorder.begin([lambda: None], lambda count: True)  # cannot be pickled
-    for k in range(flight_recorder.MOST + 3):
+    for k in range(recording.MOST + 3):
         recorder(k, 0.0, None, [])
     generations = load(save(recorder.paths, tmp_path, "request"))
     assert [generation.core for generation in generations] == [None, None]
-    assert [entry.event for entry in generations[1].entries] == [flight_recorder.MOST + k for k in range(3)]
-    assert replay(generations).skipped == flight_recorder.MOST + 3
+    assert [entry.event for entry in generations[1].entries] == [recording.MOST + k for k in range(3)]
+    assert replay(generations).skipped == recording.MOST + 3
 
 
 def test_the_last_block_of_a_killed_process_may_be_cut(recorder: FlightRecorder, tmp_path: Path) -> None:
@@ -123,9 +125,9 @@ class Called:
         (Called(eval, "1"), "builtins.eval"),
         (Called(getattr, "", "join"), "builtins.getattr"),
         (Called(Server, Path("x")), "server.Server"),
-        (Called(event_file.save, (), Path("x"), ""), "event_file.save"),
-        (Called(event_file.method_of, Path("x"), "unlink"), "PosixPath"),
-        (Called(event_file.method_of, [], "append"), "method 'append'"),
+        (Called(keeper.save, (), Path("x"), ""), "keeper.save"),
+        (Called(pickling.method_of, Path("x"), "unlink"), "PosixPath"),
+        (Called(pickling.method_of, [], "append"), "method 'append'"),
     ],
 )
 def test_a_pickle_that_does_anything_is_refused(content: Called, word: str) -> None:
@@ -180,7 +182,7 @@ def test_only_the_newest_files_are_kept(recorder: FlightRecorder, tmp_path: Path
 
 def test_the_keeper_saves_once_a_minute_and_after_a_kill(recorder: FlightRecorder, tmp_path: Path) -> None:
     recorder.begin((), lambda count: False)
-    command = [sys.executable, "-I", "-S", event_file.__file__, str(tmp_path), *map(str, recorder.paths)]
+    command = [sys.executable, "-I", "-S", keeper.__file__, str(tmp_path), *map(str, recorder.paths)]
     ended = subprocess.run(command, input=b"bus-down\nbus-down\nstuck\n", capture_output=True, check=True)
     causes = sorted(path.name.split("-executor-")[1] for path in tmp_path.iterdir())
     assert causes == ["bus-down", "killed"], ended.stderr
@@ -202,6 +204,6 @@ def test_blocks_are_readable_before_the_process_ends(recorder: FlightRecorder) -
     recorder.begin((), lambda count: False)
     recorder("x", 1.0, 2.0, [])
     content = recorder.paths[0].read_bytes()
-    size = event_file.about(content)["checkpoint"]
+    size = keeper.about(content)["checkpoint"]
     place = content.index(b"\n") + 1 + size
     assert LENGTH.unpack_from(content, place)[0] == len(content) - place - LENGTH.size

@@ -1,21 +1,18 @@
-"""Files of the last events of a process's core, see `FlightRecorder`, and the keeper, a process that saves them.
+"""Saves the last events of a core, see `FlightRecorder`; also the keeper, a process that does so.
 
 The process writes its events to two files in memory, the generations. Each begins with a line of JSON and a pickle of
 the core, the checkpoint. Blocks of entries follow, each a length and a pickle. A newer generation replaces the older of
 the two, so that together they have the last events, and a state from which these can be replayed.
 
-The keeper has normal priority, so that no disk delays the process. It is started as `python -I -S event_file.py`:
+The keeper has normal priority, so that no disk delays the process. It is started as `python -I -S keeper.py`:
 this file imports the standard library only. A saved file has MAGIC, a line of JSON, and both generations in zlib.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib
-import io
 import json
 import os
-import pickle
 import re
 import stat
 import struct
@@ -24,8 +21,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from types import FunctionType, MethodType
-from typing import Any, NamedTuple
+from typing import Any
 
 MAGIC = b"hyperbit events 1\n"
 SHARED = Path("/dev/shm")  # a file system in memory
@@ -37,60 +33,9 @@ KINDS = ("executor", "planner")
 ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
 KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
 
-# What a pickle of events may contain: classes of these modules, which only hold data and compute.
-PURE = re.compile(
-    r"controller\.(settings|program(\.\w+)?|motion\.\w+|obstacles\.\w+|planning\.core\.\w+)"
-    r"|controller\.executor\.(actuation|arm|clearance|clients|core|ending|events|kinds|locked|modes|motion"
-    r"|motion_supervision|program_execution|reports|requests|results|setpoint_stream|travel_times)"
-    r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
-)
-OTHERS = {
-    ("controller.event_file", "method_of"),
-    ("controller.executor.switch_journal", "MemoryJournal"),
-    ("collections", "Counter"),
-    ("collections", "OrderedDict"),
-    ("collections", "defaultdict"),
-    ("collections", "deque"),
-    ("functools", "partial"),
-    *(("builtins", name) for name in ("bytearray", "complex", "dict", "frozenset", "list", "range", "set", "slice")),
-    *(("numpy", name) for name in ("dtype", "ndarray")),
-    *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
-    *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),
-}
-
 
 class Refused(ValueError):
     """A file is no file of events, or contains what such a file may not contain; the text says what."""
-
-
-class Entry(NamedTuple):
-    """One step of the core.
-
-    Attributes:
-        event: that the core took.
-        now: CLOCK_MONOTONIC [s].
-        wall: UNIX time [s]; None for a core that takes none.
-        actions: that the core returned; None: the step raised an exception.
-    """
-
-    event: Any
-    now: float
-    wall: float | None
-    actions: list[Any] | None
-
-
-class Generation(NamedTuple):
-    """A part of the events.
-
-    Attributes:
-        about: line of JSON: arm, kind, digest of the arm's file, version of hyperbit, pid, number, times.
-        core: at the checkpoint, before the first entry; None: no checkpoint could be taken.
-        entries: the steps since then.
-    """
-
-    about: dict[str, Any]
-    core: Any
-    entries: list[Entry]
 
 
 def ring_paths(arm: str, kind: str, pid: int) -> tuple[Path, Path]:
@@ -167,78 +112,6 @@ def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = Non
     for old in sorted(other for other in folder.iterdir() if own.match(other.name))[: -(kept or sys.maxsize)]:
         old.unlink(missing_ok=True)
     return path
-
-
-def load(path: Path) -> list[Generation]:
-    """Reads a saved file. Only data and classes without side effects are accepted.
-
-    Raises:
-        Refused: the file is damaged, no file of events, or contains anything else.
-        OSError: the file cannot be read.
-    """
-    content = path.read_bytes()
-    if not content.startswith(MAGIC):
-        raise Refused(f"{path} is no file of events of this version: it does not begin with {MAGIC.decode().strip()!r}")
-    unpacking = zlib.decompressobj()
-    try:
-        parts = unpacking.decompress(content[content.index(b"\n", len(MAGIC)) + 1 :], LARGEST)
-        generations = []
-        while parts:
-            (size,) = LENGTH.unpack_from(parts)
-            generations.append(_generation(parts[LENGTH.size : LENGTH.size + size]))
-            parts = parts[LENGTH.size + size :]
-    except (zlib.error, struct.error, ValueError) as error:
-        raise error if isinstance(error, Refused) else Refused(f"{path} is damaged: {error}") from None
-    return generations
-
-
-def _generation(content: bytes) -> Generation:
-    said = about(content)
-    place = content.index(b"\n") + 1
-    core = unpickle(content[place : place + said["checkpoint"]]) if said["checkpoint"] else None
-    place += said["checkpoint"]
-    entries: list[Entry] = []
-    while place + LENGTH.size <= len(content):
-        (size,) = LENGTH.unpack_from(content, place)
-        place += LENGTH.size
-        if place + size > len(content):
-            break  # the process was killed while it wrote this block
-        entries += [Entry(*entry) for entry in unpickle(content[place : place + size])]
-        place += size
-    return Generation(said, core, entries)
-
-
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) in OTHERS:
-            return getattr(importlib.import_module(module), name)
-        if PURE.fullmatch(module):
-            found = getattr(importlib.import_module(module), name, None)
-            if isinstance(found, type) and found.__module__ == module:
-                return found
-        raise Refused(f"the file contains {module}.{name}, which no file of events may contain: it is not loaded")
-
-
-def unpickle(content: bytes) -> Any:
-    """Returns the content of a pickle of data, without code.
-
-    Raises:
-        Refused: the pickle is damaged, or contains anything else.
-    """
-    try:
-        return _Unpickler(io.BytesIO(content)).load()
-    except Refused:
-        raise
-    except Exception as error:
-        raise Refused(f"a pickle cannot be read: {type(error).__name__}: {error}") from None
-
-
-def method_of(owner: object, name: str) -> MethodType:
-    """Returns a method of an object of a pure module; the form in which a pickle has bound methods."""
-    function = next((vars(kind)[name] for kind in type(owner).__mro__ if name in vars(kind)), None)
-    if not isinstance(function, FunctionType) or not PURE.fullmatch(function.__module__):
-        raise Refused(f"the file contains a method {name!r} of {type(owner).__name__}: it is not loaded")
-    return MethodType(function, owner)
 
 
 def keep(paths: Sequence[Path], folder: Path) -> None:

@@ -1,13 +1,12 @@
 """The flight recorder: the last events of a pure core, with a state from which they can be replayed.
 
 Nothing here waits: entries are written to a file in memory, and a process of normal priority saves them on a disk.
-See `controller.event_file` for both files, and `tests.simulation.events` for the replay.
+See `keeper` for both files, and `tests.simulation.events` for the replay.
 """
 
 from __future__ import annotations
 
 import contextlib
-import copyreg
 import io
 import json
 import logging
@@ -17,13 +16,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType, MethodType
+from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
-from controller import event_file
-from controller.event_file import LENGTH, SHARED, method_of, ring_paths
+from controller.flight_recorder import keeper
+from controller.flight_recorder.keeper import LENGTH, SHARED, ring_paths
+from controller.flight_recorder.pickling import reducers
 
 log = logging.getLogger(__name__)
 
@@ -38,12 +38,14 @@ class Label(NamedTuple):
     Attributes:
         kind: "executor" or "planner".
         arm: its name.
-        digest: of the arm's file.
+        digest: SHA-256 of the arm's file.
+        file: text of the arm's file, for a core that refers to objects made from it.
     """
 
     kind: str
     arm: str
     digest: str
+    file: str = ""
 
 
 class FlightRecorder:
@@ -57,7 +59,8 @@ class FlightRecorder:
     Args:
         label: what is recorded.
         folder: of saved files; None: nothing is saved by itself.
-        opaque: name of the field of NamedTuples that is recorded as None, because the core does not look inside.
+        opaque: field of NamedTuples that is recorded as None, because the core does not look inside.
+        outside: constant objects that are recorded by name, such as the manipulator; the only ones of their types.
         batch: number of entries after which they are written; a caller with a larger one calls `flush`.
     """
 
@@ -66,12 +69,13 @@ class FlightRecorder:
         label: Label,
         folder: Path | None,
         opaque: Mapping[type, str] = MappingProxyType({}),
+        outside: Mapping[str, object] = MappingProxyType({}),
         batch: int = 1,
     ) -> None:
         self._label, self._batch = label, batch
         self._core: Any = None
         self._may_checkpoint: Callable[[int], bool] = bool
-        self._table = _reducers(opaque)
+        self._table = reducers(opaque, outside)
         self.paths = ring_paths(label.arm, label.kind, os.getpid())
         self._pending: list[tuple[Any, float, float | None, list[Any] | None]] = []
         self._file: IO[bytes] | None = None
@@ -100,7 +104,7 @@ class FlightRecorder:
         except OSError as error:
             self._stop(error)
 
-    def __call__(self, event: Any, now: float, wall: float | None, actions: list[Any] | None) -> None:
+    def __call__(self, event: Any, now: float, wall: float | None, actions: Sequence[Any] | None) -> None:
         """Records a step.
 
         Args:
@@ -111,7 +115,7 @@ class FlightRecorder:
         """
         if self._file is None:
             return
-        self._pending.append((event, now, wall, actions))
+        self._pending.append((event, now, wall, None if actions is None else list(actions)))
         if actions is None or len(self._pending) >= self._batch:
             self.flush()
 
@@ -219,18 +223,6 @@ def _cause(entry: tuple[Any, float, float | None, list[Any] | None]) -> str | No
     return None
 
 
-def _reducers(opaque: Mapping[type, str]) -> dict[type, Callable[[Any], Any]]:
-    """Returns the reducers of a Pickler for what pickle does not accept by itself, or would do by `getattr`."""
-
-    def without(field: str) -> Callable[[Any], Any]:
-        return lambda it: (type(it), tuple(it._replace(**{field: None})))
-
-    table: dict[type, Callable[[Any], Any]] = dict(copyreg.dispatch_table)
-    table[MethodType] = lambda method: (method_of, (method.__self__, method.__name__))
-    table[MappingProxyType] = lambda mapping: (dict, (dict(mapping),))
-    return table | {kind: without(field) for kind, field in opaque.items()}
-
-
 def _remove_left(label: Label) -> None:
     """Removes the files in memory of processes that do not run any more."""
     for path in SHARED.glob(f"hyperbit-{os.getuid()}-{label.arm}-{label.kind}-*.events"):
@@ -248,10 +240,10 @@ def _started_keeper(paths: tuple[Path, Path], folder: Path) -> subprocess.Popen[
     """Starts the keeper. It survives the signals of a service manager or a terminal, and ends after this process."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the process inherits the mask
     try:
-        command = [sys.executable, "-I", "-S", event_file.__file__, str(folder.absolute()), *map(str, paths)]
-        keeper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        command = [sys.executable, "-I", "-S", keeper.__file__, str(folder.absolute()), *map(str, paths)]
+        started = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    assert keeper.stdin is not None
-    os.set_blocking(keeper.stdin.fileno(), False)
-    return keeper
+    assert started.stdin is not None
+    os.set_blocking(started.stdin.fileno(), False)
+    return started
