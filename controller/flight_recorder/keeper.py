@@ -141,4 +141,5 @@ def keep(paths: Sequence[Path], folder: Path) -> None:
 if __name__ == "__main__":
     with contextlib.suppress(OSError):  # of a real-time executor whose unit lets children inherit its priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(5)
     keep([Path(word) for word in sys.argv[2:]], Path(sys.argv[1]))

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from controller import config
 from controller.executor.events import Log, Send
 from controller.executor.server import Server
 from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
@@ -19,7 +20,11 @@ from controller.flight_recorder import recorder as recording
 from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save
 from controller.flight_recorder.loading import load
 from controller.flight_recorder.pickling import unpickle
-from tests.simulation.events import main, replay
+from controller.obstacles.obstacles import sphere
+from controller.planning.core.events import Answered, Start
+from controller.planning.core.tasks import OPAQUE, BuildScene, Scene, SceneBuilt, Tables
+from tests.keys import DEPLOY
+from tests.simulation.events import arm_objects, main, replay, same
 from tests.simulation.world import World
 
 LABEL = Label("executor", f"recorded-{os.getpid()}", "digest")
@@ -103,6 +108,29 @@ def test_the_last_block_of_a_killed_process_may_be_cut(recorder: FlightRecorder,
     path.write_bytes(path.read_bytes()[:-1])
     (generation,) = load(save(recorder.paths, tmp_path, "request"))
     assert [entry.event for entry in generation.entries] == ["whole"]
+
+
+def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_file(tmp_path: Path) -> None:
+    file = DEPLOY / "planar16.yaml"
+    arm, other = config.load(file), config.load(file)
+    label = Label("planner", LABEL.arm, "digest", file.read_text())
+    pillar = sphere("pillar", [1.0, 2.0], 0.5)
+    tables = Tables(3, b"abc", solvers=lambda: None)
+    with FlightRecorder(label, None, OPAQUE, {"manipulator": arm.manipulator}) as recorder:
+        recorder.begin([arm.manipulator, tables], lambda count: True)
+        scene = SceneBuilt(Scene(4, False, keep_out=object()), 1, 1)
+        recorder(Answered(7, scene, True), 1.0, 2.0, (Start(8, BuildScene(5, pillar)),))
+        (generation,) = load(save(recorder.paths, tmp_path, "request"), arm_objects)
+        recorder.begin([other.manipulator], lambda count: True)
+        assert load(save(recorder.paths, tmp_path, "other"), arm_objects)[1].core is None, "it is not the one by name"
+    manipulator, found = generation.core
+    assert (type(manipulator), len(manipulator.actuators)) == (type(arm.manipulator), 48)
+    assert found == Tables(3, b"abc", None)
+    (entry,) = generation.entries
+    assert entry[:3] == (Answered(7, SceneBuilt(Scene(4, False), 1, 1), True), 1.0, 2.0)
+    assert same(entry.actions, [Start(8, BuildScene(5, pillar))])
+    with pytest.raises(Refused, match="needs 'manipulator'"):
+        load(tmp_path / next(path.name for path in tmp_path.iterdir() if path.name.endswith("request")))
 
 
 # --- files that were changed by somebody
