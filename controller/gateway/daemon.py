@@ -21,9 +21,9 @@ from controller.gateway.status_reporter import StatusReporter
 from controller.gateway.warnings import Warnings
 from controller.journal import fields_of_result
 from controller.notify import Notifier
+from controller.planning.core.messages import Payload
 from controller.planning.ledger import Ledger
 from controller.planning.link import ExecutorLink
-from controller.planning.messages import Payload
 from controller.planning.planning import Planning
 from controller.workspace.densities import Densities
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import zenoh
 
-from controller.planning.messages import Payload
+from controller.planning.core.messages import Payload
 
 JSON = zenoh.Encoding.APPLICATION_JSON
 

@@ -12,7 +12,7 @@ import msgspec
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import MOST_BYTES, GoalMessage, parse
-from controller.planning.messages import Payload, refused
+from controller.planning.core.messages import Payload, refused
 
 MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
 PAUSE_EVERY, PAUSE = 10, 0.002  # number of further refusals for each pause, and its length [s]

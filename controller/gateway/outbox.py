@@ -11,7 +11,7 @@ import zenoh
 from controller.gateway.encoding import JSON, encode
 from controller.gateway.session import LEASE
 from controller.motion import codes
-from controller.planning.messages import Payload, Reply, refused
+from controller.planning.core.messages import Payload, Reply, refused
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from controller.planning.messages import Payload, Reply
+from controller.planning.core.messages import Payload, Reply
 
 REMEMBERED = 60.0  # [s] after the last answer; clients repeat a request for a few seconds
 FORGET_EVERY = 1.0  # [s]

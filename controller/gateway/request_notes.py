@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from controller.planning.messages import Payload, Reply
+from controller.planning.core.messages import Payload, Reply
 
 MOST_REFUSED = 50  # notes a second on refused requests
 MOST_TEXT = 500  # characters of a payload that is no JSON

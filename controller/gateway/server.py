@@ -16,7 +16,7 @@ from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.gateway.request_notes import RequestNotes
 from controller.motion import codes
-from controller.planning.messages import Payload, Reply, refused
+from controller.planning.core.messages import Payload, Reply, refused
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import zenoh
 from controller.gateway.encoding import JSON, encode
 from controller.journal import fields_of_fault, message_id
 from controller.notify import Notifier
-from controller.planning.messages import Payload
+from controller.planning.core.messages import Payload
 from controller.program import Fault
 
 log = logging.getLogger(__name__)

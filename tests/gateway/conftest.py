@@ -15,7 +15,7 @@ from controller.gateway.client import Client
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.gateway.server import Server
-from controller.planning.messages import Payload, Reply, done, refused
+from controller.planning.core.messages import Payload, Reply, done, refused
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from controller.gateway.repeated_goals import MOST, REMEMBERED, RepeatedGoals
-from controller.planning.messages import Payload, Reply, done, refused
+from controller.planning.core.messages import Payload, Reply, done, refused
 
 GOAL = b'{"id": "a", "waypoints": []}'
 ANONYMOUS = b'{"waypoints": []}'

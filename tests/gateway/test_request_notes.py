@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from controller.gateway.request_notes import MOST_REFUSED, RequestNotes, content_of
-from controller.planning.messages import Payload, done, refused
+from controller.planning.core.messages import Payload, done, refused
 from tests.gateway.conftest import ARM, Gateway
 from tests.gateway.test_server import PREFIX, asked
 from tests.waiting import eventually

@@ -14,7 +14,7 @@ import pytest
 
 from controller.gateway.status_reporter import StatusReporter
 from controller.notify import Notifier
-from controller.planning.messages import Payload
+from controller.planning.core.messages import Payload
 from controller.program import Fault
 from tests.gateway.test_outbox import FakeSession
 from tests.waiting import PATIENCE, eventually
