@@ -59,6 +59,6 @@ def content_of(payload: bytes) -> dict[str, Any]:
         return {"payload": None}
     try:
         msgspec.json.decode(payload)
-    except (msgspec.MsgspecError, RecursionError):
+    except (msgspec.MsgspecError, RecursionError, UnicodeError):
         return {"payload": None, "text": payload[:MOST_TEXT].decode(errors="replace")}
     return {"payload": msgspec.Raw(payload)}

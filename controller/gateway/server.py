@@ -5,7 +5,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Collection
-from typing import Protocol
+from typing import Protocol, Union
 
 import msgspec
 import zenoh
@@ -21,15 +21,11 @@ from controller.planning.messages import Payload, Reply, refused
 log = logging.getLogger(__name__)
 
 MOST_REFUSALS = 50  # refusals of puts published in one second
+MOST_SAMPLES = 64  # of a mailbox; a full one drops its oldest
 
 Take = Callable[[bytes, Reply], None]
 Receive = Callable[[], bytes | None]
-Declared = (
-    zenoh.Queryable[None]
-    | zenoh.Subscriber[None]
-    | zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
-    | zenoh.LivelinessToken
-)
+Declared = Union[zenoh.Queryable[None], zenoh.Subscriber[None], "Mailbox", zenoh.LivelinessToken]
 
 
 class Requests(Protocol):
@@ -193,20 +189,10 @@ class Server:
             self._brake.slow_down()
 
     def _latest(self, key: str) -> Receive:
-        """Returns a function that returns the latest sample put on `key` itself; None if there is no new one."""
-        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)  # a full ring drops its oldest
-        subscriber = self._session.declare_subscriber(f"{self._prefix}/{key}", ring)
-        self._declared.append(subscriber)
-
-        def receive() -> bytes | None:
-            try:
-                sample = subscriber.try_recv()
-            except zenoh.ZError:  # undeclared: the keys are closed before their readers
-                return None
-            named = sample is not None and str(sample.key_expr) == f"{self._prefix}/{key}"
-            return content(sample.payload) if sample is not None and named else None
-
-        return receive
+        """Declares the mailbox of a key and returns its `receive`."""
+        mailbox = Mailbox(self._session, f"{self._prefix}/{key}")
+        self._declared.append(mailbox)
+        return mailbox.receive
 
     def _publish_refusal(self, answer: Payload) -> None:
         """Publishes the refusal of a put on `result`."""
@@ -219,6 +205,34 @@ class Server:
             self._outbox.publish("result", {"id": None, "status": "refused", **answer})
         elif self._refusals == MOST_REFUSALS + 1:
             log.warning("more than %d puts in a second are refused: %s", MOST_REFUSALS, answer["message"])
+
+
+class Mailbox:
+    """Keeps the samples put on a key until they are read. A put by a wildcard displaces no sample that names the key.
+
+    Args:
+        session: open session.
+        key: in full.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(MOST_SAMPLES)
+        self._key, self._subscriber = key, session.declare_subscriber(key, ring)
+
+    def receive(self) -> bytes | None:
+        """Returns the latest sample put on the key itself; None if there is no new one. Never waits."""
+        latest = None
+        try:
+            while (sample := self._subscriber.try_recv()) is not None:
+                if str(sample.key_expr) == self._key:
+                    latest = content(sample.payload)
+        except zenoh.ZError:  # undeclared: the keys are closed before their readers
+            return None
+        return latest
+
+    def undeclare(self) -> None:
+        """Closes the mailbox."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def carry_out(take: Take, payload: bytes, reply: Reply) -> None:

@@ -58,6 +58,18 @@ def test_what_is_nested_too_deeply_is_noted_as_text() -> None:
     assert content_of(b'{"with": ' + b"[" * 100_000)["payload"] is None
 
 
+@pytest.mark.parametrize("payload", [b'"\xff"', b'{"id":"\xff"}', b'{"id":"\xed\xa0\x80"}'])
+def test_what_is_no_utf8_within_a_text_is_noted_as_text(payload: bytes) -> None:
+    assert content_of(payload)["payload"] is None
+
+
+def test_a_stop_whose_payload_is_no_utf8_is_carried_out_and_answered_while_a_recorder_listens(gateway: Gateway) -> None:
+    notes = noted(gateway)
+    (answer,) = asked(gateway.other(), f"{PREFIX}/stop", b'"\xff"')
+    assert answer["accepted"]
+    assert eventually(lambda: notes)[0]["answer"] == answer
+
+
 def test_a_wildcard_hears_no_notes(gateway: Gateway) -> None:
     notes = noted(gateway, f"hyperbit/{ARM}/**")
     asked(gateway.other(), f"{PREFIX}/goal")

@@ -102,6 +102,18 @@ def test_only_the_latest_sample_waits_and_wildcards_give_none(gateway: Gateway, 
     assert receive() is None
 
 
+@pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
+def test_a_put_by_a_wildcard_displaces_no_sample(gateway: Gateway, key: str) -> None:
+    session, receive = gateway.other(), gateway.planning.receive[key]
+    session.put(f"{PREFIX}/{key}", "real")
+    for _ in range(5):
+        session.put(f"hyperbit/*/{key}", "x")
+    session.put(f"{PREFIX}/cancel", b"")  # of the same session: it arrives last
+    eventually(lambda: gateway.planning.heard)
+    assert eventually(receive) == b"real"
+    assert receive() is None
+
+
 def test_without_a_tracker_measured_tips_are_not_declared(gateway: Gateway) -> None:
     gateway.server.close()
     gateway.planning.receive.clear()
