@@ -49,7 +49,7 @@ def run(
     return_large_blocks()
 
     from controller.actuators import ending_time, read_wired
-    from controller.gateway.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
+    from controller.commands.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
     from controller.journal import start_logging
     from controller.scheduling import shorten_slice
     from controller.sockets import socket_path
