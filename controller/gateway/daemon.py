@@ -12,11 +12,11 @@ from pathlib import Path
 import zenoh
 
 from controller.config import Arm
-from controller.gateway.one_daemon import require_no_other
+from controller.gateway.one_daemon import Claim
 from controller.gateway.outbox import Outbox
 from controller.gateway.repeated_goals import RepeatedGoals
 from controller.gateway.server import Server
-from controller.gateway.session import connects, lease, reachable
+from controller.gateway.session import lease, reachable
 from controller.gateway.status_reporter import StatusReporter
 from controller.gateway.warnings import Warnings
 from controller.journal import fields_of_result
@@ -65,7 +65,8 @@ def running(
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)
         session = closing.enter_context(zenoh.open(config))
-        require_no_other(session, name, connects=connects(config))
+        claim = Claim(session, name)
+        closing.callback(claim.close)
         book = Ledger(ledger, arm.manipulator.actuators)
         closing.callback(book.close)
         outbox = Outbox(session, f"hyperbit/{name}", lease(config))
@@ -83,6 +84,7 @@ def running(
         link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)
         planning = Planning(arm, densities, link, book, publish, changed.set)
         warnings = Warnings(reachable(session, config), book.faults)
+        claim.confirm()
         planning.start()
         closing.callback(planning.close)
         reporter = StatusReporter(

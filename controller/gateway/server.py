@@ -115,7 +115,7 @@ class Server:
     def close(self) -> None:
         """Undeclares all keys, the liveliness token first."""
         while self._declared:
-            self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
+            self._declared.pop().undeclare()
 
     def _command(self, key: str, take: Take, *, everywhere: bool = False) -> None:
         """Accepts commands on `key`, by query and by put; `everywhere`: also through a wildcard that matches it."""
