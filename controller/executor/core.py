@@ -96,6 +96,15 @@ class Executor:
         """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
         return self._master.collecting
 
+    @property
+    def picklable(self) -> bool:
+        """Whether the core can be pickled now: no procedure runs with a board, since generators cannot be pickled.
+
+        Procedures run all the time during a boot, otherwise for milliseconds. A pickle has the journal's counts, and
+        not its files.
+        """
+        return not self._master.asking
+
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event.
 
@@ -242,7 +251,11 @@ class Executor:
             self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
-        """Ends what the planner asked for. At the end of the executor nothing of it runs any more."""
+        """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.
+
+        At the end of the executor nothing that the planner asked for runs any more.
+        """
+        self.modes.new_epoch()
         if not self.ending.begun:
             self._hold(why)
 

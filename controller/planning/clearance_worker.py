@@ -11,9 +11,10 @@ from controller.manipulator.manipulator import Manipulator
 from controller.motion.program import unpack_states
 from controller.planning.goal_check import collision_outcome
 from controller.planning.goals import RunningGoals
-from controller.planning.keep_out import KeepOut, KeepOutSet, States
+from controller.planning.keep_out import KeepOut
 from controller.planning.monitor import ArmMonitor
 from controller.planning.running_goal import RunningGoal
+from controller.planning.workers.keep_out import KeepOutSet, States
 from controller.program import Clearance, Question
 
 log = logging.getLogger(__name__)

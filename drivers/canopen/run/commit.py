@@ -41,7 +41,7 @@ class Commit:
         self.switched: list[tuple[int, float]] = []
         self._links, self._outputs, self._longest = links, outputs, longest
         self._note = note
-        self._refusal: Callable[[], str | None] = lambda: None
+        self._refusal: Callable[[], str | None] | None = None
         self._states = 0
         self._began = 0.0
         self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that were not sent yet
@@ -187,7 +187,7 @@ class Commit:
             late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
             self.give_up(f"{late} for {self._longest:g} s")
         elif not waiting:
-            if (refusal := self._refusal()) is not None:
+            if self._refusal is not None and (refusal := self._refusal()) is not None:
                 self.give_up(refusal)
                 return
             buses, self._waiting = list(self._waiting), {}

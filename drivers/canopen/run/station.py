@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from drivers.canopen.faults import Fault
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.sdo.client import Transfer
@@ -38,14 +39,14 @@ class Station:
             self._again = True
         elif self.board.ready and self.board.layout.inputs:
             self.questioning, self._again = True, False
-            self.runner.start(_ask_inputs(self.board), lambda fault, now: self._answered(now), now)
+            self.runner.start(_ask_inputs(self.board), self._answered, now)
 
     def probe(self, now: float) -> None:
         """Asks for the device type, 1000h; any answer shows that the board is back."""
         if not self.runner.running:
-            self.runner.start(_ask_presence(), lambda fault, now: None, now)
+            self.runner.start(_ask_presence(), None, now)
 
-    def _answered(self, now: float) -> None:
+    def _answered(self, fault: Fault | None, now: float) -> None:
         self.questioning = False
         if self._again:
             self.question(now)

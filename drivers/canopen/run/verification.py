@@ -114,7 +114,7 @@ class Verification:
             self._start(station, self._errors(station), now)
 
     def _start(self, station: Station, reading: Generator[Step, Outcome, None], now: float) -> None:
-        station.runner.start(reading, lambda fault, now: None, now)
+        station.runner.start(reading, None, now)
 
     def _end(self, i: int) -> None:
         self._due.pop(i, None)

@@ -58,7 +58,7 @@ class Runner:
         self._node, self._link = node, link
         self._sdo = SdoClient(node, link)
         self._procedure: Procedure | None = None
-        self._ended: Callable[[Fault | None, float], None] = lambda fault, now: None
+        self._ended: Callable[[Fault | None, float], None] | None = None
         self._step: Step | None = None
         self._outgoing: Outgoing | None = None  # frame of an NMT command
         self._since = 0.0  # when the step began
@@ -73,8 +73,8 @@ class Runner:
         """Whether two boards answer; see `SdoClient.twice`."""
         return self._sdo.twice
 
-    def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None], now: float) -> None:
-        """Starts a procedure in place of the running one; `ended` takes its fault, or None, and the time."""
+    def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None] | None, now: float) -> None:
+        """Starts a procedure in place of the running one; `ended`, if any, takes its fault, or None, and the time."""
         self.cancel()
         self._procedure, self._ended = procedure, ended
         self._resume(None, now)
@@ -83,7 +83,7 @@ class Runner:
         """Cancels the procedure; its `ended` is not called."""
         if self._procedure is not None:
             self._procedure.close()
-        self._procedure = self._step = None
+        self._procedure = self._step = self._ended = None
         self._sdo.cancel()
         if self._outgoing is not None:
             self._outgoing.cancelled = True
@@ -119,7 +119,9 @@ class Runner:
         except BoardError as error:
             fault = error.fault
         self._procedure = self._step = None
-        self._ended(fault, now)
+        ended, self._ended = self._ended, None
+        if ended is not None:
+            ended(fault, now)
 
     def _begin(self, step: Step, now: float) -> None:
         self._step, self._since = step, now
