@@ -15,7 +15,6 @@ from typing import Any
 
 import can
 import zenoh
-from controller.planning.planning import Planning
 
 from controller.config import Arm, load
 from controller.executor.arm import read_arm
@@ -47,7 +46,7 @@ class System:
         boards: the simulated boards, in threads of this process.
         executor: its process, once started.
         planner: its process, if it has one of its own.
-        planning: the planner, if it is in this process.
+        daemon: the planner, if it is in this process.
         ledger: the planner's.
         config: of the planner's Zenoh session; by default it listens at the endpoint.
         clients: returns the configuration of clients' sessions.
@@ -83,7 +82,7 @@ class System:
         self.clients = lambda: session.configuration("client", connect=self.endpoint)
         self.executor: Process | None = None
         self.planner: Process | None = None
-        self.planning: Planning | None = None
+        self.daemon: daemon.Daemon | None = None
         self._planner_end = ExitStack()
         self.boards = self._start_boards()
 
@@ -128,13 +127,12 @@ class System:
         self.executor = self._nurseries["executor"].start(arguments, self.folder / "executor.log", self._environment)
         return self.executor
 
-    def start_planner(self) -> Planning:
+    def start_planner(self) -> None:
         """Starts a planner in threads of this process."""
         config = self.config or session.configuration("peer", listen=self.endpoint)
-        self.planning = self._planner_end.enter_context(self.serving(config, self.ledger))
-        return self.planning
+        self.daemon = self._planner_end.enter_context(self.serving(config, self.ledger))
 
-    def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Planning]:
+    def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[daemon.Daemon]:
         """A planner in threads of this process, while the context lasts."""
         arm = self.arm
         densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
@@ -157,7 +155,7 @@ class System:
     def end_planner(self) -> None:
         """Ends the planner in order."""
         self._planner_end.close()
-        self._planner_end, self.planning = ExitStack(), None
+        self._planner_end, self.daemon = ExitStack(), None
         if self.planner is not None and self.planner.alive:
             self.planner.thaw()
             self.planner.end(signal.SIGTERM)
