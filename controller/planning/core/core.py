@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
+import traceback
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
-from controller.motion.codes import PATH_TOLERANCE_VIOLATED
+from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
 from controller.motion.goal_motion import tracking_of
 from controller.planning.core.admission import Admission
 from controller.planning.core.arm import ExecutorView
@@ -18,6 +20,7 @@ from controller.planning.core.events import (
     FromExecutor,
     Identity,
     LinkDown,
+    Log,
     ObstaclesMessage,
     OpenGoal,
     Payload,
@@ -39,7 +42,7 @@ from controller.planning.core.events import (
 from controller.planning.core.goals import Goals
 from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers, Shared
 from controller.planning.core.locks import Locks
-from controller.planning.core.messages import CLOSING
+from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.obstacles import ObstacleOwner
 from controller.planning.core.parts import Parts
 from controller.planning.core.programs import Programs
@@ -188,7 +191,7 @@ class Core:
                 self._silent = 0
                 self._hear(message)
             case Request():
-                self._take(event)
+                self._answer(event)
             case Answered(number, answer, last):
                 self._jobs.answered(number, answer, last, moment.now)
             case SetpointArrived(payload):
@@ -213,6 +216,14 @@ class Core:
                 pass
 
     # --- clients
+
+    def _answer(self, request: Request) -> None:
+        """Takes a request; what fails is answered, and does not end the process."""
+        try:
+            self._take(request)
+        except Exception:
+            self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
+            self._act(Reply(request.number, refused(INVALID_GOAL, "internal error, see the journal")))
 
     def _take(self, request: Request) -> None:
         match request.key:
