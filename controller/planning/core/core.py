@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from controller.config import Arm
     from controller.motion.pacing import Pace
 
+CALM = 0.003  # [s] after an action that is not a report, before the next report
 LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
 
@@ -145,7 +146,7 @@ class Core:
         self._requests = ExecutorRequests(parts, self._goals)
         self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, bias)
         self._status = Status(parts, self._stream, self._tip_bias, self._waiting)
-        self._changed = True
+        self._changed, self._report_at = True, 0.0
         self._alive_at = 0.0  # time of the next keep-alive [s]
         self._most_silent = round(2.0 * arm.settings.planner_timeout / ALIVE_EVERY)
         self._silent = 0  # keep-alives since the executor's last message
@@ -172,10 +173,12 @@ class Core:
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
         self._close()
-        if isinstance(event, Tick) or not self._actions:  # otherwise what is urgent does not wait for a report
+        if self._actions and not isinstance(event, Tick):  # what is urgent, and its worker, do not wait for a report
+            self._report_at = now + CALM
+        if now >= self._report_at:
             self._status.report(now, wall, self._changed)
             self._changed = False
-        report_at = now if self._changed else self._status.due(now)
+        report_at = max(self._report_at, now if self._changed else self._status.due(now))
         due = min(self._alive_at, self._goals.due(), self._stream.due(now), report_at)
         if self._quit_at is not None:
             due = math.inf if self.ended else min(due, self._quit_at)
