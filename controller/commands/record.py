@@ -30,6 +30,7 @@ SIZE = "Begin a new recording after this size, such as 100M or 2G."
 MINUTES = "Begin a new recording after this time [min]."
 KEEP = "Delete the oldest recordings of this arm if all together exceed this size, such as 2G."
 FSYNC = "Flush the data to disk each second: a power failure then loses at most one second."
+EVENTS = "Save the last events of the arm's planner and executor on this computer, and end.."
 CAN = "Also write the frames of the arm's buses as candump text; ARM must be the arm's file."
 
 
@@ -41,11 +42,15 @@ def record(
     keep: Annotated[str | None, typer.Option(metavar="BYTES", help=KEEP, show_default=False)] = None,
     fsync: Annotated[bool, typer.Option("--fsync", help=FSYNC)] = False,
     can: Annotated[bool, typer.Option("--can", help=CAN)] = False,
+    events: Annotated[bool, typer.Option("--events", help=EVENTS)] = False,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
 ) -> None:
     """Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM."""
     name = arm_name(arm)
+    if events:
+        save_events(name, folder)
+        return
     most, most_kept = parse_size(size, "--size"), None if keep is None else parse_size(keep, "--keep")
     if not 0.0 < minutes < 1e6:
         raise InputFaults(Path("--minutes"), [f"a number above 0 is needed, got {minutes:g}"])
@@ -96,6 +101,23 @@ def record(
 
         recorder.run(listener, ending.is_set, beat)
         notifier.send("STOPPING=1")
+
+
+def save_events(arm: str, folder: Path) -> None:
+    """Saves the last events of planner and executor, and prints the paths of the files.
+
+    Raises:
+        Failed: nothing was saved.
+    """
+    from controller.commands.record_events import record_events
+
+    saved, missing = record_events(arm, folder)
+    for path in saved:
+        typer.echo(str(path))
+    if not saved:
+        raise Failed("; ".join(missing))
+    for text in missing:
+        typer.echo(text, err=True)
 
 
 @contextlib.contextmanager

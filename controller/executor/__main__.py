@@ -13,9 +13,10 @@ from controller.executor.core import Executor
 from controller.executor.journal_copy import JournalInUse
 from controller.executor.log_lines import start_logging
 from controller.executor.real_time import enter_real_time
-from controller.executor.run import EventLoop
+from controller.executor.run import MOST_PENDING, EventLoop
 from controller.executor.server import Server, SocketInUse
 from controller.executor.switch_journal import FileJournal, default_path
+from controller.flight_recorder import FlightRecorder, Label
 from controller.notify import Notifier
 from controller.sockets import socket_path
 from controller.strict import InputFaults
@@ -70,14 +71,17 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     with contextlib.ExitStack() as closing:  # the log ends last
         closing.callback(start_logging(arm.name))
         notifier = Notifier()
-        counts = FileJournal(journal or default_path(arm.name), arm.actuators, notifier.kept_file("switches"))
+        path = journal or default_path(arm.name)
+        counts = FileJournal(path, arm.actuators, notifier.kept_file("switches"))
         closing.callback(counts.close)
         counts.start_copier()
         server = Server(socket_path(socket, arm.name))
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
+        label = Label("executor", arm.name, arm.digest)
+        recorder = closing.enter_context(FlightRecorder(label, path.parent, batch=MOST_PENDING))
         core.reports.real_time = enter_real_time(arm.real_time)
         buses: Buses = simulation if simulate else CanBuses(arm.wiring.buses)
-        EventLoop(core, buses, server, notifier).run_until_signal()
+        EventLoop(core, buses, server, notifier, recorder=recorder).run_until_signal()
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from controller.executor.events import (
     Defect,
     Event,
     FromClient,
+    Health,
     Log,
     Notify,
     Quit,
@@ -48,7 +49,8 @@ class Executor:
     """Runs motion programs on the boards of an arm.
 
     Attributes:
-        reports: snapshots and diagnostics; the event loop adds its own figures.
+        journal: counts switches.
+        reports: snapshots and diagnostics.
         modes: mode and active faults.
         motion: the running program or stream.
         ending: the actions before the process ends.
@@ -69,7 +71,8 @@ class Executor:
         watchdog: float | None = None,
         build_master: Callable[..., Master] = Master,
     ) -> None:
-        self._arm, self._journal, self._instance, self._watchdog = arm, journal, instance, watchdog
+        self.journal = journal
+        self._arm, self._instance, self._watchdog = arm, instance, watchdog
         self._actions: list[Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
@@ -97,13 +100,9 @@ class Executor:
         return self._master.collecting
 
     @property
-    def picklable(self) -> bool:
-        """Whether the core can be pickled now: no procedure runs with a board, since generators cannot be pickled.
-
-        Procedures run all the time during a boot, otherwise for milliseconds. A pickle has the journal's counts, and
-        not its files.
-        """
-        return not self._master.asking
+    def calm(self) -> bool:
+        """Whether no commit and no procedure with a board is under way, so that the core can be pickled."""
+        return self._master.calm and not self.motion.busy
 
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event.
@@ -155,6 +154,9 @@ class Executor:
                 self._tick(now)
             case FromClient():
                 self._hear(event.client, event.message, now)
+            case Health():
+                self.reports.take_health(event)
+                self._clients.to_all(self.reports.diagnostics(now))
             case ClientGone():
                 if self._clients.remove(event.client):
                     self._lose_planner("the planner is gone")
@@ -237,14 +239,14 @@ class Executor:
             case Acknowledge() if client == self._clients.planner:
                 self._results.acknowledge(message.result)
             case Counts() if client == self._clients.planner:
-                self._journal.raise_to(message.counts)
+                self.journal.raise_to(message.counts)
             case _:
                 self._requests.take(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
     def _greet(self, client: Client, hello: Hello) -> None:
         if self._clients.greet(client, hello, self.motion.clock):
-            arm, counts, greatest = self._arm, tuple(self._journal.counts), self._requests.greatest
+            arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
             self._to_client(client, Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest))
             if hello.role == "planner":
                 self._results.send_again()

@@ -25,6 +25,20 @@ class Tick(NamedTuple):
     """A control period has begun."""
 
 
+class Health(NamedTuple):
+    """Figures of the process, once a second; answered by `Diagnostics` to all clients.
+
+    Attributes:
+        loop: timing of the event loop since the last figures, see `Diagnostics.loop`.
+        dropped: number of snapshots and diagnostics that the server has dropped.
+        journal: why counts of switches were lost or will be lost, as a sentence; None if they are safe.
+    """
+
+    loop: dict[str, float]
+    dropped: int
+    journal: str | None
+
+
 class FromClient(NamedTuple):
     """A client sent a message."""
 
@@ -52,7 +66,7 @@ class Quit(NamedTuple):
     """The process is asked to end."""
 
 
-Event = CanEvent | Tick | FromClient | ClientGone | Defect | Quit
+Event = CanEvent | Tick | Health | FromClient | ClientGone | Defect | Quit
 
 
 class Send(NamedTuple):

@@ -1,10 +1,10 @@
 """Snapshots 20 times a second and on each change, and diagnostics once a second."""
 
-from collections.abc import Callable
 from dataclasses import asdict
 
 from controller.executor.arm import WORDS, ExecutedArm
 from controller.executor.bits import indices
+from controller.executor.events import Health
 from controller.executor.locked import LockedActuators
 from controller.executor.motion import Motion
 from controller.executor.switch_journal import SwitchJournal
@@ -21,9 +21,7 @@ class Reports:
 
     Attributes:
         changed: whether something has changed since the last snapshot.
-        loop_status: returns the timing figures of the event loop since the last call.
         real_time: "off", "on", or a sentence on what is missing.
-        dropped: returns how many snapshots and diagnostics the server has dropped.
 
     Args:
         arm: the arm.
@@ -37,9 +35,8 @@ class Reports:
         self, arm: ExecutedArm, master: Master, motion: Motion, locked: LockedActuators, journal: SwitchJournal
     ) -> None:
         self.changed = True
-        self.loop_status: Callable[[], dict[str, float]] = dict
         self.real_time = "off"
-        self.dropped: Callable[[], int] = int
+        self._health = Health({}, 0, None)
         self._arm, self._master, self._motion, self._locked, self._journal = arm, master, motion, locked, journal
         self._size = len(arm.actuators)
         self._next_snapshot = self._next_diagnostics = 0.0
@@ -86,6 +83,11 @@ class Reports:
             ),
         )
 
+    def take_health(self, health: Health) -> None:
+        """Takes the figures of the process."""
+        self.changed |= health.journal != self._health.journal
+        self._health = health
+
     def diagnostics_due(self, now: float) -> bool:
         """Returns whether diagnostics are due."""
         return now >= self._next_diagnostics
@@ -96,17 +98,17 @@ class Reports:
         status = self._master.status()
         return Diagnostics(
             at=now,
-            loop=self.loop_status(),
+            loop=self._health.loop,
             buses=[asdict(bus) for bus in status.buses],
             boards=[asdict(board) for board in status.boards],
             real_time=self.real_time[:1_000],
             counts=tuple(self._journal.counts),
             waits=self._motion.clearances.waits,
-            dropped=self.dropped(),
+            dropped=self._health.dropped,
         )
 
     def _own(self) -> tuple[BoardFault, ...]:
-        problem = self._journal.problem
+        problem = self._health.journal
         journal = () if problem is None else (BoardFault("journal", "executor", problem),)
         return journal + tuple(self._unknown(k) for k in indices(self._motion.homing & self._master.known))
 

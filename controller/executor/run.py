@@ -13,15 +13,20 @@ from collections.abc import Callable
 
 from controller.executor.buses import Buses
 from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Action, Defect, Event, Log, Notify, Quit, Send, Tick, ToClient
+from controller.executor.events import Action, Defect, Event, Health, Log, Notify, Quit, Send, Tick, ToClient
 from controller.executor.server import Server
+from controller.flight_recorder import FlightRecorder
 from controller.notify import Notifier
 
 log = logging.getLogger("executor")
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
+SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 CLOSE = 0.0007  # [s] before a tick in which no message is handled; a program takes about as long
 MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
+MOST_PENDING = 1_000  # recorded events that wait for the end of a tick
+CHECKPOINTING = 0.005  # [s] left before the next tick; 24 boards with 48 actuators take 0.002 s
+CHECKPOINT_AT = 10_000  # events since the last checkpoint
 CLOSING = 0.25  # [s] for the running stage at the end
 FLUSHING = 0.5  # [s] for the messages that wait at the end
 WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; collecting 5,000 takes about 3 ms
@@ -40,6 +45,7 @@ class EventLoop:
         server: the socket of the clients.
         notifier: sends states to systemd.
         clock: CLOCK_MONOTONIC [s].
+        recorder: of the events; None: they are not recorded.
     """
 
     def __init__(
@@ -49,16 +55,15 @@ class EventLoop:
         server: Server,
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
+        recorder: FlightRecorder | None = None,
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
-        self._clock = clock
+        self._clock, self._recorder = clock, recorder
         self._time = Timekeeper(PERIOD)
         self._garbage = Garbage()
         self._quitting = False
         self._queued = deque[Action]()
         self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        core.reports.loop_status = self._time.take
-        core.reports.dropped = lambda: server.dropped
 
     def quit(self) -> None:
         """Asks the loop to end; a second call ends it at once. Any thread or signal handler may call this."""
@@ -69,6 +74,8 @@ class EventLoop:
     def run(self) -> None:
         """Runs until `quit`; then gives the running program its result, and closes everything."""
         with self._garbage:
+            if self._recorder is not None:
+                self._recorder.begin(self._core, self._may_checkpoint)
             self._time.start(self._clock())
             while not self._quitting:
                 self._round()
@@ -127,18 +134,38 @@ class EventLoop:
 
     def _tick(self, began: float) -> None:
         self._report_all()
+        if self._core.reports.diagnostics_due(began + SOON):
+            self._step(Health(self._time.take(), self._server.dropped, self._core.journal.problem))
         self._step(Tick())
         self._take_frames()
         self._time.ticked(began, self._clock())
+        if self._recorder is not None:
+            self._recorder.flush()
         self._garbage.collect(self._core.modes.mode != "executing")
 
     def _step(self, event: Event) -> None:
         """Passes an event to the core, sends its frames, and queues its other actions for `_report`."""
-        for action in self._core.step(event, self._clock()):
+        now = self._clock()
+        try:
+            actions = self._core.step(event, now)
+        except Exception:
+            self._record(event, now, None)
+            raise
+        for action in actions:
             if isinstance(action, Send):
                 self._buses.send(action.bus, action.frame, self._clock())
             else:
                 self._queued.append(action)
+        self._record(event, now, actions)
+
+    def _may_checkpoint(self, count: int) -> bool:
+        """Whether the core may be pickled: while the arm holds, or after CHECKPOINT_AT events while it moves."""
+        spare = self._time.remaining(self._clock()) > CHECKPOINTING
+        return spare and self._core.calm and (self._core.modes.mode != "executing" or count >= CHECKPOINT_AT)
+
+    def _record(self, event: Event, now: float, actions: list[Action] | None) -> None:
+        if self._recorder is not None:
+            self._recorder(event, now, None, actions)
 
     def _report(self, action: Action) -> None:
         match action:

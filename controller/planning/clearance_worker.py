@@ -4,6 +4,7 @@ import logging
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from controller.planning.goals import RunningGoals
 from controller.planning.keep_out import KeepOut
 from controller.planning.monitor import ArmMonitor
 from controller.planning.running_goal import RunningGoal
+from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.keep_out import KeepOutSet, States
 from controller.program import Clearance, Question
 
@@ -86,12 +88,14 @@ class ClearanceWorker:
             self._checks += 1
             number = self._checks
 
-        def latest() -> bool:
-            return number == self._checks
+        def proceed() -> None:
+            if number != self._checks:
+                raise Abandoned
 
         def check() -> None:
-            collision = current.first_collision(states, stages, latest)
-            if latest():
+            with suppress(Abandoned):
+                collision = current.first_collision(states, stages, proceed)
+                proceed()
                 on_checked(current, collision)
 
         try:

@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from controller.planning.core.events import Accepted, Ended, Identity, Record
-from controller.planning.ledger_file import MOST_GOALS, LedgerFile, OpenGoal, counted, damaged, owed
+from controller.planning.core.events import Accepted, Ended, Identity, OpenGoal, Record
+from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed
 from controller.program import Fault
 
 log = logging.getLogger(__name__)

@@ -7,9 +7,9 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from controller.planning.core.events import Identity, Record
+from controller.planning.core.events import Identity, OpenGoal, Record
 
 log = logging.getLogger(__name__)
 
@@ -46,22 +46,6 @@ WHERE ended IS NULL AND instance IS NOT NULL ORDER BY number DESC LIMIT ?
 """
 COUNTED = "INSERT INTO switches VALUES (?, ?) ON CONFLICT DO UPDATE SET count = max(count, excluded.count)"
 FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) - ?"
-
-
-class OpenGoal(NamedTuple):
-    """An accepted goal without a result.
-
-    Attributes:
-        identity: of its program.
-        goal: its id.
-        wall: time of the acceptance [UNIX s].
-        waypoints: number.
-    """
-
-    identity: Identity
-    goal: str
-    wall: float
-    waypoints: int
 
 
 class LedgerFile:

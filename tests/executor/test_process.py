@@ -36,8 +36,8 @@ FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer
 ROOMS = {
     "controller." + name
     for name in (
-        *("actuators", "error_states", "executor", "journal", "notify", "program", "scheduling", "settings"),
-        *("sockets", "strict", "terminals"),
+        *("actuators", "error_states", "executor", "flight_recorder", "journal", "notify", "program"),
+        *("scheduling", "settings", "sockets", "strict", "terminals"),
     )
 }
 MOST_RESIDENT = 80 * 1024  # [kB]

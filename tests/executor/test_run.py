@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from controller.executor.core import DEFECT, PERIOD, Executor
-from controller.executor.events import ToClient
+from controller.executor.events import Defect, Tick, ToClient
 from controller.executor.run import CLOSE, EventLoop
 from controller.executor.server import Server
 from controller.executor.switch_journal import MemoryJournal
@@ -158,6 +158,29 @@ def test_the_loop_reports_its_lateness(bench: Bench) -> None:
     assert loop["overruns"] in (4, 5)
     assert loop["longest_period"] == pytest.approx(0.06)
     assert set(loop) >= {"ticks", "mean_work", "longest_work", "late_p99", "late_worst"}
+
+
+def test_an_event_whose_step_fails_is_recorded_before_the_defect(bench: Bench) -> None:
+    recorded = list[tuple[Any, bool]]()
+
+    class Recorder:
+        def __call__(self, event: Any, now: float, wall: float | None, actions: list[Any] | None) -> None:
+            recorded.append((event, actions is None))
+
+        def flush(self) -> None:
+            pass
+
+    def fail(event: Any, now: float) -> list[Any]:
+        del bench.core.step  # the class has it
+        raise RuntimeError("a defect")
+
+    bench.go(10)
+    bench.loop._recorder = Recorder()
+    bench.core.step = fail
+    bench.go(2)
+    assert recorded[0] == (Tick(), True)
+    assert isinstance(recorded[1][0], Defect)
+    assert bench.core.modes.mode == "fault"
 
 
 def test_at_the_end_the_result_is_sent_and_all_is_closed(bench: Bench, tmp_path: Path) -> None:

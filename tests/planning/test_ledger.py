@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from controller.planning import ledger_file
-from controller.planning.core.events import Accepted, Ended, Identity, Record
+from controller.planning.core.events import Accepted, Ended, Identity, OpenGoal, Record
 from controller.planning.ledger import Ledger, LedgerInUse
-from controller.planning.ledger_file import OpenGoal, counted, default_path, owed, read
+from controller.planning.ledger_file import counted, default_path, owed, read
 from tests.waiting import eventually
 
 NAMES = ("1.left", "1.diagonal", "1.right")

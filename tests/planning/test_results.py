@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.events import Identity
-from controller.planning.core.results import OwedGoal
+from controller.planning.core.events import Identity, OpenGoal
 from controller.program import Acknowledge, Cancel, Program, Replacement
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
@@ -72,7 +71,7 @@ def test_what_an_earlier_process_has_published_is_recorded_and_acknowledged_only
 
 
 def test_what_another_executor_owed_is_lost(make: Make) -> None:
-    owed = OwedGoal(Identity(77, 5), "old", 12.0, 3)
+    owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
     later = make(owed=[owed])
     result = later.inbox.next("result")
     assert (result["id"], result["status"], result["code"]) == ("old", "lost", -4)
@@ -86,7 +85,7 @@ def test_what_another_executor_owed_is_lost(make: Make) -> None:
 
 def test_what_the_same_executor_owes_is_waited_for(desk: Desk, make: Make) -> None:
     program = taken(desk, A)
-    later = make(owed=[OwedGoal(Identity(1, program.program), "a", 12.0, 1)])
+    later = make(owed=[OpenGoal(Identity(1, program.program), "a", 12.0, 1)])
     assert later.inbox.empty
     later.executor.end(program, "aborted", "the planner is gone", mark=-1)
     assert later.inbox.next("inherited")["message"] == "the planner is gone"
@@ -97,7 +96,7 @@ def test_what_the_same_executor_owes_is_waited_for(desk: Desk, make: Make) -> No
 
 
 def test_what_was_published_as_lost_before_a_kill_is_not_published_again(make: Make) -> None:
-    owed = OwedGoal(Identity(77, 5), "old", 12.0, 3)
+    owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
     later = make(owed=[owed], published=[owed.identity])
     assert later.inbox.empty
     assert kinds(later) == ["accepted+ended"]

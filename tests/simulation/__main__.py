@@ -6,7 +6,9 @@ import argparse
 import sys
 import time
 from collections import Counter
+from pathlib import Path
 
+from tests.simulation import events
 from tests.simulation.world import World
 
 STEPS_A_SEED = 20_000
@@ -19,7 +21,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="run only this seed; without it, many seeds from 0")
     parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="number of steps of all seeds")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--events", type=Path, metavar="FILE", help="replay the recorded events of a process instead")
     options = parser.parse_args()
+    if options.events is not None:
+        return events.main(options.events)
     began, steps, seed = time.monotonic(), 0, options.first if options.seed is None else options.seed
     counts: Counter[str] = Counter()
     failed: list[int] = []

@@ -10,6 +10,7 @@ from controller.executor.arm import ExecutedArm
 from controller.executor.core import PERIOD, Executor
 from controller.executor.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
 from controller.executor.switch_journal import MemoryJournal
+from controller.flight_recorder import FlightRecorder
 from controller.program import Up
 from drivers.canopen.wire.events import Changed, SendFailed
 from tests.simulation.agenda import Agenda
@@ -26,6 +27,7 @@ class ExecutorProcess:
         journal: the switch journal, which survives the process.
         core: core of the present process; None between a kill and the next start.
         instances: number of processes so far.
+        recorder: records the events of all processes; None: they are not recorded.
 
     Args:
         arm: the arm.
@@ -46,6 +48,7 @@ class ExecutorProcess:
         self.journal = MemoryJournal(len(arm.actuators))
         self.core: Executor | None = None
         self.instances = 0
+        self.recorder: FlightRecorder | None = None
         self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
         self._record = record
         self._to_client: Callable[[Client, Up], None] = lambda client, message: None
@@ -67,6 +70,9 @@ class ExecutorProcess:
         self.instances += 1
         self._events.clear()
         self.core = Executor(self._arm, self.journal, self.instances)
+        if self.recorder is not None:
+            core = self.core
+            self.recorder.begin(core, lambda count: core.calm)
         self._next_tick = self._agenda.now
         self._ticked = False
         self._started_at = self._agenda.now
@@ -173,7 +179,10 @@ class ExecutorProcess:
         while self._events and self.core is not None:
             event = self._events.popleft()
             self._record.told(event)
-            for action in self.core.step(event, self._agenda.now):
+            actions = self.core.step(event, self._agenda.now)
+            if self.recorder is not None:
+                self.recorder(event, self._agenda.now, None, actions)
+            for action in actions:
                 if self.core is not None:
                     self._do(action)
             if self.core is not None and self.core.ended:

@@ -29,7 +29,7 @@ def test_a_copy_from_a_pickle_takes_the_same_actions(monkeypatch: pytest.MonkeyP
     world = World(seed)
     for k in range(STEPS):
         core = world.executor.core
-        if k % EVERY == 0 and core is not None and core.picklable:
+        if k % EVERY == 0 and core is not None and core.calm:
             core.reports.dropped = lambda: 0  # as the event loop sets it
             copies = {id(core): pickle.loads(pickle.dumps(core))}
         world._step()

@@ -19,7 +19,9 @@ from controller.planning.core.events import (
     Identity,
     LinkDown,
     ObstaclesMessage,
+    OpenGoal,
     Payload,
+    Publish,
     Published,
     Quit,
     RecordCounts,
@@ -44,7 +46,7 @@ from controller.planning.core.programs import Programs
 from controller.planning.core.queries import Queries
 from controller.planning.core.reports import Outcome
 from controller.planning.core.requests import ExecutorRequests
-from controller.planning.core.results import OwedGoal, Results
+from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream
 from controller.planning.core.tasks import Scene, Tables
@@ -94,7 +96,7 @@ class Beginning(NamedTuple):
     obstacles: int
     counts: tuple[int, ...]
     published: Iterable[Identity] = ()
-    owed: Iterable[OwedGoal] = ()
+    owed: Iterable[OpenGoal] = ()
 
 
 class Core:
@@ -320,7 +322,9 @@ class Core:
     def _close(self) -> None:
         over = self._programs.idle and self._results.idle and not self._goals.waiting
         if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
-            self._obstacles.answer([], at_once=True)
+            if not self.ended:
+                self._obstacles.answer([], at_once=True)
+                self._act(Publish("state", self._status.state(self._moment.now, self._moment.wall)))
             self.ended = True
 
     # ---

@@ -12,7 +12,17 @@ import msgspec
 from controller.journal import fields_of_result
 from controller.planning.core.arm import ExecutorView, measured_states
 from controller.planning.core.context import Context, decode_context
-from controller.planning.core.events import Accepted, Action, Identity, Log, Payload, PublishResult, Record, ToExecutor
+from controller.planning.core.events import (
+    Accepted,
+    Action,
+    Identity,
+    Log,
+    OpenGoal,
+    Payload,
+    PublishResult,
+    Record,
+    ToExecutor,
+)
 from controller.planning.core.events import Ended as EndedEntry
 from controller.planning.core.jobs import Moment
 from controller.planning.core.poses import Target
@@ -21,23 +31,6 @@ from controller.planning.core.tasks import Proof
 from controller.program import Acknowledge, Ended
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
-
-
-@dataclass(frozen=True)
-class OwedGoal:
-    """A goal that the ledger has as accepted and not as ended.
-
-    Attributes:
-        identity: of its program.
-        goal: its id.
-        wall: time of its acceptance [UNIX s].
-        waypoints: number.
-    """
-
-    identity: Identity
-    goal: str
-    wall: float
-    waypoints: int
 
 
 class Known(NamedTuple):
@@ -90,7 +83,7 @@ class Results:
         view: ExecutorView,
         moment: Moment,
         published: Iterable[Identity],
-        owed: Iterable[OwedGoal],
+        owed: Iterable[OpenGoal],
         act: Callable[[Action], None],
     ) -> None:
         self._view, self._moment, self._act = view, moment, act

@@ -215,7 +215,8 @@ class Stream:
             self._found = None
             self._set_note("", now)
             return
-        task = FollowSetpoint(state.start, tuple((goal - shift).tolist()), tolerance, tables, scene)
+        position, numbers = tuple((goal - shift).tolist()), None if bias is None else tuple(bias.tolist())
+        task = FollowSetpoint(state.start, position, tolerance, tables, scene, numbers)
         self._job = self._parts.jobs.start(task, self._take_answer), task
 
     def _take_answer(self, answer: Answer, _last: bool, now: float) -> None:

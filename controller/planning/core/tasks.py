@@ -290,7 +290,7 @@ class Followed(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """The first collision of the checked stages, in words; None if all are clear, or the check was abandoned."""
+    """The first collision of the checked stages, in words; None if all are clear."""
 
     collision: str | None
 
@@ -345,3 +345,6 @@ Answer = (
     | Refused
     | Failed
 )
+
+# Fields that the core does not look inside: the flight recorder records them as None.
+OPAQUE: dict[type, str] = {Tables: "solvers", Scene: "keep_out", ImprovePlan: "plan", Planned: "plan"}

@@ -2,46 +2,119 @@
 
 import itertools
 import time
-from collections.abc import Callable, Collection
+import uuid
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple
+
+import numpy as np
 
 from controller.config import Arm
+from controller.motion.pacing import pace_of
+from controller.notify import Notifier
+from controller.obstacles.obstacles import NONE
+from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import (
     CancelMessage,
+    Ended,
     Key,
     Message,
+    OpenGoal,
     Payload,
     Quit,
+    Record,
     Request,
     SetpointArrived,
     TipArrived,
     Unsent,
 )
+from controller.planning.core.tasks import BuildScene, BuildTables
 from controller.planning.description import density, description, drawing, file
+from controller.planning.ledger import Ledger
+from controller.planning.published import PublishedResults
+from controller.planning.shell.inbox import Inbox
 from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.loop import Loop, OnReply
+from controller.planning.shell.loop import Loop, OnReply, Recorder
 from controller.planning.shell.mailboxes import Receive
 from controller.planning.shell.requests import RequestDecoder
-from controller.program import Cancel, Halt
+from controller.planning.shell.services import Out, Services
+from controller.planning.workers.arm_model import build_tables
+from controller.planning.workers.keep_out import build_scene
+from controller.planning.workers.pool import Workers
+from controller.program import Cancel, Fault, Halt
 from controller.workspace.densities import Densities
 
 CANCELED = "canceled; the arm holds"
 LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
 
+class Outside(NamedTuple):
+    """What the planner needs from its process.
+
+    Attributes:
+        inbox: of the loop; the others post their events there.
+        ledger: of goals and switches.
+        published: marks of published results.
+        out: sends publications.
+        notifier: notifies systemd.
+        warnings: returns the active warnings of the clock, the network and the ledger.
+        fatal: ends the process with a message.
+    """
+
+    inbox: Inbox
+    ledger: Ledger
+    published: PublishedResults
+    out: Out
+    notifier: Notifier
+    warnings: Callable[[], tuple[Fault, ...]]
+    fatal: Callable[[str], None]
+
+
 class Planner:
-    """Passes requests to the core. For any thread; all methods but `end_goals` and `close` return at once.
+    """The core with its loop, workers and link. For any thread; all methods but `end_goals` and `close` return at once.
 
     Args:
         arm: with wiring.
         densities: of the arm reduced by the actuators that its file declares stuck.
-        loop: around the core; started and closed with this object.
-        link: of the loop.
+        link: to the executor.
+        outside: what the planner needs from its process.
+        recorder: takes each step of the core; None: nobody records.
     """
 
-    def __init__(self, arm: Arm, densities: Densities, loop: Loop, link: ExecutorLink) -> None:
-        self._arm, self._densities, self._loop, self._link = arm, densities, loop, link
+    def __init__(
+        self, arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: Recorder | None = None
+    ) -> None:
+        self._arm, self._densities, self._link = arm, densities, link
         self._decoder, self._description = RequestDecoder(arm), description(arm)
         self._numbers = itertools.count(1)
+        known = outside.ledger.known()
+        weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
+        self._workers = Workers(arm, densities, weights, outside.inbox.post, outside.fatal)
+        locked = arm.locked.astype(np.uint8).tobytes()
+        tables = build_tables(arm, densities, weights, BuildTables(0, locked)).tables
+        built = build_scene(arm, BuildScene(0, NONE))
+        beginning = Beginning(
+            uuid.uuid4().hex[:8],
+            tables,
+            built.scene,
+            built.total,
+            known,
+            outside.published.known(),
+            tuple(self._owed(outside)),
+        )
+        services = Services(
+            self._workers, outside.ledger, outside.out, outside.notifier, outside.warnings, outside.fatal
+        )
+        core = Core(arm, pace_of(arm.settings), beginning)
+        self._loop = Loop(core, outside.inbox, link, services, recorder)
+
+    def _owed(self, outside: Outside) -> Iterator[OpenGoal]:
+        """Yields the goals without a result; records the results that were published and not recorded before a kill."""
+        for goal in outside.ledger.owed():
+            if (mark := outside.published.find(goal.identity)) is None:
+                yield goal
+            else:
+                ended = Ended(time.time(), mark.status, mark.code, mark.message, mark.switches)
+                outside.ledger.record(Record(0, goal.identity, None, ended))
 
     def start(self) -> None:
         """Starts the loop, which connects to the executor."""
@@ -57,6 +130,7 @@ class Planner:
         self.end_goals()
         self._loop.close()
         self._link.close()
+        self._workers.close()
 
     # --- requests
 

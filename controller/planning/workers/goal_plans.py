@@ -1,7 +1,7 @@
 """Plans goals, and prepares searches while no goal waits."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from controller.motion.plan import Plan
 from controller.motion.point_by_point import PLANNING_TIME, plan
 from controller.motion.restaging import restage
 from controller.motion.trajectory import Trajectory
+from controller.planning.core.feed import most_stages
 from controller.planning.core.tasks import (
     ArmStart,
     DescribePlan,
@@ -27,7 +28,6 @@ from controller.planning.core.tasks import (
     PrepareSearch,
     Proof,
 )
-from controller.planning.program_feed import most_stages
 from controller.planning.workers.arm_model import ArmModel, Proceed, States
 from controller.planning.workers.keep_out import KeepOutSet
 from controller.program import MOST_PROGRAM_STAGES
@@ -72,7 +72,7 @@ def plan_goal(model: ArmModel, task: PlanGoal, proceed: Proceed) -> Planned:
     """
     trajectory = schedule_goal(model, task)
     found = search_plan(model, task, trajectory, proceed, PLANNING_TIME).plan
-    first = stage_first(model, task, found.transitions[0])
+    first = stage_first(model, task, found.transitions[0], proceed)
     transitions = found.transitions
     if first is not transitions[0]:
         transitions = (first, *transitions[1:])
@@ -125,14 +125,9 @@ def search_plan(
     previous = model.configuration(task.start, solver.manipulator)
     found = plan(solver, trajectory, previous, model.arm.settings.method, proceed, model.pace, seconds)
     check_size(model, found.transitions)
-
-    def wanted() -> bool:
-        proceed()
-        return True
-
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
     stages = stages_of(found.transitions)
-    collision = None if task.scene.free else keep_out.first_collision(model.unpack(task.start.states), stages, wanted)
+    collision = None if task.scene.free else keep_out.first_collision(model.unpack(task.start.states), stages, proceed)
     if collision is not None:
         raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan would collide: {collision}")
     return FoundPlan(found, previous, solver)
@@ -154,7 +149,7 @@ def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
         )
 
 
-def stage_first(model: ArmModel, task: PlanGoal, planned: Staged) -> Staged:
+def stage_first(model: ArmModel, task: PlanGoal, planned: Staged, proceed: Proceed) -> Staged:
     """Returns the transition to the first point from `start.commanded`.
 
     Planned stages among obstacles stay if they are clear from there, because they may contain detours.
@@ -170,10 +165,10 @@ def stage_first(model: ArmModel, task: PlanGoal, planned: Staged) -> Staged:
     if not task.scene.free:
         rows = np.vstack([commanded, planned.stages])
         fits = np.count_nonzero(rows[1:] != rows[:-1], axis=1).max() <= most
-        if fits and keep_out.first_collision(commanded, planned.stages) is None:
+        if fits and keep_out.first_collision(commanded, planned.stages, proceed) is None:
             return planned
     stages = restage(manipulator, commanded, planned.stages, most)
-    collision = None if task.scene.free else keep_out.first_collision(commanded, stages)
+    collision = None if task.scene.free else keep_out.first_collision(commanded, stages, proceed)
     if collision is not None:
         raise Refusal(codes.INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
     return planned if np.array_equal(stages, planned.stages) else Staged(stages, None, planned.strict)
@@ -212,14 +207,13 @@ def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:
     return chain.from_iterable(transition.stages for transition in transitions)
 
 
-def prepare_search(model: ArmModel, task: PrepareSearch, abandoned: Callable[[], bool]) -> Done:
-    """Prepares the next search of a goal from the arm's state, until the task is abandoned."""
+def prepare_search(model: ArmModel, task: PrepareSearch, proceed: Proceed) -> Done:
+    """Prepares the next search of a goal from the arm's state; `proceed` is called between two parts."""
     solver = model.solver(task.tables, task.scene)
     if model.arm.settings.method != "minimum-switch":
         return Done()
     with suppress(Refusal):
         previous = model.configuration(task.start, solver.manipulator)
         for _ in solver.expect(previous, model.arm.tolerance):
-            if abandoned():
-                break
+            proceed()
     return Done()

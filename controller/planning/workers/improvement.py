@@ -1,7 +1,7 @@
 """Improves a plan while the arm moves: look-ahead decides each point shortly before its actuators switch."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
 from controller.planning.core.tasks import Deviations, Improved, ImprovePlan
-from controller.planning.workers.arm_model import ArmModel
+from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.planning.workers.goal_plans import PlannedGoal, points_of, proof_of, stages_of
 from controller.planning.workers.keep_out import KeepOutSet
 from controller.search.solver import Solver
@@ -19,16 +19,16 @@ MARGIN = 0.1  # [s] between the decision of a point and its first switch, at lea
 BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
 
 
-def improve(model: ArmModel, task: ImprovePlan, abandoned: Callable[[], bool]) -> Iterator[Deviations | Improved]:
-    """Yields the deviations of a plan, then each improvement of its stages, until the task is abandoned.
+def improve(model: ArmModel, task: ImprovePlan, proceed: Proceed) -> Iterator[Deviations | Improved]:
+    """Yields the deviations of a plan, then each improvement whose stages are clear.
 
-    An improvement whose stages would collide is not yielded.
+    Raises:
+        Abandoned: `proceed` has raised it, which is called between two parts.
     """
     goal: PlannedGoal = task.plan
     deviations = list[float | None]()
     for transition in (goal.first, *goal.plan.transitions[1:]):
-        if abandoned():
-            return
+        proceed()
         deviations.append(transition.deviation)
     yield Deviations(tuple(deviations))
     same_arm = goal.tables == task.tables.generation
@@ -38,16 +38,13 @@ def improve(model: ArmModel, task: ImprovePlan, abandoned: Callable[[], bool]) -
     plan = goal.plan
     points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
     for better in Improvement(model.solver(task.tables, task.scene), plan, model.pace, task.begin).plans():
-        if abandoned():
-            return
+        proceed()
         if (changed := changed_points(plan, better)) is None:
             continue
         transitions, before = better.transitions[changed], better.transitions[changed.start - 1].stages[-1]
         stages = stages_of(transitions)
-        if not task.scene.free and keep_out.first_collision(before, stages, lambda: not abandoned()) is not None:
+        if not task.scene.free and keep_out.first_collision(before, stages, proceed) is not None:
             continue
-        if abandoned():
-            return
         new = points_of(model, goal.start, before, transitions, changed.start)
         points[changed] = [
             point._replace(deviation=transition.deviation) for point, transition in zip(new, transitions, strict=True)

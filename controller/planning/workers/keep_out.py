@@ -42,7 +42,7 @@ class KeepOutSet:
         return self.clearance.free
 
     def first_collision(
-        self, states: States, stages: Iterable[States], proceed: Callable[[], bool] = lambda: True
+        self, states: States, stages: Iterable[States], proceed: Callable[[], None] = lambda: None
     ) -> str | None:
         """Returns the first collision of consecutive stages, in words; None if all are clear.
 
@@ -51,11 +51,10 @@ class KeepOutSet:
         Args:
             states: actuator states before, shape (A,).
             stages: actuator states after each stage, each of shape (A,).
-            proceed: asked before each stage; if it returns False, the rest is not checked. It may raise.
+            proceed: called before each stage; it raises if the check is no longer needed.
         """
         for stage in () if self.free else stages:
-            if not proceed():
-                return None
+            proceed()
             if (words := self._collision(states, stage)) is not None:
                 return words
             states = stage
@@ -95,12 +94,12 @@ def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:
     return SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))
 
 
-def check_stages(task: CheckStages, abandoned: Callable[[], bool]) -> Checked:
-    """Returns the first collision of consecutive stages. If the task is abandoned, the rest is not checked."""
+def check_stages(task: CheckStages, proceed: Callable[[], None]) -> Checked:
+    """Returns the first collision of consecutive stages; `proceed` is called before each."""
     keep_out: KeepOutSet = task.scene.keep_out
     actuators = len(keep_out.clearance.manipulator.actuators)
     before, stages = unpack_states(task.before, actuators), (unpack_states(stage, actuators) for stage in task.stages)
-    return Checked(keep_out.first_collision(before, stages, lambda: not abandoned()))
+    return Checked(keep_out.first_collision(before, stages, proceed))
 
 
 def check_standing(task: CheckStanding) -> Checked:

@@ -57,10 +57,6 @@ class QueuedTask:
     task: Task
     abandoned: bool = False
 
-    def is_abandoned(self) -> bool:
-        """Returns whether the task is no longer needed."""
-        return self.abandoned
-
     def proceed(self) -> None:
         """Checks that the task is still needed.
 
@@ -167,15 +163,15 @@ class Workers:
             case PlanGoal():
                 return plan_goal(self._for_goals, task, queued.proceed)
             case ImprovePlan():
-                return improve(self._for_goals, task, queued.is_abandoned)
+                return improve(self._for_goals, task, queued.proceed)
             case PrepareSearch():
-                return prepare_search(self._for_goals, task, queued.is_abandoned)
+                return prepare_search(self._for_goals, task, queued.proceed)
             case DescribePlan():
                 return describe(self._for_queries, task, queued.proceed, lambda: self._hurry(queued))
             case FollowSetpoint():
                 return follow(self._for_setpoints, task)
             case CheckStages():
-                return check_stages(task, queued.is_abandoned)
+                return check_stages(task, queued.proceed)
             case CheckStanding():
                 return check_standing(task)
             case BuildScene():
@@ -184,5 +180,6 @@ class Workers:
                 return build_tables(self._arm, self._densities, self._weights, task)
 
     def _hurry(self, queued: QueuedTask) -> bool:
-        """Returns whether a query must end early: it is abandoned, or a goal or another query waits."""
-        return queued.abandoned or not self._queues["goals"].empty() or not self._queues["queries"].empty()
+        """Returns whether a query must end early: it is abandoned, a goal is planned, or another query waits."""
+        goal = any(isinstance(other.task, PlanGoal) for other in list(self._queued.values()))
+        return queued.abandoned or goal or not self._queues["queries"].empty()

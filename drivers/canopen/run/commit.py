@@ -153,7 +153,7 @@ class Commit:
         """Call every period. On a bus without echoes, frames that did not fail count as sent."""
         if not self.under_way:
             return
-        for bus in [bus for bus in self._syncs if not self._links[bus].echoes]:
+        for bus in [bus for bus in sorted(self._syncs) if not self._links[bus].echoes]:
             self._sync_sent(bus, clock)
         for bus, frames in self._waiting.items():
             if not self._links[bus].echoes:

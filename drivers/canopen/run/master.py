@@ -218,11 +218,6 @@ class Master:
         return self._booting.under_way
 
     @property
-    def asking(self) -> bool:
-        """Whether a procedure runs with a board: a boot, or a read in the background."""
-        return any(station.runner.running for station in self._network.stations)
-
-    @property
     def boot_faults(self) -> list[Fault]:
         """Faults of the last boot: one for each board or bus that is not ready."""
         return self._booting.faults
@@ -236,6 +231,11 @@ class Master:
     def back(self) -> bool:
         """Whether `boot` may succeed: all buses send, and all boards are heard."""
         return self._network.back(self._clock.now)
+
+    @property
+    def calm(self) -> bool:
+        """Whether no commit, boot, read or question is under way. Only then the master can be pickled."""
+        return not (self.committing or self.booting) and not any(s.runner.running for s in self._network.stations)
 
     @property
     def committing(self) -> bool:

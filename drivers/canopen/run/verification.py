@@ -76,7 +76,7 @@ class Verification:
         stations = self._network.stations
         for i in [i for i in self._due if not stations[i].board.ready]:
             self._end(i)
-        for i in [i for i in self.blocking | self._pulses if not stations[i].runner.running]:
+        for i in [i for i in sorted(self.blocking | self._pulses) if not stations[i].runner.running]:
             self._start(stations[i], self._outputs(stations[i]), now)
         for bus, link in self._network.links.items():
             if not link.armed:

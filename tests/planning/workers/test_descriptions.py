@@ -8,7 +8,7 @@ from controller.motion.codes import Refusal
 from controller.planning.core.tasks import DescribePlan
 from controller.planning.workers.arm_model import Abandoned, ArmModel
 from controller.planning.workers.descriptions import describe
-from tests.planning.workers.conftest import A, B, Bench, never, nothing
+from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing
 
 
 def task(bench: Bench, **changes: Any) -> DescribePlan:
@@ -22,7 +22,7 @@ def model(bench: Bench) -> ArmModel:
 
 
 def test_a_plan_is_described_point_by_point(bench: Bench, model: ArmModel) -> None:
-    payload = describe(model, task(bench), nothing, never).payload
+    payload = describe(model, task(bench), nothing, lambda: False).payload
     assert (payload["accepted"], len(payload["waypoints"])) == (True, 2)
     assert payload["switches"] == sum(point["switches"] for point in payload["waypoints"])
     assert payload["message"] == f"2 waypoints, {payload['switches']} switches"
@@ -36,12 +36,9 @@ def test_a_description_in_haste_is_one(bench: Bench, model: ArmModel) -> None:
 
 def test_a_query_that_takes_too_long_is_refused(bench: Bench, model: ArmModel) -> None:
     with pytest.raises(Refusal, match=r"planning took longer than -1 s: ask for fewer waypoints"):
-        describe(model, task(bench, seconds=-1.0), nothing, never)
+        describe(model, task(bench, seconds=-1.0), nothing, lambda: False)
 
 
 def test_an_abandoned_query_ends(bench: Bench, model: ArmModel) -> None:
-    def proceed() -> None:
-        raise Abandoned
-
     with pytest.raises(Abandoned):
-        describe(model, task(bench), proceed, never)
+        describe(model, task(bench), abandoned, lambda: False)

@@ -14,7 +14,7 @@ from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.goal_plans import plan_goal, prepare_search
 from tests.planning.conftest import DOCUMENT
 from tests.planning.test_actuators import JOINT
-from tests.planning.workers.conftest import HOME, A, B, Bench, C, never, nothing
+from tests.planning.workers.conftest import HOME, A, B, Bench, C, abandoned, nothing
 
 Make = Callable[[dict[str, Any]], Bench]
 
@@ -155,4 +155,6 @@ def test_a_solver_is_kept_until_tables_or_obstacles_change(bench: Bench) -> None
 
 def test_a_search_is_prepared_until_it_is_abandoned(bench: Bench) -> None:
     task = PrepareSearch(bench.start(), bench.tables, bench.free)
-    assert prepare_search(bench.model, task, never) == prepare_search(bench.model, task, lambda: True) == Done()
+    assert prepare_search(bench.model, task, nothing) == Done()
+    with pytest.raises(Abandoned):
+        prepare_search(bench.model, task, abandoned)

@@ -7,9 +7,10 @@ import pytest
 
 from controller.planning.core.tasks import Deviations, Improved, ImprovePlan, Planned, PlannedPoint
 from controller.planning.workers import goal_plans
+from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.goal_plans import plan_goal
 from controller.planning.workers.improvement import improve
-from tests.planning.workers.conftest import A, B, Bench, C, never, nothing
+from tests.planning.workers.conftest import A, B, Bench, C, abandoned, nothing
 
 PATH = [A, B, C, A, (2, 2, 1, 0), (5, 1, 4, 0), B, C]
 
@@ -27,13 +28,13 @@ def task(bench: Bench, planned: Planned, **changes: Any) -> ImprovePlan:
 
 
 def improvements(bench: Bench, wanted: ImprovePlan) -> list[Improved]:
-    deviations, *improved = improve(bench.model, wanted, never)
+    deviations, *improved = improve(bench.model, wanted, nothing)
     assert isinstance(deviations, Deviations)
     return [answer for answer in improved if isinstance(answer, Improved)]
 
 
 def test_deviations_come_first(bench: Bench, hasty: Planned) -> None:
-    (deviations,) = improve(bench.model, task(bench, hasty, search=False), never)
+    (deviations,) = improve(bench.model, task(bench, hasty, search=False), nothing)
     assert isinstance(deviations, Deviations)
     assert len(deviations.values) == len(PATH)
 
@@ -59,7 +60,7 @@ def test_improvements_start_from_commanded_states_too(bench: Bench, monkeypatch:
     message = bench.goal(*(bench.tip(*c) for c in PATH), tolerance={"position": 0.05})
     start = bench.start(commanded=bench.packed(1, 0, 0, 0))
     planned = plan_goal(bench.model, bench.task(A, message=message, start=start), nothing)
-    deviations, *improved = improve(bench.model, task(bench, planned), never)
+    deviations, *improved = improve(bench.model, task(bench, planned), nothing)
     assert isinstance(deviations, Deviations)
     assert improved
     assert all(isinstance(answer, Improved) and answer.first >= 1 for answer in improved)
@@ -79,8 +80,15 @@ def test_a_plan_for_other_locked_actuators_is_not_improved(bench: Bench, hasty: 
 
 
 def test_an_abandoned_improvement_ends(bench: Bench, hasty: Planned) -> None:
-    assert list(improve(bench.model, task(bench, hasty), lambda: True)) == []
+    with pytest.raises(Abandoned):
+        next(improve(bench.model, task(bench, hasty), abandoned))
     answers = list[Any]()
-    for answer in improve(bench.model, task(bench, hasty), lambda: len(answers) >= 1):
-        answers.append(answer)
-    assert len(answers) == 1
+
+    def proceed() -> None:
+        if answers:
+            raise Abandoned
+
+    answering = improve(bench.model, task(bench, hasty), proceed)
+    answers.append(next(answering))
+    with pytest.raises(Abandoned):
+        next(answering)

@@ -3,35 +3,39 @@
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding
+from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.keep_out import build_scene, check_stages, check_standing
 from tests.planning.conftest import DOCUMENT
 from tests.planning.test_actuators import JOINT
-from tests.planning.workers.conftest import HOME, A, B, Bench, never
+from tests.planning.workers.conftest import HOME, A, B, Bench, abandoned, nothing
 
 
 def test_the_first_collision_of_stages_is_told(bench: Bench) -> None:
     scene = bench.scene((bench.tip(*B), 0.03))
     clear = CheckStages(scene, bench.packed(*HOME), (bench.packed(*HOME),))
-    assert check_stages(clear, never) == Checked(None)
+    assert check_stages(clear, nothing) == Checked(None)
     touching = CheckStages(scene, bench.packed(*HOME), (bench.packed(*HOME), bench.packed(*B)))
-    assert "is in disc regions[0]" in (check_stages(touching, never).collision or "")
-    assert check_stages(touching._replace(scene=bench.free), never) == Checked(None)
+    assert "is in disc regions[0]" in (check_stages(touching, nothing).collision or "")
+    assert check_stages(touching._replace(scene=bench.free), nothing) == Checked(None)
 
 
 def test_an_abandoned_check_ends(bench: Bench) -> None:
     scene = bench.scene((bench.tip(*B), 0.03))
     task = CheckStages(scene, bench.packed(*HOME), (bench.packed(*A), bench.packed(*B)))
-    assert check_stages(task, lambda: True) == Checked(None)
+    with pytest.raises(Abandoned):
+        check_stages(task, abandoned)
 
 
 def test_results_of_checks_are_remembered(bench: Bench, monkeypatch: Any) -> None:
     scene = bench.scene((bench.tip(*B), 0.03))
     task = CheckStages(scene, bench.packed(*HOME), (bench.packed(*B),))
-    first = check_stages(task, never)
+    first = check_stages(task, nothing)
     monkeypatch.setattr("controller.planning.workers.keep_out.sweep_of", None)
-    assert check_stages(task, never) == first
-    other = check_stages(task._replace(stages=(bench.packed(*A),)), never)
+    assert check_stages(task, nothing) == first
+    other = check_stages(task._replace(stages=(bench.packed(*A),)), nothing)
     assert (other.collision or "").startswith("a collision check failed")
 
 

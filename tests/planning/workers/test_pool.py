@@ -14,6 +14,7 @@ from controller.planning.core.tasks import (
     BuildTables,
     Checked,
     CheckStages,
+    DescribePlan,
     Deviations,
     Done,
     Failed,
@@ -167,6 +168,25 @@ def test_a_long_plan_delays_no_other_worker(core: Core, bench: Bench, monkeypatc
     assert core.next() == Answered(2, Checked(None), True)
     door.opened.set()
     assert core.next().task == 1
+
+
+def test_a_query_ends_early_for_a_goal(core: Core, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    hurries, door = list[bool](), Door(monkeypatch)
+
+    def describe(model: Any, task: Any, proceed: Any, hurry: Any) -> Done:
+        hurries.append(hurry())
+        return Done()
+
+    monkeypatch.setattr(pool, "describe", describe)
+    query = DescribePlan("a", bench.goal(bench.tip(*A)), 0.0, bench.start(), None, bench.tables, bench.free, 1.0)
+    core.workers.start(1, query)
+    core.next()
+    core.workers.start(2, bench.task(A))
+    core.workers.start(3, query)
+    assert core.next().task == 3
+    assert hurries == [False, True]
+    door.opened.set()
+    assert core.next().task == 2
 
 
 def test_at_the_end_all_tasks_are_answered(core: Core, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

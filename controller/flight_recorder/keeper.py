@@ -1,0 +1,145 @@
+"""Saves the last events of a core, see `FlightRecorder`; also the keeper, a process that does so.
+
+The process writes its events to two files in memory, the generations. Each begins with a line of JSON and a pickle of
+the core, the checkpoint. Blocks of entries follow, each a length and a pickle. A newer generation replaces the older of
+the two, so that together they have the last events, and a state from which these can be replayed.
+
+The keeper has normal priority, so that no disk delays the process. It is started as `python -I -S keeper.py`:
+this file imports the standard library only. A saved file has MAGIC, a line of JSON, and both generations in zlib.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import stat
+import struct
+import sys
+import time
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+MAGIC = b"hyperbit events 1\n"
+SHARED = Path("/dev/shm")  # a file system in memory
+LENGTH = struct.Struct("<I")
+LARGEST = 1 << 28  # bytes of an unpacked file
+AT_MOST_EVERY = 60.0  # [s] between two saved files of a process
+SAME_CAUSE_EVERY = 3600.0  # [s] between two files of one cause: a fault that comes back all night is saved a few times
+KINDS = ("executor", "planner")
+ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
+KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
+
+
+class Refused(ValueError):
+    """A file is no file of events, or contains what such a file may not contain; the text says what."""
+
+
+def ring_paths(arm: str, kind: str, pid: int) -> tuple[Path, Path]:
+    """Returns the paths of the two generations of a process in memory."""
+    first, second = (SHARED / f"hyperbit-{os.getuid()}-{arm}-{kind}-{pid}.{n}.events" for n in range(2))
+    return first, second
+
+
+def read_generation(path: Path) -> bytes:
+    """Returns a generation in memory; b"" if it is not there.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        with os.fdopen(file, "rb") as opened:
+            if stat.S_ISREG(os.fstat(file).st_mode):
+                return opened.read(LARGEST)
+    return b""
+
+
+def about(content: bytes) -> dict[str, Any]:
+    """Returns the line of JSON at the beginning of a generation.
+
+    Raises:
+        Refused: there is none, or it has other values than a process writes: its arm and kind become names of files.
+    """
+    try:
+        found: dict[str, Any] = json.loads(content[: content.index(b"\n")])
+        words = found["arm"], found["kind"]
+        numbers = found["number"], found["checkpoint"]
+        fit = ARM.fullmatch(words[0]) and words[1] in KINDS and all(type(n) is int and n >= 0 for n in numbers)
+    except (ValueError, KeyError, TypeError) as error:
+        raise Refused(f"the beginning of a generation cannot be read: {error}") from None
+    if not fit:
+        raise Refused(f"the beginning of a generation has wrong values: {words}, {numbers}")
+    return found
+
+
+def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = None) -> Path:
+    """Saves the generations of one process as a file.
+
+    Args:
+        paths: of the generations in memory.
+        folder: of the file.
+        cause: for its name.
+        kept: most files of this arm and kind; the oldest ones are deleted. None: no limit.
+
+    Returns:
+        Path of the file, readable by the same user only.
+
+    Raises:
+        OSError: a file cannot be read or written, or nothing was recorded.
+        Refused: a generation is damaged.
+    """
+    found = sorted((about(content)["number"], content) for content in map(read_generation, paths) if content)
+    if not found:
+        raise FileNotFoundError("no events are recorded")
+    last = about(found[-1][1])
+    start = f"{last['arm']}.events-"
+    stamp, word = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()), re.sub(r"[^a-z0-9]+", "-", cause.lower())
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path = folder / f"{start}{stamp}-{last['kind']}-{word.strip('-')[:40]}"
+    head = json.dumps({"cause": cause, "saved": time.time()}).encode() + b"\n"
+    parts = b"".join(LENGTH.pack(len(content)) + content for _, content in found)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "wb") as file:
+        file.write(MAGIC + head + zlib.compress(parts))
+    if path.exists():  # of another process of the same arm, in the same second
+        path = path.with_name(f"{path.name}-{last.get('pid', os.getpid())}")
+    partial.replace(path)
+    own = re.compile(re.escape(start) + rf"\d{{8}}T\d{{6}}Z-{last['kind']}-")
+    for old in sorted(other for other in folder.iterdir() if own.match(other.name))[: -(kept or sys.maxsize)]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def keep(paths: Sequence[Path], folder: Path) -> None:
+    """Saves the events for each line of the standard input, which names the cause, and when the process was killed.
+
+    A line "end" ends the keeper. At the end the files in memory are deleted.
+    """
+    last, saved = -AT_MOST_EVERY, dict[str, float]()
+    cause = ""
+    while cause not in ("end", "killed"):
+        for line in (os.read(0, 4096) or b"killed").splitlines():
+            cause, now = line.decode(errors="replace"), time.monotonic()
+            early = now < last + AT_MOST_EVERY or now < saved.get(cause, -SAME_CAUSE_EVERY) + SAME_CAUSE_EVERY
+            if cause == "end" or (early and cause != "killed"):
+                continue
+            last = saved[cause] = now
+            try:
+                text = f"the last events are in {save(paths, folder, cause, KEPT)}"
+            except (OSError, Refused) as error:
+                text = f"the last events cannot be saved: {error}"
+            with contextlib.suppress(OSError):
+                os.write(2, f"{text} ({cause})\n".encode())
+    for path in paths:
+        path.unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(OSError):  # of a real-time executor whose unit lets children inherit its priority
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(5)
+    keep([Path(word) for word in sys.argv[2:]], Path(sys.argv[1]))

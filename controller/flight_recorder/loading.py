@@ -1,0 +1,89 @@
+"""Loads files of saved events."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from controller.flight_recorder.keeper import LARGEST, LENGTH, MAGIC, Refused, about
+from controller.flight_recorder.pickling import unpickle
+
+# Takes the line of JSON of a generation; returns objects by name in place of those that are recorded by name.
+Given = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+
+
+class Entry(NamedTuple):
+    """One step of the core.
+
+    Attributes:
+        event: that the core took.
+        now: CLOCK_MONOTONIC [s].
+        wall: UNIX time [s]; None for a core that takes none.
+        actions: that the core returned; None: the step raised an exception.
+    """
+
+    event: Any
+    now: float
+    wall: float | None
+    actions: list[Any] | None
+
+
+class Generation(NamedTuple):
+    """A part of the events.
+
+    Attributes:
+        about: line of JSON: arm, kind, digest of the arm's file, version of hyperbit, pid, number, times.
+        core: at the checkpoint, before the first entry; None: no checkpoint could be taken.
+        entries: the steps since then.
+    """
+
+    about: dict[str, Any]
+    core: Any
+    entries: list[Entry]
+
+
+def load(path: Path, given: Given = lambda about: {}) -> list[Generation]:
+    """Reads a saved file.
+
+    Args:
+        path: of the file.
+        given: see `Given`.
+
+    Raises:
+        Refused: the file is damaged, no file of events, or contains anything else.
+        OSError: the file cannot be read.
+    """
+    content = path.read_bytes()
+    if not content.startswith(MAGIC):
+        raise Refused(f"{path} is no file of events of this version: it does not begin with {MAGIC.decode().strip()!r}")
+    unpacking = zlib.decompressobj()
+    try:
+        parts = unpacking.decompress(content[content.index(b"\n", len(MAGIC)) + 1 :], LARGEST)
+        generations = []
+        while parts:
+            (size,) = LENGTH.unpack_from(parts)
+            generations.append(_generation(parts[LENGTH.size : LENGTH.size + size], given))
+            parts = parts[LENGTH.size + size :]
+    except (zlib.error, struct.error, ValueError) as error:
+        raise error if isinstance(error, Refused) else Refused(f"{path} is damaged: {error}") from None
+    return generations
+
+
+def _generation(content: bytes, given: Given) -> Generation:
+    said = about(content)
+    others = given(said)
+    place = content.index(b"\n") + 1
+    core = unpickle(content[place : place + said["checkpoint"]], others) if said["checkpoint"] else None
+    place += said["checkpoint"]
+    entries: list[Entry] = []
+    while place + LENGTH.size <= len(content):
+        (size,) = LENGTH.unpack_from(content, place)
+        place += LENGTH.size
+        if place + size > len(content):
+            break  # the process was killed while it wrote this block
+        entries += [Entry(*entry) for entry in unpickle(content[place : place + size], others)]
+        place += size
+    return Generation(said, core, entries)

@@ -1,0 +1,113 @@
+"""Pickles of events: how they are written, and what is accepted when they are read.
+
+A pickle could call any function. So only data, and classes without side effects, are accepted.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import importlib
+import io
+import pickle
+import re
+from collections.abc import Callable, Mapping
+from types import FunctionType, MappingProxyType, MethodType
+from typing import Any
+
+from controller.flight_recorder.keeper import Refused
+
+# What a pickle of events may contain: classes of these modules, which only hold data and compute.
+PURE = re.compile(
+    r"controller\.(settings|program(\.\w+)?|(manipulator|motion|obstacles|planning\.core)\.\w+)"
+    r"|controller\.executor\.(actuation|arm|clearance|clients|core|ending|events|kinds|locked|modes|motion"
+    r"|motion_supervision|program_execution|reports|requests|results|setpoint_stream|travel_times)"
+    r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
+)
+OTHERS = {
+    ("controller.flight_recorder.pickling", "method_of"),
+    ("controller.executor.switch_journal", "MemoryJournal"),
+    ("collections", "Counter"),
+    ("collections", "OrderedDict"),
+    ("collections", "defaultdict"),
+    ("collections", "deque"),
+    ("functools", "partial"),
+    *(
+        ("builtins", name)
+        for name in ("bytearray", "complex", "dict", "frozenset", "int", "list", "range", "set", "slice")
+    ),
+    *(("numpy", name) for name in ("dtype", "ndarray")),
+    *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
+    *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),
+}
+
+
+def reducers(opaque: Mapping[type, str], outside: Mapping[str, object]) -> dict[type, Callable[[Any], Any]]:
+    """Returns the reducers of a Pickler for what pickle does not accept by itself, or would do by `getattr`."""
+    names = {id(it): name for name, it in outside.items()}
+
+    def without(field: str) -> Callable[[Any], Any]:
+        return lambda it: (type(it), tuple(it._replace(**{field: None})))
+
+    def by_name(it: object) -> Any:
+        if id(it) not in names:
+            raise pickle.PicklingError(f"it has another {type(it).__name__} than {', '.join(outside)}")
+        return stands_outside, (names[id(it)],)
+
+    table: dict[type, Callable[[Any], Any]] = dict(copyreg.dispatch_table)
+    table[MethodType] = lambda method: (method_of, (method.__self__, method.__name__))
+    table[MappingProxyType] = lambda mapping: (dict, (dict(mapping),))
+    table |= {type(it): by_name for it in outside.values()}
+    return table | {kind: without(field) for kind, field in opaque.items()}
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, content: bytes, given: Mapping[str, Any]) -> None:
+        super().__init__(io.BytesIO(content))
+        self._given = given
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == (__name__, stands_outside.__name__):
+            return self._outside
+        if (module, name) in OTHERS:
+            return getattr(importlib.import_module(module), name)
+        if PURE.fullmatch(module):
+            found = getattr(importlib.import_module(module), name, None)
+            if isinstance(found, type) and found.__module__ == module:
+                return found
+        raise Refused(f"the file contains {module}.{name}, which no file of events may contain: it is not loaded")
+
+    def _outside(self, name: str) -> Any:
+        if name not in self._given:
+            raise Refused(f"the core needs {name!r}, which is not in the file: it can only be made from the arm's file")
+        return self._given[name]
+
+
+def unpickle(content: bytes, given: Mapping[str, Any] = MappingProxyType({})) -> Any:
+    """Returns the content of a pickle of data, without code.
+
+    Args:
+        content: the pickle.
+        given: objects that were recorded by name.
+
+    Raises:
+        Refused: the pickle is damaged, or contains anything else.
+    """
+    try:
+        return _Unpickler(content, given).load()
+    except Refused:
+        raise
+    except Exception as error:
+        raise Refused(f"a pickle cannot be read: {type(error).__name__}: {error}") from None
+
+
+def method_of(owner: object, name: str) -> MethodType:
+    """Returns a method of an object of a pure module; the form in which a pickle has bound methods."""
+    function = next((vars(kind)[name] for kind in type(owner).__mro__ if name in vars(kind)), None)
+    if not isinstance(function, FunctionType) or not PURE.fullmatch(function.__module__):
+        raise Refused(f"the file contains a method {name!r} of {type(owner).__name__}: it is not loaded")
+    return MethodType(function, owner)
+
+
+def stands_outside(name: str) -> Any:
+    """Stands in a pickle for an object that is recorded by name; `load` is given the object."""
+    raise Refused(f"{name!r} was not given")

@@ -1,0 +1,249 @@
+"""The flight recorder: the last events of a pure core, with a state from which they can be replayed.
+
+Nothing here waits: entries are written to a file in memory, and a process of normal priority saves them on a disk.
+See `keeper` for both files, and `tests.simulation.events` for the replay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import logging
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO, Any, NamedTuple
+
+from controller.flight_recorder import keeper
+from controller.flight_recorder.keeper import LENGTH, SHARED, ring_paths
+from controller.flight_recorder.pickling import reducers
+
+log = logging.getLogger(__name__)
+
+WANTED = 5_000  # events since the last checkpoint; then a new one is taken as soon as `may_checkpoint` permits
+MOST = 20_000  # events of a generation; then the next one begins, even without a checkpoint
+ENDING = 1.0  # [s] for the end of the keeper
+
+
+class Label(NamedTuple):
+    """What is recorded.
+
+    Attributes:
+        kind: "executor" or "planner".
+        arm: its name.
+        digest: SHA-256 of the arm's file.
+        file: text of the arm's file, for a core that refers to objects made from it.
+    """
+
+    kind: str
+    arm: str
+    digest: str
+    file: str = ""
+
+
+class FlightRecorder:
+    """Records each step of a core: call `begin` before the first step, and the recorder itself after each step.
+
+    As a context, it saves the events if an exception ends the process.
+
+    Attributes:
+        paths: of the two files in memory.
+
+    Args:
+        label: what is recorded.
+        folder: of saved files; None: nothing is saved by itself.
+        opaque: field of NamedTuples that is recorded as None, because the core does not look inside.
+        outside: constant objects that are recorded by name, such as the manipulator; the only ones of their types.
+        batch: number of entries after which they are written; a caller with a larger one calls `flush`.
+    """
+
+    def __init__(
+        self,
+        label: Label,
+        folder: Path | None,
+        opaque: Mapping[type, str] = MappingProxyType({}),
+        outside: Mapping[str, object] = MappingProxyType({}),
+        batch: int = 1,
+    ) -> None:
+        self._label, self._batch = label, batch
+        self._core: Any = None
+        self._may_checkpoint: Callable[[int], bool] = bool
+        self._table = reducers(opaque, outside)
+        self.paths = ring_paths(label.arm, label.kind, os.getpid())
+        self._pending: list[tuple[Any, float, float | None, list[Any] | None]] = []
+        self._file: IO[bytes] | None = None
+        self._number = self._count = 0
+        self._tried = 0  # number of events at the last attempt to take a checkpoint
+        self._keeper: subprocess.Popen[bytes] | None = None
+        try:
+            _remove_left(label)
+            if folder is not None:
+                self._keeper = _started_keeper(self.paths, folder)
+        except OSError as error:
+            self._stop(error)
+
+    def begin(self, core: Any, may_checkpoint: Callable[[int], bool]) -> None:
+        """Begins to record the steps of a core.
+
+        Args:
+            core: pure; picklable now, and whenever `may_checkpoint` is true.
+            may_checkpoint: takes the number of events since the last checkpoint; returns whether the core may be
+                pickled now, which takes 1 to 2 ms.
+        """
+        self.flush()
+        self._core, self._may_checkpoint = core, may_checkpoint
+        try:
+            self._begin(self._checkpoint())
+        except OSError as error:
+            self._stop(error)
+
+    def __call__(self, event: Any, now: float, wall: float | None, actions: Sequence[Any] | None) -> None:
+        """Records a step.
+
+        Args:
+            event: that the core took.
+            now: [s].
+            wall: UNIX time [s]; None for a core that takes none.
+            actions: that it returned; None: it raised an exception.
+        """
+        if self._file is None:
+            return
+        self._pending.append((event, now, wall, None if actions is None else list(actions)))
+        if actions is None or len(self._pending) >= self._batch:
+            self.flush()
+
+    def flush(self) -> None:
+        """Writes the recorded steps to memory, takes a checkpoint if it is time, and has a fault saved."""
+        if self._file is None or not self._pending:
+            return
+        entries, self._pending = self._pending, []
+        try:
+            block = self._pickled(entries)
+            self._file.write(LENGTH.pack(len(block)) + block)
+            self._count += len(entries)
+            cause = next(filter(None, map(_cause, entries)), None)
+            if cause is not None:
+                self.save(cause)
+            elif self._count >= self._tried + WANTED and self._may_checkpoint(self._count):
+                self._tried = self._count
+                if checkpoint := self._checkpoint():
+                    self._begin(checkpoint)
+            if self._count >= MOST:
+                self._begin(b"")
+        except Exception as error:  # a recorder must not stop the arm
+            self._stop(error)
+
+    def save(self, cause: str) -> None:
+        """Has the events saved, unless that was done a moment ago."""
+        if self._keeper is not None and self._keeper.stdin is not None:
+            with contextlib.suppress(OSError):  # the keeper has ended, or is slow
+                os.write(self._keeper.stdin.fileno(), cause.encode()[:200] + b"\n")
+
+    def close(self) -> None:
+        """Ends the keeper, and removes the files in memory."""
+        self.flush()
+        self.save("end")
+        if self._keeper is not None and self._keeper.stdin is not None:
+            self._keeper.stdin.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._keeper.wait(ENDING)
+        self._stop()
+
+    def __enter__(self) -> FlightRecorder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, Exception):
+            self.flush()
+            self.save("exception")
+        self.close()
+
+    def _checkpoint(self) -> bytes:
+        """Returns the pickled core; b"" if it cannot be pickled now."""
+        try:
+            return self._pickled(self._core)
+        except Exception as error:
+            log.warning("no checkpoint of the %s can be taken for the recorded events: %s", self._label.kind, error)
+            return b""
+
+    def _pickled(self, content: Any) -> bytes:
+        buffer = io.BytesIO()
+        pickler = pickle.Pickler(buffer, 5)
+        pickler.dispatch_table = self._table
+        pickler.dump(content)
+        return buffer.getvalue()
+
+    def _begin(self, checkpoint: bytes) -> None:
+        """Begins a generation in place of the older one."""
+        path = self.paths[self._number % 2]
+        about = {
+            **self._label._asdict(),
+            "number": self._number,
+            "pid": os.getpid(),
+            "monotonic": time.monotonic(),
+            "wall": time.time(),
+            "checkpoint": len(checkpoint),
+        }
+        path.unlink(missing_ok=True)
+        number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        before, self._file = self._file, os.fdopen(number, "wb", buffering=0)
+        if before is not None:
+            before.close()
+        self._file.write(json.dumps(about).encode() + b"\n" + checkpoint)
+        self._number += 1
+        self._count = self._tried = 0
+
+    def _stop(self, error: Exception | None = None) -> None:
+        """Stops recording."""
+        if error is not None:
+            log.warning("events of the %s are not recorded: %s: %s", self._label.kind, type(error).__name__, error)
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+        for path in self.paths:
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+def _cause(entry: tuple[Any, float, float | None, list[Any] | None]) -> str | None:
+    """Returns why a step is worth a file: an exception, or a logged error; None otherwise."""
+    actions = entry[3]
+    if actions is None:
+        return "exception"
+    for action in actions:
+        if getattr(action, "level", 0) >= logging.ERROR:
+            return str(action.fields.get("HYPERBIT_FAULT", "error"))
+    return None
+
+
+def _remove_left(label: Label) -> None:
+    """Removes the files in memory of processes that do not run any more."""
+    for path in SHARED.glob(f"hyperbit-{os.getuid()}-{label.arm}-{label.kind}-*.events"):
+        pid = path.name.rsplit("-", 1)[1].split(".")[0]
+        if pid.isdecimal():
+            try:
+                os.kill(int(pid), 0)
+            except ProcessLookupError:
+                path.unlink(missing_ok=True)
+            except OSError:
+                pass  # of another user now
+
+
+def _started_keeper(paths: tuple[Path, Path], folder: Path) -> subprocess.Popen[bytes]:
+    """Starts the keeper. It survives the signals of a service manager or a terminal, and ends after this process."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the process inherits the mask
+    try:
+        command = [sys.executable, "-I", "-S", keeper.__file__, str(folder.absolute()), *map(str, paths)]
+        started = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    assert started.stdin is not None
+    os.set_blocking(started.stdin.fileno(), False)
+    return started
