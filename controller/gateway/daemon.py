@@ -4,12 +4,10 @@ import contextlib
 import gc
 import logging
 import os
-import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
 import zenoh
 
 from controller.config import Arm
@@ -19,23 +17,13 @@ from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
 from controller.gateway.session import lease, reachable
 from controller.gateway.warnings import Warnings
-from controller.motion.pacing import pace_of
 from controller.notify import Notifier
-from controller.obstacles.obstacles import NONE
-from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import Recorded
-from controller.planning.core.results import OwedGoal
-from controller.planning.core.tasks import BuildScene, BuildTables
 from controller.planning.ledger import Ledger
 from controller.planning.published import PublishedResults, published_path
 from controller.planning.shell.inbox import Inbox
 from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.loop import Loop
-from controller.planning.shell.planner import Planner
-from controller.planning.shell.services import Services
-from controller.planning.workers.arm_model import build_tables
-from controller.planning.workers.keep_out import build_scene
-from controller.planning.workers.pool import Workers
+from controller.planning.shell.planner import Outside, Planner
 from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
@@ -97,20 +85,15 @@ def running(
         book = Ledger(ledger, arm.manipulator.actuators, lambda entry: inbox.post(Recorded(entry)), daemon.fail)
         closing.callback(book.close)
         published = PublishedResults(published_path(name, socket() if callable(socket) else socket))
-        weights = arm.weights(dict(zip(arm.manipulator.actuators, book.known(), strict=True)))
-        core = Core(arm, pace_of(arm.settings), beginning(arm, densities, weights, book, published))
-        claim.confirm()
         goals, notifier = RepeatedGoals(), Notifier()
         hooks = ResultHooks(goals.ended, published.add, inbox.post)
         outbox = Outbox(session, f"hyperbit/{name}", hooks, daemon.fail, lease(config))
         closing.callback(outbox.close)
-        workers = Workers(arm, densities, weights, inbox.post, daemon.fail)
-        closing.callback(workers.close)
         warnings = Warnings(reachable(session, config), book.faults)
-        services = Services(workers, book, outbox, notifier, warnings.active, daemon.fail)
-        link = ExecutorLink(socket, name, digest)
-        planner = Planner(arm, densities, Loop(core, inbox, link, services), link)
+        outside = Outside(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
+        planner = Planner(arm, densities, ExecutorLink(socket, name, digest), outside)
         closing.callback(planner.close)
+        claim.confirm()  # the others have received it while the tables were built
         planner.start()
         server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(planner.end_goals)
@@ -122,15 +105,3 @@ def running(
         closing.callback(notifier.send, "STOPPING=1")
         log.info("serving the arm %s", name)
         yield daemon
-
-
-def beginning(
-    arm: Arm, densities: Densities, weights: np.ndarray, ledger: Ledger, published: PublishedResults
-) -> Beginning:
-    """Returns what the core knows at its start; builds the tables and the obstacles of the arm's file."""
-    locked = arm.locked.astype(np.uint8).tobytes()
-    tables = build_tables(arm, densities, weights, BuildTables(0, locked)).tables
-    built = build_scene(arm, BuildScene(0, NONE))
-    owed = [OwedGoal(*goal) for goal in ledger.owed()]
-    process = uuid.uuid4().hex[:8]
-    return Beginning(process, tables, built.scene, built.total, ledger.known(), published.known(), owed)
