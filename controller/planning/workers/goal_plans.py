@@ -198,7 +198,7 @@ def points_of(
 
 
 def proof_of(found: Plan) -> Proof:
-    """Returns what is proven of a plan, from the configuration of `start.states`."""
+    """Returns what is proven of a plan, from the configuration of `start.states`, in Python's own numbers."""
     return Proof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
 
 
