@@ -1,10 +1,17 @@
-"""Which modules have kernels, and in which order they are compiled."""
+"""Which modules have kernels, in which order they are compiled, and what does without them."""
 
+import subprocess
 import sys
 
 import pytest
 
 from controller import kernels
+
+WITHOUT = (  # what the planner's core and clients use
+    *("controller.manipulator.frames", "controller.manipulator.locked", "controller.manipulator.notation"),
+    *(f"controller.motion.{name}" for name in ("bias", "codes", "goal", "program", "restaging", "setpoint")),
+    *("controller.motion.tracking", "controller.motion.trajectory"),
+)
 
 
 def test_modules_with_kernels_come_with_those_they_depend_on():
@@ -41,3 +48,9 @@ def test_indexes_of_machine_code_are_dropped(tmp_path, monkeypatch):
     code.touch()
     kernels.drop_indexes()
     assert (index.exists(), code.exists()) == (False, True)
+
+
+def test_what_needs_no_kernel_does_not_import_numba():
+    code = "import sys\nfor name in sys.argv[1:]:\n    __import__(name)\n    assert 'numba' not in sys.modules, name"
+    done = subprocess.run([sys.executable, "-c", code, *WITHOUT], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -135,9 +135,13 @@ def answer(arm: Arm, position: list[float], orientation: Orientation, found: Sol
 
 def sentence(whole: dict[str, Any]) -> str:
     """Returns a sentence on switches and certificate of a whole trajectory."""
-    proven = {"optimal": "proven to be the fewest", "bound": f"proven: at least {whole['lower_bound'] or 0:g}"}
-    weighted = "" if whole["cost"] == whole["switches"] else f" of cost {whole['cost']:.6g}"
-    return f"{whole['switches']} switches{weighted} in all; {proven.get(whole['certificate'], 'nothing is proven')}"
+    least = f"at least {whole['lower_bound'] or 0:g}"
+    if whole["cost"] == whole["switches"]:
+        cost, proven = "", {"optimal": "proven to be the fewest", "bound": f"proven: {least}"}
+    else:
+        cost = f" of cost {whole['cost']:.6g}"
+        proven = {"optimal": "proven to cost least", "bound": f"proven: a cost of {least}"}
+    return f"{whole['switches']} switches{cost} in all; {proven.get(whole['certificate'], 'nothing is proven')}"
 
 
 def check_lines(wanted: Goals, path: Path) -> None:

@@ -253,7 +253,11 @@ class Executor:
             self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
-        """Ends what the planner asked for. At the end of the executor nothing of it runs any more."""
+        """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.
+
+        At the end of the executor nothing that the planner asked for runs any more.
+        """
+        self.modes.new_epoch()
         if not self.ending.begun:
             self._hold(why)
 

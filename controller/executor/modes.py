@@ -62,7 +62,8 @@ class Modes:
     Attributes:
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, and end of a boot.
+        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, end of a boot, and loss of
+            the planner.
         faults: active faults.
 
     Args:

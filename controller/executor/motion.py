@@ -1,7 +1,6 @@
 """The motion on the boards: the running program, or the set-point that is followed; never both."""
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from controller.executor.actuation import Actuation, Commit
 from controller.executor.arm import ExecutedArm
@@ -10,7 +9,7 @@ from controller.executor.clearance import ClearanceQuestions
 from controller.executor.kinds import Ends, Kinds
 from controller.executor.locked import LockedActuators
 from controller.executor.motion_supervision import Finding, MotionSupervision
-from controller.executor.program_execution import ProgramExecution
+from controller.executor.program_execution import End, ProgramExecution
 from controller.executor.results import Results
 from controller.executor.setpoint_stream import SetpointStream
 from controller.executor.switch_journal import SwitchJournal
@@ -21,20 +20,6 @@ from drivers.canopen.run.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
 NOT_CLEAR = "the next stage cannot begin: "
-
-
-class End(NamedTuple):
-    """How a program or stream has ended by itself.
-
-    Attributes:
-        status: of the result.
-        message: of the result.
-        reason: a sentence for the mode.
-    """
-
-    status: str
-    message: str
-    reason: str
 
 
 class Motion:
@@ -168,6 +153,7 @@ class Motion:
             last.until, last.reason, last.number = stream.until, stream.reason, stream.number
         else:
             self.stream = stream
+            self.clearances.forget()
 
     def hold(self, status: str, message: str) -> None:
         """Ends program and stream, and gives up a commit whose SYNC was not handed out.
@@ -234,8 +220,10 @@ class Motion:
             return None
         if execution.waiting and not self.busy and not self.moving and execution.settles(now):
             self._send(self._settled(execution))
-        if execution.finished and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
-            return End("done", "all stages have settled", f"holding; {execution.program.name} is done")
+        if execution.idle and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
+            end = execution.end(self.clock)
+            if end is not None:
+                return end
         return None if self._realigns(now, *execution.homed) else self._switch(execution, now)
 
     def _realigns(self, now: float, homed: int, target: int) -> bool:
@@ -327,8 +315,10 @@ class Motion:
                     return None
                 if self.clearances.touched is not None:
                     return self.clearances.touched
-        if self.actuation.switch(states, now) and self.execution is not None:
-            self.execution.begins(index)
+        if self.actuation.switch(states, now):
+            self.clearances.forget()  # if the stage must begin again, obstacles may have changed
+            if self.execution is not None:
+                self.execution.begins(index)
         return None
 
     def _took(self, commit: Commit, now: float) -> None:

@@ -2,12 +2,29 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from controller.executor.locked import LockedActuators
 from controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
 
 EPSILON = 1e-9  # [s]
 MOST_AHEAD = 1_000  # stages that may be skipped at once
+FED_WITHIN = 10.0  # [s]; a program that waits for its next stages for longer is aborted
+STARVED = f"the planner sent no further stages for {FED_WITHIN:g} s"
+
+
+class End(NamedTuple):
+    """How a program or stream has ended by itself.
+
+    Attributes:
+        status: of the result.
+        message: of the result.
+        reason: a sentence for the mode.
+    """
+
+    status: str
+    message: str
+    reason: str
 
 
 class Misfit(ValueError):
@@ -59,6 +76,7 @@ class ProgramExecution:
         self._at = [stage.at for stage in program.stages]
         self._start = locked.aligned(unpack(program.start))
         self._settles: float | None = None  # when the mark reached settles [s]
+        self._waits_since: float | None = None  # for its next stages, after all others [s, awake time]
 
     def state(self, index: int) -> int:
         """Returns the states at the end of a stage; those from which the program was planned for stage -1."""
@@ -66,7 +84,12 @@ class ProgramExecution:
 
     @property
     def homed(self) -> tuple[int, int]:
-        """Mask of the actuators to home before the first stage if their state is unknown, and the states to home to."""
+        """Mask of the actuators to home before the first stage if their state is unknown, and the states to home to.
+
+        Without stages nothing is homed: the last stage has the states to home to.
+        """
+        if not self._states and not self.final:
+            return 0, self._start
         if self.program.homed:
             return unpack(self.program.homed), self._states[-1] if self._states else self._start
         return -1, self._start
@@ -135,9 +158,24 @@ class ProgramExecution:
         return self._settles is not None
 
     @property
-    def finished(self) -> bool:
-        """Whether all stages were taken, no more will come, and the last mark has settled."""
-        return self.final and self.taken == len(self._stages) - 1 and self._settles is None
+    def idle(self) -> bool:
+        """Whether all stages so far were taken, and the last mark has settled."""
+        return self.taken == len(self._stages) - 1 and self._settles is None
+
+    def end(self, clock: float) -> End | None:
+        """Returns how an idle program ends; None while it waits for further stages. Call every period.
+
+        Args:
+            clock: awake time of the executor [s]; its own stall is no delay of the planner.
+        """
+        name = self.program.name
+        if self.final:
+            return End("done", "all stages have settled", f"holding; {name} is done")
+        if self._waits_since is None:
+            self._waits_since = clock
+        if clock - self._waits_since <= FED_WITHIN:
+            return None
+        return End("aborted", f"{STARVED}; the arm holds", f"holding; {name} was aborted: {STARVED}")
 
     def replace(self, message: Replacement, most: int, actuators: int) -> None:
         """Replaces the stages from `message.first` on, see `Replacement`.
@@ -159,6 +197,8 @@ class ProgramExecution:
         check_stages(message.stages, start, earliest, most, self._locked.mask, actuators)
         self._generation, self.final = message.generation, message.final
         self.strict |= message.strict
+        if message.stages:
+            self._waits_since = None
         self._stages[first:] = message.stages
         self._states[first:] = [self._locked.aligned(unpack(stage.states)) for stage in message.stages]
         self._at[first:] = [stage.at for stage in message.stages]

@@ -133,7 +133,9 @@ class Requests:
             reason = "the executor is shutting down" if self.quitting else f"the arm is {mode}: {self._modes.reason}"
             return Declined(number, "mode", reason[:1_000])
         if message.epoch != self._modes.epoch:
-            return Declined(number, "epoch", "a cancel, stop, reset or fault came before it began")
+            return Declined(
+                number, "epoch", "a cancel, stop, reset or fault, or the loss of the planner, came before it began"
+            )
         if number <= self._program:
             return Declined(number, "malformed", f"a program of number {self._program} came before")
         try:
@@ -154,6 +156,7 @@ class Requests:
         if execution is not None and accepted:
             try:
                 execution.replace(message, self._arm.most, self._size)
+                self._motion.clearances.forget()  # the planner may know other obstacles now
             except Misfit as misfit:
                 accepted = False
                 self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))

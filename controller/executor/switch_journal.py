@@ -75,6 +75,11 @@ class MemoryJournal:
         """See `SwitchJournal`."""
         return None
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickles any journal as one in memory: files belong to the process."""
+        state = {"counts": self.counts, "_intended": self._intended, "_after": self._after}
+        return MemoryJournal, (len(self.counts),), state
+
     def intend(self, before: int, after: int) -> None:
         """See `SwitchJournal`."""
         self._intended, self._after = before ^ after, after

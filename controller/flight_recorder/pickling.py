@@ -31,7 +31,10 @@ OTHERS = {
     ("collections", "defaultdict"),
     ("collections", "deque"),
     ("functools", "partial"),
-    *(("builtins", name) for name in ("bytearray", "complex", "dict", "frozenset", "list", "range", "set", "slice")),
+    *(
+        ("builtins", name)
+        for name in ("bytearray", "complex", "dict", "frozenset", "int", "list", "range", "set", "slice")
+    ),
     *(("numpy", name) for name in ("dtype", "ndarray")),
     *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
     *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),

@@ -4,12 +4,16 @@ The reduced arm has the same actuators in the same order. Actuator states (A,) a
 configurations from one arm to the other. The numbers of states of the modules differ.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
+if TYPE_CHECKING:  # its kernel takes a second to import
+    from controller.manipulator.manipulator import Configuration, Manipulator
 
 LockedStates = NDArray[np.int8]  # state in which each actuator is locked, -1 if it is free, shape (A,)
 
@@ -21,19 +25,26 @@ def none_locked(manipulator: Manipulator) -> LockedStates:
     return np.full(len(manipulator.actuators), -1, dtype=np.int8)
 
 
-def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulator:
-    """Returns the reduced arm, or the arm itself if no actuator is locked.
+def require_states(manipulator: Manipulator, locked: LockedStates) -> None:
+    """Checks that locked states (A,) leave each module a state.
 
     Raises:
-        ValueError: a module has no state with its actuators locked so.
+        ValueError: the shape is wrong, or a module has no state with its actuators locked so.
+    """
+    permitted_states(manipulator, locked)
+
+
+def permitted_states(manipulator: Manipulator, locked: LockedStates) -> list[NDArray[np.bool_]]:
+    """Returns for each module which of its states locked states (A,) permit, shape (K,) each.
+
+    Raises:
+        ValueError: see require_states.
     """
     if locked.shape != (len(manipulator.actuators),):
         raise ValueError(
             f"the arm has {len(manipulator.actuators)} actuators, got locked states of shape {locked.shape}"
         )
-    if (locked < 0).all():
-        return manipulator
-    modules, start = [], 0
+    result, start = [], 0
     for i, module in enumerate(manipulator.modules):
         own = locked[start : start + len(module.actuators)]
         start += len(module.actuators)
@@ -42,9 +53,23 @@ def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulato
             pairs = zip(module.actuators, own.tolist(), strict=True)
             named = " and ".join(f"{name} is {STATES[state]}" for name, state in pairs if state >= 0)
             raise ValueError(f"module {i + 1} has no state in which {named}")
-        frames, bits, body = module.frames[permitted], module.bits[permitted], module.body[permitted]
-        modules.append(module if permitted.all() else replace(module, frames=frames, bits=bits, body=body))
-    return Manipulator(modules, manipulator.base)
+        result.append(permitted)
+    return result
+
+
+def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulator:
+    """Returns the reduced arm, or the arm itself if no actuator is locked.
+
+    Raises:
+        ValueError: see require_states.
+    """
+    permitted, modules = permitted_states(manipulator, locked), []
+    if (locked < 0).all():
+        return manipulator
+    for module, kept in zip(manipulator.modules, permitted, strict=True):
+        frames, bits, body = module.frames[kept], module.bits[kept], module.body[kept]
+        modules.append(module if kept.all() else replace(module, frames=frames, bits=bits, body=body))
+    return type(manipulator)(modules, manipulator.base)
 
 
 def transferred(configuration: Configuration, source: Manipulator, target: Manipulator) -> Configuration:

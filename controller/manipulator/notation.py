@@ -3,14 +3,18 @@
 A configuration is a row of digits, base first. Numbers with commas are used if a module has more than ten states.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
-from controller.manipulator.manipulator import Configuration, Manipulator
+
+if TYPE_CHECKING:  # its kernel takes a second to import
+    from controller.manipulator.manipulator import Configuration, Manipulator
 
 
 def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:

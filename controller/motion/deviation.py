@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import compose, set_identity
+from controller.manipulator.frame_kernels import compose, set_identity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -46,6 +46,10 @@ class Staged:
         """Greatest distance of the tip from the straight line; None if it is not known."""
         return self.deviation_source() if callable(self.deviation_source) else self.deviation_source
 
+    def switches_from(self, states: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Returns how often each actuator switches, shape (A,), from the actuator states (A,) before."""
+        return np.asarray(np.count_nonzero(np.diff(np.vstack([states, self.stages]), axis=0), axis=0))
+
 
 @dataclass(frozen=True)
 class Pace:

@@ -22,9 +22,9 @@ class Plan:
 
     Attributes:
         trajectory: the goal.
-        solutions: one for each point.
+        solutions: one for each point; switches, cost and certificate are those of its transition, see `transition_to`.
         transitions: to each point's configuration from the one before.
-        bound: proven lower bound of the cost of any plan; 0 if nothing is proven.
+        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
     """
 
     trajectory: Trajectory
@@ -58,7 +58,10 @@ class Plan:
 
     def proven(self, bound: float) -> "Plan":
         """Returns the plan with a lower bound, if that is greater than the present one."""
-        return replace(self, bound=max(self.bound, bound))
+        bound, solutions = max(self.bound, bound), self.solutions
+        if len(solutions) == 1:
+            solutions = (replace(solutions[0], bound=bound),)
+        return replace(self, solutions=solutions, bound=bound)
 
     def improved(
         self,
@@ -90,25 +93,44 @@ class Plan:
         configurations: Sequence[Configuration],
         previous: Configuration | None,
     ) -> "Plan":
-        solutions, transitions, times = list(self.solutions), list(self.transitions), self.trajectory.times
+        solutions, transitions = list(self.solutions), list(self.transitions)
         end = first + len(configurations)
         chosen = [*configurations, *(s.configuration for s in self.solutions[end : end + 1])]
         for k, configuration in enumerate(chosen, first):
-            goal, before = self.trajectory.goal(k), solutions[k - 1].configuration if k else previous
+            before = solutions[k - 1].configuration if k else previous
             if before is None:
                 raise ValueError("the configuration before the first point is needed")
-            tolerance, turn = float(self.trajectory.tolerances[k]), float(self.trajectory.turns[k])
-            solutions[k] = solver.described(configuration, goal, before, tolerance, turn)
-            if not solutions[k].within_tolerance:
-                raise Infeasible(f"{solutions[k].error:.4f} from point {k}")
-            if k == 0:
-                transitions[k] = transition_to(solver, self.trajectory, before, solutions[k], k, pace)
-                continue
-            available = float(times[k] - times[k - 1])
-            transitions[k] = pace.staged(
-                solver.manipulator, before, configuration, available, sweep=sweep_for(solver), patience=0.0
-            )
+            same_start = k == 0 or np.array_equal(before, self.solutions[k - 1].configuration)
+            bound = self.solutions[k].bound if same_start else 0.0
+            solution = solution_of(solver, self.trajectory, before, configuration, k, bound)
+            if not solution.within_tolerance:
+                raise Infeasible(f"{solution.error:.4f} from point {k}")
+            solutions[k], transitions[k] = transition_to(solver, self.trajectory, before, solution, k, pace)
         return Plan(self.trajectory, tuple(solutions), tuple(transitions), self.bound)
+
+
+def solution_of(
+    solver: Solver,
+    trajectory: Trajectory,
+    previous: Configuration,
+    configuration: Configuration,
+    k: int,
+    bound: float = 0.0,
+) -> Solution:
+    """Returns a configuration (B,) as the solution of point k.
+
+    Args:
+        solver: of the arm.
+        trajectory: the goal.
+        previous: configuration before, shape (B,).
+        configuration: to describe.
+        k: index of the point.
+        bound: proven lower bound of the cost of any configuration of the point. A point that is given as a
+            configuration needs none: at least the actuators that differ must switch.
+    """
+    tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
+    found = solver.described(configuration, trajectory.goal(k), previous, tolerance, turn)
+    return replace(found, bound=found.cost if k in trajectory.fixed else min(bound, found.cost))
 
 
 def transition_to(
@@ -120,8 +142,21 @@ def transition_to(
     pace: Pace,
     with_deviation: bool = True,
     patience: float = 0.0,
-) -> Staged:
-    """Returns the transition to point k. The first transition may be late; the others must fit into their time.
+) -> tuple[Solution, Staged]:
+    """Returns the solution of point k with switches and cost of its transition, and the transition.
+
+    A detour switches more actuators than differ between the configurations. The bound of a solution holds for detours,
+    too. The first transition may be late; the others must fit into their time.
+
+    Args:
+        solver: of the arm.
+        trajectory: the goal.
+        previous: configuration before, shape (B,).
+        solution: of point k, from `previous`.
+        k: index of the point.
+        pace: of the transitions.
+        with_deviation: compute the deviation, also without an inrush bound.
+        patience: time to search for a detour [s].
 
     Raises:
         Refusal: the time from point k - 1 is too short.
@@ -135,8 +170,8 @@ def transition_to(
     else:
         available = None
     try:
-        configuration, sweep = solution.configuration, sweep_for(solver)
-        return pace.staged(solver.manipulator, previous, configuration, available, with_deviation, sweep, patience)
+        after, sweep = solution.configuration, sweep_for(solver)
+        staged = pace.staged(solver.manipulator, previous, after, available, with_deviation, sweep, patience)
     except Blocked:
         raise
     except Infeasible as error:
@@ -149,6 +184,8 @@ def transition_to(
             where += f", one of {parts} parts"
             whole = f", and the line {upwards(parts * pace.needed(solution.switches)):g} s"
         raise Refusal(INVALID_GOAL, f"{where}: {available:.3g} s, {error}{whole}") from None
+    counts = staged.switches_from(solver.manipulator.actuator_states(previous))
+    return replace(solution, switches=int(counts.sum()), cost=solver.cost_of(counts)), staged
 
 
 def sweep_for(solver: Solver) -> Sweep | None:

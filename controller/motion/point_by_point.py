@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.pacing import Blocked, Pace, Staged
-from controller.motion.plan import Plan, transition_to
+from controller.motion.plan import Plan, solution_of, transition_to
 from controller.motion.stage_sequencer import DETOUR_TIME
 from controller.motion.trajectory import Trajectory
 from controller.search.method import Method
@@ -69,26 +69,27 @@ def plan(
         if k in trajectory.fixed:
             solution = fixed_point(solver, trajectory, previous, k)
             try:
-                transitions.append(
-                    transition_to(solver, trajectory, previous, solution, k, pace, with_deviation, DETOUR_TIME)
+                solution, transition = transition_to(
+                    solver, trajectory, previous, solution, k, pace, with_deviation, DETOUR_TIME
                 )
             except Blocked as blocked:
                 what = f"no collision-free transition to it was found: {blocked}"
                 raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
             solutions.append(solution)
+            transitions.append(transition)
             previous = solution.configuration
             continue
         solution = solver.solve(goal, previous, tolerance, method, min(longest, remaining), turn)
         if not solution.within_tolerance:
             raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
         try:
-            transition = transition_to(solver, trajectory, previous, solution, k, pace, with_deviation)
+            solution, transition = transition_to(solver, trajectory, previous, solution, k, pace, with_deviation)
         except Blocked as blocked:
             solution, transition = alternative(solver, trajectory, previous, solution, k, pace, blocked)
         except Refusal:  # a search with more time may find fewer switches, which need less time
             solution = solver.solve(goal, previous, tolerance, method, angle_tolerance=turn)
             try:
-                transition = transition_to(solver, trajectory, previous, solution, k, pace)
+                solution, transition = transition_to(solver, trajectory, previous, solution, k, pace)
             except Blocked as blocked:
                 solution, transition = alternative(solver, trajectory, previous, solution, k, pace, blocked)
         solutions.append(solution)
@@ -120,19 +121,16 @@ def alternative(
         solver.solve(goal, previous, tolerance, method, angle_tolerance=turn).configuration for method in methods
     ]
     distinct = {c.tobytes(): c for c in (cheapest.configuration, *ranked)}
-    found = [solver.described(c, goal, previous, tolerance, turn) for c in distinct.values()]
+    found = [solution_of(solver, trajectory, previous, c, k, cheapest.bound) for c in distinct.values()]
     served = [solution for solution in found if solution.within_tolerance]
     for patience, solutions in ((0.0, served[1:]), (DETOUR_TIME, served)):  # detours last
         for solution in solutions:
             if time.perf_counter() > until:
                 break
             try:
-                transition = transition_to(solver, trajectory, previous, solution, k, pace, patience=patience)
+                return transition_to(solver, trajectory, previous, solution, k, pace, patience=patience)
             except (Blocked, Refusal):
                 continue
-            rows = np.vstack([solver.manipulator.actuator_states(previous), transition.stages])
-            switches = int(np.count_nonzero(np.diff(rows.astype(int), axis=0)))
-            return replace(solution, switches=switches), transition
     what = f"no collision-free transition to it was found: {blocked}"
     raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
 
@@ -143,14 +141,13 @@ def fixed_point(solver: Solver, trajectory: Trajectory, previous: Configuration,
     Raises:
         Refusal: a locked actuator excludes the configuration, or the arm collides in it.
     """
-    goal, tolerance = trajectory.goal(point), float(trajectory.tolerances[point])
     try:
         configuration = solver.manipulator.configuration(trajectory.fixed[point])
     except ValueError as error:
         raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, point)}: a locked actuator: {error}") from None
     if solver.clearance is not None and (where := solver.clearance.where(configuration)) is not None:
         raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, point)}: {where}")
-    return solver.described(configuration, goal, previous, tolerance, float(trajectory.turns[point]))
+    return solution_of(solver, trajectory, previous, configuration, point)
 
 
 def same_configuration(solution: Solution, goal: NDArray[np.float64], tolerance: float) -> Solution | None:

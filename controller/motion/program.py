@@ -4,16 +4,21 @@ Stage k of the n stages to a point begins `lead * (n - k)` before the point's ti
 at that time. The mark of a stage is the index of the point that the stage reaches.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.motion.pacing import Staged
-from controller.motion.plan import Plan
-from controller.motion.trajectory import Trajectory
 from controller.program import Stage
+
+if TYPE_CHECKING:  # their kernels take seconds to import
+    from controller.motion.pacing import Staged
+    from controller.motion.plan import Plan
+    from controller.motion.trajectory import Trajectory
 
 States = NDArray[np.uint8]
 Pack = Callable[[States], list[bytes]]  # packs actuator states (k, A) for the executor

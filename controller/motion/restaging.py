@@ -1,9 +1,14 @@
 """Restaging: stages from the present actuator states to a planned configuration, within the inrush bound."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Manipulator
+if TYPE_CHECKING:  # its kernel takes a second to import
+    from controller.manipulator.manipulator import Manipulator
 
 States = NDArray[np.uint8]
 

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import compose, set_identity
+from controller.manipulator.frame_kernels import compose, set_identity
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.deviation import Array, Index, Known, Transition
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from controller.manipulator.frames import compose
+from controller.manipulator.frame_kernels import compose
 from controller.obstacles.distance import Array, Index, first_obstacle, placed
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import compose
+from controller.manipulator.frame_kernels import compose
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.collision import first_module

@@ -10,7 +10,7 @@ from an obstacle than the sum of its bounds, in the middle of the box, is clear 
 import numpy as np
 from numba import njit
 
-from controller.manipulator.frames import compose
+from controller.manipulator.frame_kernels import compose
 from controller.obstacles.collision import lines_distance
 from controller.obstacles.distance import Array, Index, first_obstacle, placed
 

@@ -4,6 +4,7 @@ import logging
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -11,9 +12,11 @@ from controller.manipulator.manipulator import Manipulator
 from controller.motion.program import unpack_states
 from controller.planning.goal_check import collision_outcome
 from controller.planning.goals import RunningGoals
-from controller.planning.keep_out import KeepOut, KeepOutSet, States
+from controller.planning.keep_out import KeepOut
 from controller.planning.monitor import ArmMonitor
 from controller.planning.running_goal import RunningGoal
+from controller.planning.workers.arm_model import Abandoned
+from controller.planning.workers.keep_out import KeepOutSet, States
 from controller.program import Clearance, Question
 
 log = logging.getLogger(__name__)
@@ -85,12 +88,14 @@ class ClearanceWorker:
             self._checks += 1
             number = self._checks
 
-        def latest() -> bool:
-            return number == self._checks
+        def proceed() -> None:
+            if number != self._checks:
+                raise Abandoned
 
         def check() -> None:
-            collision = current.first_collision(states, stages, latest)
-            if latest():
+            with suppress(Abandoned):
+                collision = current.first_collision(states, stages, proceed)
+                proceed()
                 on_checked(current, collision)
 
         try:

@@ -17,7 +17,13 @@ from controller.program import Counted, Counts, Diagnostics, Question, Snapshot,
 
 
 class CountLedger(Protocol):
-    """Records switches; must not wait."""
+    """Records switches; must not wait.
+
+    Attributes:
+        instance: of the executor, which the listener sets.
+    """
+
+    instance: int
 
     def counts(self, counts: Sequence[int]) -> None:
         """Takes the executor's counts, one for each actuator."""
@@ -64,6 +70,7 @@ class ExecutorListener:
     def welcomed(self, welcome: Welcome) -> None:
         """Continues the executor's program numbers, and sends it the ledger's counts."""
         self._numbers.at_least(welcome.program)
+        self._ledger.instance = welcome.instance
         known = tuple(self._ledger.known())
         if self.counted is None:
             self.counted = sum(map(max, known, welcome.counts))

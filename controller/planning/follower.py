@@ -27,7 +27,7 @@ from controller.planning.keep_out import CollisionAwareSolver
 from controller.planning.messages import Payload
 from controller.planning.monitor import ArmMonitor
 from controller.planning.sending import ProgramNumbers
-from controller.planning.setpoint_search import SEARCH_TIME, Query, SetpointSearch
+from controller.planning.workers.setpoints import SEARCH_TIME, SetpointQuery, find, stages_to
 from controller.program import Down
 from controller.program import Setpoint as SetpointCommand
 
@@ -79,7 +79,6 @@ class Follower:
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._pace = pace_of(arm.settings)
-        self._search = SetpointSearch(arm, self._pace)
         self._stream: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME / 2
         self._heard = self._fitted = self._next_alive = self._next_note = self._retry = -math.inf
@@ -204,8 +203,8 @@ class Follower:
             return None
         began = time.perf_counter()
         # Half the tolerance: see GoalTracker.next_target.
-        query = Query(solver, keep_out, state.commanded, start, goal - shift, tolerance / 2)
-        found = self._search.find(query)
+        query = SetpointQuery(solver, keep_out, state.commanded, start, goal - shift, tolerance / 2)
+        found = find(query, self._arm.settings.method)
         self._searching = running_mean(self._searching, time.perf_counter() - began)
         if found.error > tolerance:
             where = ", ".join(f"{x:.4f}" for x in goal)
@@ -215,7 +214,7 @@ class Follower:
         stages, note = None, ""
         if found.switches:
             try:
-                stages = self._search.stages(query, found.configuration)
+                stages = stages_to(query, found.configuration, self._arm, self._pace)
             except Blocked as blocked:
                 self._retry, note = now + RETRY, f", but the transition to it is blocked: {blocked}"
         self._set_note(note, now)

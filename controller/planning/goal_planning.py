@@ -17,9 +17,10 @@ from controller.motion.plan import Plan
 from controller.motion.point_by_point import PLANNING_TIME, plan
 from controller.motion.trajectory import Trajectory
 from controller.planning.arm_state import ArmState
-from controller.planning.keep_out import CollisionAwareSolver, KeepOutSet
+from controller.planning.keep_out import CollisionAwareSolver
 from controller.planning.monitor import ArmMonitor
 from controller.planning.program_feed import most_stages
+from controller.planning.workers.keep_out import KeepOutSet
 from controller.program import MOST_PROGRAM_STAGES
 from controller.search.solver import Solver
 

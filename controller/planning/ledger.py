@@ -2,6 +2,11 @@
 
 The executor's switch journal counts each switch exactly once. The ledger keeps a second copy of the counts. The greater
 of two counts is valid, so losing one of the files loses no counts.
+
+A written transaction is in the kernel's memory, so it survives the death of the process. SQLite in WAL mode with
+synchronous=NORMAL calls fsync about every 4 MB only; the kernel itself writes to the disk within about 30 s. An fsync
+for each goal would wear flash memory, and each result would wait for the disk. A power failure therefore loses the
+goals of the last seconds, but does not damage the file. The switch journal has the counts up to the last 10 s.
 """
 
 import fcntl
@@ -10,23 +15,29 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
-from controller.planning.ledger_file import MOST_GOALS, Entry, LedgerFile, counted, damaged
+from controller.planning.core.events import Accepted, Ended, Identity, OpenGoal, Record
+from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed
 from controller.program import Fault
 
 log = logging.getLogger(__name__)
 
-WRITE_EVERY = 5.0  # [s] between two transactions, because each one wears flash memory
+WRITE_EVERY = 5.0  # [s] between two transactions with counts alone, because each one wears flash memory
+
+
+def ignore(_: object) -> None:
+    """Does nothing."""
 
 
 class Ledger:
-    """Collects counts and results in memory and writes them in batches. For any thread.
+    """Records goals, results and counts. No method waits, except `close`.
 
-    A thread with one connection writes at most every WRITE_EVERY seconds. The end of a goal is written as soon as that
-    allows. If the file cannot be written, `fault` says why, and the data is written later. A damaged file is renamed;
-    a new file begins with the present counts.
+    A thread with one connection writes the waiting records at once, in one transaction. Counts are written with them,
+    or alone after `write_every`. If the file cannot be written, `fault` says why, and the data is written later. A
+    damaged file is renamed; a new file begins with the present counts, but without the goals.
 
     Attributes:
         path: of the file.
@@ -36,69 +47,50 @@ class Ledger:
     Args:
         path: of the file; it and its folder are made if they are missing.
         actuators: labels, in the order of the state vectors.
-        write_every: shortest time between two transactions [s].
+        recorded: takes the number of each record, in the ledger's thread, when it is written or cannot be written.
+        fatal: takes a message when the ledger's thread dies, in this thread.
+        write_every: time between two transactions without a record [s].
 
     Raises:
         LedgerInUse: another process writes this ledger.
     """
 
-    def __init__(self, path: Path, actuators: Sequence[str], write_every: float = WRITE_EVERY) -> None:
+    instance = 0  # of the executor, for `accepted` and `ended`
+
+    def __init__(
+        self,
+        path: Path,
+        actuators: Sequence[str],
+        recorded: Callable[[int], None] = ignore,
+        fatal: Callable[[str], None] = ignore,
+        write_every: float = WRITE_EVERY,
+    ) -> None:
         self.path = path
         self.fault: str | None = None
         self.damage: str | None = None
         self._lock_file = LedgerLock(path)
         known = counted(path)
-        self._actuators, self._write_every = tuple(actuators), write_every
-        self._counts = tuple(known.get(label, 0) for label in actuators)
-        self._file = LedgerFile(path, self._actuators)
-        self._goals: deque[Entry] = deque(maxlen=2 * MOST_GOALS)
-        self._news = threading.Condition()
-        self._due, self._closing = 0.0, False
+        self._counts, self._owed = tuple(known.get(label, 0) for label in actuators), owed(path)
+        self._recorded, self._fatal, self._write_every = recorded, fatal, write_every
+        self._file = LedgerFile(path, actuators)
+        self._queue: SimpleQueue[Record | None] = SimpleQueue()  # None: the end
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
         self._thread.start()
 
-    def accepted(self, number: int, goal: str, waypoints: int) -> None:
-        """Records an accepted goal.
+    def owed(self) -> tuple[OpenGoal, ...]:
+        """Returns the newest thousand goals that had no result when the ledger was opened, the oldest first."""
+        return self._owed
 
-        Args:
-            number: of its program; `ended` refers to the goal by this number.
-            goal: its id.
-            waypoints: number of waypoints.
-        """
-        self._enter(Entry(number, accepted=(plain(goal), time.time(), waypoints)), self._write_every)
-
-    def ended(
-        self,
-        number: int,
-        status: str,
-        code: int,
-        message: str,
-        switches: int,
-        accepted: tuple[str, float, int] | None = None,
-    ) -> None:
-        """Records the result of the latest goal of a program number.
-
-        Args:
-            number: of the program.
-            status: of the result.
-            code: of the result.
-            message: of the result.
-            switches: of all actuators.
-            accepted: id, time [UNIX s] and waypoints of a goal of an earlier planner process. If that was killed
-                    before it wrote the goal, the goal is recorded now.
-        """
-        before = None if accepted is None else (plain(accepted[0]), *accepted[1:])
-        self._enter(Entry(number, before, (time.time(), status, code, plain(message), switches)), 0.0)
+    def record(self, record: Record) -> None:
+        """Records a goal, its result, or both; then `recorded` is called with its number."""
+        self._queue.put(record)
 
     def counts(self, counts: Sequence[int]) -> None:
-        """Takes the executor's counts, one for each actuator; a count never falls."""
-        if len(counts) != len(self._actuators):
-            log.error("the executor counts %d actuators, the ledger %d", len(counts), len(self._actuators))
+        """Takes the executor's counts, one for each actuator; a count never falls. For one thread."""
+        if len(counts) != len(self._counts):
+            log.error("the executor counts %d actuators, the ledger %d", len(counts), len(self._counts))
             return
-        with self._news:
-            if (highest := tuple(map(max, self._counts, counts))) != self._counts:
-                self._counts = highest
-                self._set_due(self._write_every)
+        self._counts = tuple(map(max, self._counts, counts))
 
     def known(self) -> tuple[int, ...]:
         """Returns the number of switches of each actuator so far."""
@@ -111,45 +103,64 @@ class Ledger:
 
     def close(self, timeout: float = 5.0) -> None:
         """Writes the rest, and frees the ledger for other processes."""
-        with self._news:
-            self._closing = True
-            self._news.notify()
+        self._queue.put(None)
         self._thread.join(timeout)
         self._lock_file.close()
 
-    def _enter(self, entry: Entry, within: float) -> None:
-        with self._news:
-            self._goals.append(entry)
-            self._set_due(within)
+    def accepted(self, number: int, goal: str, waypoints: int) -> None:
+        """Records an accepted goal of a program's number."""
+        self.record(Record(0, Identity(self.instance, number), Accepted(goal, time.time(), waypoints), None))
 
-    def _set_due(self, within: float) -> None:
-        """Makes the thread write within a time [s], or as soon as WRITE_EVERY allows."""
-        self._due = min(self._due, time.monotonic() + within)
-        self._news.notify()
+    def ended(
+        self,
+        number: int,
+        status: str,
+        code: int,
+        message: str,
+        switches: int,
+        accepted: tuple[str, float, int] | None = None,
+    ) -> None:
+        """Records the result of a goal; `accepted` has id, time [UNIX s] and waypoints."""
+        before = None if accepted is None else Accepted(*accepted)
+        result = Ended(time.time(), status, code, message, switches)
+        self.record(Record(0, Identity(self.instance, number), before, result))
 
     def _run(self) -> None:
-        earliest, closing = 0.0, False  # the first transaction opens the file, and detects damage
-        while not closing:
-            with self._news:
-                while not self._closing and (wait := max(self._due, earliest) - time.monotonic()) > 0:
-                    self._news.wait(min(wait, threading.TIMEOUT_MAX))
-                closing, self._due = self._closing, float("inf")
-                goals, counts = tuple(self._goals), self._counts
-            written = self._write(goals, counts)
-            with self._news:
-                if written:
-                    for _ in range(min(len(goals), len(self._goals))):
-                        self._goals.popleft()
-                else:
-                    self._set_due(self._write_every)
-            earliest = time.monotonic() + self._write_every
-        self._file.close()
+        try:
+            self._write_until_closed()
+        except Exception as error:
+            log.exception("the ledger's thread ended")
+            self._fatal(f"the ledger's thread ended: {error!r}")
+        finally:
+            self._file.close()
 
-    def _write(self, goals: Sequence[Entry], counts: Sequence[int]) -> bool:
+    def _write_until_closed(self) -> None:
+        unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
+        due, closing = 0.0, False  # the first transaction opens the file, and detects damage
+        while not closing:
+            waiting = self._waiting(due)
+            records = [record for record in waiting if record is not None]
+            closing = len(records) < len(waiting)
+            unwritten.extend(records)
+            if self._write(unwritten, self._counts):
+                unwritten.clear()
+            for record in records:
+                self._recorded(record.entry)
+            due = time.monotonic() + self._write_every
+
+    def _waiting(self, due: float) -> list[Record | None]:
+        """Returns what is in the queue; waits for it until the time `due` [s]."""
+        try:
+            first = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
+        except Empty:
+            return []
+        return [first, *(self._queue.get() for _ in range(self._queue.qsize()))]
+
+    def _write(self, records: Iterable[Record], counts: Sequence[int]) -> bool:
         """Writes the collected data; returns whether that succeeded."""
         for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
-                self._file.write(goals, counts)
+                self._file.write(records, counts)
                 self.fault = None
                 return True
             except Exception as error:
@@ -164,11 +175,6 @@ class Ledger:
                 self.fault = f"ledger {self.path} cannot be written: {error}"
                 break
         return False
-
-
-def plain(text: str) -> str:
-    """Returns a text that SQLite can store: lone surrogates become escapes."""
-    return text.encode(errors="backslashreplace").decode()
 
 
 class LedgerInUse(Exception):

@@ -4,47 +4,48 @@ import logging
 import os
 import sqlite3
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+from controller.planning.core.events import Identity, OpenGoal, Record
 
 log = logging.getLogger(__name__)
 
 MOST_GOALS = 100_000  # rows of the table goals
+MOST_OWED = 1_000
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS switches (actuator TEXT PRIMARY KEY, count INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS goals (
   number INTEGER PRIMARY KEY, id TEXT NOT NULL, accepted REAL NOT NULL, waypoints INTEGER NOT NULL,
-  ended REAL, status TEXT, code INTEGER, message TEXT, switches INTEGER, program INTEGER
+  ended REAL, status TEXT, code INTEGER, message TEXT, switches INTEGER, program INTEGER, instance INTEGER
 );
 """
-UNFINISHED = "CREATE INDEX IF NOT EXISTS unfinished ON goals (program) WHERE ended IS NULL"
-ACCEPTED = "INSERT INTO goals (id, accepted, waypoints, program) VALUES (?, ?, ?, ?)"
+LATER_COLUMNS = ("program", "instance")  # files of earlier versions lack them
+# In a unique index NULLs differ: goals of earlier versions have no instance.
+INDICES = """
+DROP INDEX IF EXISTS unfinished;
+CREATE UNIQUE INDEX IF NOT EXISTS identities ON goals (instance, program);
+"""
+LOST = """
+UPDATE goals SET ended = ?, status = 'lost', message = 'an earlier version recorded no result'
+WHERE instance IS NULL AND ended IS NULL
+"""
+ACCEPTED = """
+INSERT INTO goals (id, accepted, waypoints, instance, program) VALUES (?, ?, ?, ?, ?)
+ON CONFLICT (instance, program) DO NOTHING
+"""
 ENDED = """
 UPDATE goals SET ended = ?, status = ?, code = ?, message = ?, switches = ?
-WHERE number = (SELECT max(number) FROM goals WHERE program = ? AND ended IS NULL)
+WHERE instance = ? AND program = ? AND ended IS NULL
 """
-ADOPTED = """
-INSERT INTO goals (id, accepted, waypoints, program, ended, status, code, message, switches)
-SELECT ?, ?, ?, ?, ?, ?, ?, ?, ?
-WHERE NOT EXISTS (SELECT 1 FROM goals WHERE program = ? AND id = ? AND ended >= ?)
+OWED = """
+SELECT instance, program, id, accepted, waypoints FROM goals
+WHERE ended IS NULL AND instance IS NOT NULL ORDER BY number DESC LIMIT ?
 """
 COUNTED = "INSERT INTO switches VALUES (?, ?) ON CONFLICT DO UPDATE SET count = max(count, excluded.count)"
 FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) - ?"
-
-
-class Entry(NamedTuple):
-    """A goal that was accepted, or that ended.
-
-    Attributes:
-        number: of its program.
-        accepted: id, UNIX seconds, waypoints.
-        ended: UNIX seconds, status, code, message, switches. With `accepted` too, the goal may not be in the file yet.
-    """
-
-    number: int
-    accepted: tuple[str, float, int] | None = None
-    ended: tuple[float, str, int, str, int] | None = None
 
 
 class LedgerFile:
@@ -61,30 +62,28 @@ class LedgerFile:
         self._inode = 0
         self._written: dict[str, int] = {}  # counts written by this connection
 
-    def write(self, goals: Sequence[Entry], counts: Sequence[int]) -> None:
-        """Writes entries and absolute counts in one transaction.
+    def write(self, records: Iterable[Record], counts: Sequence[int]) -> None:
+        """Writes records and absolute counts in one transaction.
+
+        An acceptance that the file has, and a result of a goal that has ended, change nothing.
 
         Raises:
             Exception: from SQLite or the file system; nothing was written.
         """
-        connection = self._opened()
+        connection, records = self._opened(), tuple(records)
         new = [
             (label, count)
             for label, count in zip(self._actuators, counts, strict=True)
             if count > self._written.get(label, 0)
         ]
-        if not goals and not new:
+        if not records and not new:
             return
         with connection:
-            for entry in goals:
-                if entry.accepted is not None and entry.ended is None:
-                    connection.execute(ACCEPTED, (*entry.accepted, entry.number))
-                if entry.ended is not None:
-                    found = connection.execute(ENDED, (*entry.ended, entry.number)).rowcount
-                    if not found and entry.accepted is not None:
-                        goal, accepted, _ = entry.accepted
-                        row = (*entry.accepted, entry.number, *entry.ended)
-                        connection.execute(ADOPTED, (*row, entry.number, goal, accepted))
+            for _, identity, accepted, ended in records:
+                if accepted is not None:
+                    connection.execute(ACCEPTED, (plain(accepted.goal), *accepted[1:], *identity))
+                if ended is not None:
+                    connection.execute(ENDED, (*ended._replace(message=plain(ended.message)), *identity))
             connection.execute(FORGOTTEN, (MOST_GOALS,))
             connection.executemany(COUNTED, new)
         self._written |= dict(new)
@@ -116,11 +115,14 @@ class LedgerFile:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         connection = sqlite3.connect(self._path, timeout=2.0, check_same_thread=False)
         try:
-            connection.executescript(f"PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; {SCHEMA}")
-            columns = [row[1] for row in connection.execute("PRAGMA table_info(goals)")]
-            if "program" not in columns:  # the file is of an earlier version
-                connection.execute("ALTER TABLE goals ADD COLUMN program INTEGER")
-            connection.execute(UNFINISHED)
+            connection.executescript(f"PRAGMA journal_mode=WAL; PRAGMA synchronous=NORMAL; {SCHEMA}")
+            present = [row[1] for row in connection.execute("PRAGMA table_info(goals)")]
+            for column in LATER_COLUMNS:
+                if column not in present:
+                    connection.execute(f"ALTER TABLE goals ADD COLUMN {column} INTEGER")
+            connection.executescript(INDICES)
+            with connection:
+                connection.execute(LOST, (time.time(),))
             (sound,) = connection.execute("PRAGMA quick_check(1)").fetchone()
             if sound != "ok":
                 raise Damaged(sound)
@@ -167,17 +169,38 @@ def counted(path: Path) -> dict[str, int]:
         return {}
 
 
+def owed(path: Path) -> tuple[OpenGoal, ...]:
+    """Returns the newest thousand goals without a result, the oldest first; none if the ledger cannot be read.
+
+    Goals of earlier versions have no identity: no result can be found for them.
+    """
+    try:
+        with closing(readable(path)) as connection:
+            rows = connection.execute(OWED, (MOST_OWED,)).fetchall()
+    except sqlite3.Error as error:  # also a missing file, and one of an earlier version
+        log.debug("no goals in the ledger %s: %s", path, error)
+        return ()
+    return tuple(OpenGoal(Identity(*row[:2]), *row[2:]) for row in reversed(rows))
+
+
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     """Returns the number of switches of each actuator, and the latest thousand goals, newest first.
 
     Raises:
         sqlite3.Error: the file is missing, or is no ledger.
     """
-    connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
-    try:
+    with closing(readable(path)) as connection:
         connection.row_factory = sqlite3.Row
         switches = {row["actuator"]: row["count"] for row in connection.execute("SELECT * FROM switches")}
         goals = [dict(row) for row in connection.execute("SELECT * FROM goals ORDER BY number DESC LIMIT 1000")]
-    finally:
-        connection.close()
     return switches, goals
+
+
+def readable(path: Path) -> sqlite3.Connection:
+    """Opens a ledger for reading only."""
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+
+
+def plain(text: str) -> str:
+    """Returns a text that SQLite and JSON can store: lone surrogates become escapes."""
+    return text.encode(errors="backslashreplace").decode()

@@ -5,19 +5,14 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from controller.manipulator.locked import transferred
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.goal import GoalMessage
-from controller.motion.plan import Plan
 from controller.motion.whole import first_time, look_ahead
 from controller.planning.goal_planning import GoalPlanning
-from controller.planning.messages import CLOSING, Payload, Reply, done
+from controller.planning.messages import CLOSING, Reply
 from controller.planning.request_queue import RequestQueue
+from controller.planning.workers.descriptions import payload_of
 
 MOST_WAITING = 4
 DEADLINE = 10.0  # [s] for one query, without its time in the queue
@@ -79,46 +74,4 @@ class PlanQueries:
         if self._planning.arm.settings.method == "minimum-switch":
             plan = look_ahead(found.solver, plan, found.previous, self._planning.pace, stop=hurry)
         reduced = found.solver.manipulator
-        query.reply(described(self._planning.arm.manipulator, reduced, found.previous, plan))
-
-
-def described(whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: Plan) -> Payload:
-    """Returns the payload of a plan.
-
-    Args:
-        whole: the arm.
-        reduced: the arm reduced by locked actuators; the plan's configurations are of this arm.
-        previous: configuration before, shape (B,).
-        plan: to describe.
-    """
-    trajectory = plan.trajectory
-    before, stages = reduced.actuator_states(previous), list[list[list[str]]]()
-    for transition in plan.transitions:
-        changes = np.diff(np.vstack([before, transition.stages]).astype(int), axis=0)
-        stages.append([[whole.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()])
-        before = transition.stages[-1]
-    shift = np.zeros(trajectory.positions.shape[1]) if trajectory.bias is None else trajectory.bias
-    points = [
-        {
-            "t": t,
-            "goal": position if k in trajectory.fixed else position + shift,
-            "between": trajectory.between(k),
-            "configuration": format_configuration(whole, transferred(solution.configuration, reduced, whole)),
-            **pose(whole, solution.tip),
-            "error": solution.error,
-            "orientation_error": solution.angle if trajectory.turns[k] < np.inf else None,
-            "switches": solution.switches,
-            **solution.proof(),
-            "stages": labels,
-            "excursion": transition.deviation,
-            "seconds": solution.seconds,
-        }
-        for k, (t, position, solution, labels, transition) in enumerate(
-            zip(trajectory.times, trajectory.positions, plan.solutions, stages, plan.transitions, strict=True)
-        )
-    ]
-    between = len(points) - len(trajectory.waypoints)
-    along = f", {between} points between them" if between else ""
-    message = f"{len(trajectory.waypoints)} waypoints{along}, {plan.switches} switches"
-    bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
-    return {**done(message), "waypoints": points, "switches": plan.switches, **plan.proof(), **bias}
+        query.reply(payload_of(self._planning.arm.manipulator, reduced, found.previous, plan))

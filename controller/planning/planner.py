@@ -12,7 +12,6 @@ from controller.planning.admission import Admission, Ticket
 from controller.planning.goal_planning import GoalPlanning, Planned, stages_of
 from controller.planning.goal_programs import GoalPrograms
 from controller.planning.goals import RunningGoals
-from controller.planning.improvement import Improvement
 from controller.planning.jogging import Jogging, Switches
 from controller.planning.keep_out import CollisionError
 from controller.planning.messages import BARRED, CLOSING, Payload, Reply
@@ -20,6 +19,7 @@ from controller.planning.monitor import ArmMonitor
 from controller.planning.request_queue import RequestQueue
 from controller.planning.running_goal import RunningGoal
 from controller.planning.sending import ProgramSender
+from controller.planning.workers.improvement import Improvement
 
 log = logging.getLogger(__name__)
 

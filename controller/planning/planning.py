@@ -22,7 +22,7 @@ from controller.planning.goal_check import Outcome
 from controller.planning.goal_planning import GoalPlanning
 from controller.planning.goals import RunningGoals
 from controller.planning.jogging import Jogging
-from controller.planning.keep_out import CollisionAwareSolver, KeepOut
+from controller.planning.keep_out import CollisionAwareSolver, KeepOut, sentence
 from controller.planning.link import ExecutorLink
 from controller.planning.locked import LockedActuators
 from controller.planning.messages import CLOSING, Payload, Reply, done, refused
@@ -48,6 +48,7 @@ class Ledger(GoalLedger, Protocol):
     """Records goals, results and switches; must not wait."""
 
     fault: str | None
+    instance: int
 
     def counts(self, counts: Sequence[int]) -> None:
         """Takes the executor's counts, one for each actuator."""
@@ -188,7 +189,7 @@ class Planning:
             self._remaining_check.check()
             self._on_change()
         state = self._monitor.state
-        reply(done(self._keep_out.current.sentence(None if state is None else state.measured)))
+        reply(done(sentence(self._keep_out.current, None if state is None else state.measured)))
 
     def setpoints(self, receive: Receive) -> None:
         """Sets the mailbox of set-points: `receive` returns the latest, or None, and never waits."""

@@ -31,12 +31,14 @@ class Program(Message, frozen=True, tag="program"):
         start: packed outputs from which the stages were planned; if the outputs differ, the program is declined.
         begin: its zero of time [s]; 0 means now.
         stages: the first stages.
-        final: whether these are all stages; the others come as `Replacement`.
+        final: whether these are all stages; the others come as `Replacement`. While the program waits for others, the
+            arm holds. After 10 s without others the program is aborted; replacements without stages do not count.
         strict: no stage may be skipped, or begin before the one before has settled.
         name: for sentences, e.g. "goal a1".
         context: opaque; comes back with the result, so that a restarted planner can publish it.
         homed: packed mask. Actuators of unknown state in the mask are switched to their state of the last stage before
-            the first stage; no others are homed. Empty: all are homed to their state of `start`.
+            the first stage; no others are homed. Empty: all are homed to their state of `start`. Nothing is homed
+            while a program that is not `final` has no stages.
     """
 
     program: Number
@@ -54,7 +56,12 @@ class Program(Message, frozen=True, tag="program"):
 class Replacement(Message, frozen=True, tag="replacement"):
     """New stages for a running program from stage `first` on. Answered by `Replaced`.
 
-    It is refused if stage `first` has begun, or if the stage before does not end in `start`.
+    It is refused if stage `first` has begun, or if the stage before does not end in `start`. An accepted replacement
+    makes the answer to an earlier `Question` invalid; the executor asks again.
+
+    A replacement without stages that is not `final` parks the program: the arm holds at stage `first` - 1, and later
+    replacements append from `first` on. A program can be parked as long as its result has not been sent, also after
+    its last stage has begun.
 
     Attributes:
         generation: greater than that of all earlier replacements of this program.
@@ -94,7 +101,10 @@ class Setpoint(Message, frozen=True, tag="setpoint"):
 
 
 class Clearance(Message, frozen=True, tag="clearance"):
-    """The answer to `Question`: what the stage collides with, in words; None if it is clear."""
+    """The answer to `Question`: what the stage collides with, in words; None if it is clear.
+
+    The executor uses an answer for one attempt to begin the stage. It ignores answers to earlier questions.
+    """
 
     question: Number
     touched: Text | None
@@ -104,7 +114,7 @@ class Cancel(Message, frozen=True, tag="cancel"):
     """Hold after the present stage. Answered by `Answer`.
 
     Attributes:
-        request: number for the answer.
+        request: number for the answer. It need not be unique, also in other requests; 0 is a number like any other.
         program: cancel this program only; None: cancel any program or stream, and begin a new epoch.
         reason: a sentence for the result.
     """

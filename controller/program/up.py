@@ -89,7 +89,9 @@ class Begun(Message, frozen=True, tag="begun"):
 
 
 class Settled(Message, frozen=True, tag="settled"):
-    """A mark of a program has settled. Marks that were skipped because they were late are not reported.
+    """A mark of a program has settled; each is reported once.
+
+    Marks are not reported if they were skipped because they were late, or if the next stage began before they settled.
 
     Attributes:
         program: its number.
@@ -167,7 +169,8 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
         at: time of the snapshot [s].
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: a number that grows with each cancel, halt, reset, fault and boot.
+        epoch: a number that grows with each cancel, halt, reset, fault, boot, change of locks, and loss of the planner.
+            A cancel of one program begins no epoch.
         outputs: packed outputs of the boards, as last switched.
         measured: packed states from end-stops, otherwise from outputs.
         known: packed, 1 where the measured state is known; outputs count as known only if all boards are up.

@@ -74,12 +74,13 @@ class Solution:
         configuration: module states, base first, shape (B,).
         tip: frame of the tip in the world, shape (4, 4).
         error: distance of the tip from the goal.
-        switches: number of actuators that differ from the previous configuration, or of all switches on a detour.
+        switches: number of actuators that differ from the previous configuration; in a plan the number of all switches
+            of the transition, those of a detour included.
         within_tolerance: whether error and angle are within the tolerances, and the configuration is clear.
         seconds: time of the search [s].
-        cost: weighted number of switches.
-        bound: proven lower bound of the cost of all clear configurations within the tolerances; infinite if there are
-            none, 0 if nothing is proven.
+        cost: weighted number of `switches`.
+        bound: proven lower bound of the cost of all clear configurations within the tolerances, on any way to them;
+            infinite if there are none, 0 if nothing is proven.
         angle: angle between the orientations of tip and goal [rad]; 0 for a goal without orientation.
         clear: whether the arm collides with nothing. If not, the search has found no clear configuration.
     """

@@ -237,6 +237,10 @@ class Solver:
         differ = bits[modules, np.asarray(previous)] != bits[modules, np.asarray(configurations)]
         return (differ * self.weights).sum(axis=(-2, -1))
 
+    def cost_of(self, counts: ArrayLike) -> float:
+        """Returns the cost of switches, from how often each actuator switches, shape (A,)."""
+        return float((self.manipulator.per_module(counts) * self.weights).sum())
+
     @cached_property
     def _minimum(self) -> MinimumSwitch:
         return MinimumSwitch(self.manipulator, self._hull, self._paths)

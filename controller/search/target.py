@@ -9,7 +9,8 @@ import numpy as np
 from numba import float64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import Frame, angle_between
+from controller.manipulator.frame_kernels import angle_between
+from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.manipulator import tip as tip_of
 from controller.obstacles.scene import Scene

@@ -8,7 +8,7 @@ import pytest
 
 import hyperbit as hb
 from controller.config import Arm
-from controller.manipulator.frames import angle_between
+from controller.manipulator.frame_kernels import angle_between
 from controller.search.target import within
 from tests.arms import every_configuration
 from tests.benchmarks.acceptance import check_of, clear

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from controller.config import load
-from controller.manipulator.frames import angle_between
+from controller.manipulator.frame_kernels import angle_between
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import hyperbit as hb
+from controller.commands.plan import sentence
 from controller.motion import whole
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
@@ -102,6 +103,20 @@ def test_goals_of_a_file_are_planned_as_the_library_plans_a_path(hyperbit, tmp_p
     assert sum(line["switches"] for line in lines) == path.switches == path.lower_bound
     words = hyperbit("plan", str(file), "--goals", str(goals))[1]
     assert f"{path.switches} switches in all; proven to be the fewest" in words
+
+
+@pytest.mark.parametrize(
+    ("cost", "certificate", "words"),
+    [
+        (9.0, "optimal", "9 switches in all; proven to be the fewest"),
+        (9.0, "bound", "9 switches in all; proven: at least 7"),
+        (12.5, "optimal", "9 switches of cost 12.5 in all; proven to cost least"),
+        (12.5, "bound", "9 switches of cost 12.5 in all; proven: a cost of at least 7"),
+        (12.5, "unknown", "9 switches of cost 12.5 in all; nothing is proven"),
+    ],
+)
+def test_a_bound_is_of_the_number_beside_it(cost, certificate, words):
+    assert sentence({"switches": 9, "cost": cost, "lower_bound": 7.0, "certificate": certificate}) == words
 
 
 def test_a_goal_out_of_reach_fails_but_a_list_of_goals_is_reported(hyperbit, tmp_path):

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from controller.commands import wear
+from controller.planning.core.events import Accepted, Ended, Identity, Record
 from controller.planning.ledger import Ledger
 from controller.planning.ledger_file import SCHEMA
 
@@ -149,8 +150,8 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
     assert hyperbit("wear", ARM, "--ledger", str(path))[0] == 1
     path.unlink()
     ledger = Ledger(path, ["1.left", "1.diagonal"])
-    ledger.accepted(1, "a", 2)
-    ledger.ended(1, "succeeded", 0, "reached", 5)
+    result = Ended(1.9e9, "succeeded", 0, "reached", 5)
+    ledger.record(Record(1, Identity(1, 1), Accepted("a", 1.8e9, 2), result))
     ledger.close()
     code, out, _ = hyperbit("wear", ARM, "--ledger", str(path), "--json")
     assert code == 0

@@ -10,6 +10,7 @@ from controller.program import (
     Answer,
     Counted,
     Counts,
+    Declined,
     Ended,
     Goodbye,
     Halt,
@@ -89,6 +90,35 @@ def test_a_silent_planner_ends_its_program_once_and_may_speak_again(rig: Rig) ->
     rig.run(A)
     rig.go(0.2)
     assert rig.results[-1] == (2, "done")
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_what_a_planner_sent_before_it_fell_silent_moves_nothing(rig: Rig, dies: bool) -> None:
+    """Also where nothing runs: it was planned before, and still lies in the socket."""
+    before = rig.snapshot.epoch
+    if dies:
+        rig.gone()
+        rig.connect()
+    else:
+        rig.alive = False
+        rig.go(1.5)
+    rig.run(A, epoch=before)
+    rig.follow(2, A, epoch=before)
+    assert rig.last(Declined).cause == "epoch"
+    rig.go()
+    assert (rig.switched, rig.mode, rig.snapshot.epoch) == ([], "ready", before + 1)
+    rig.run(A)
+    rig.go(0.2)
+    assert rig.results == [(2, "done")]
+
+
+def test_the_end_of_an_operator_begins_no_epoch(rig: Rig) -> None:
+    before = rig.snapshot.epoch
+    rig.connect(OPERATOR, "operator")
+    rig.gone(OPERATOR)
+    rig.alive = True
+    rig.go()
+    assert rig.snapshot.epoch == before
 
 
 def test_the_greater_counts_hold(rig: Rig) -> None:

@@ -128,3 +128,33 @@ def test_no_sentence_promises_the_safety_of_an_emergency_stop(rig: Rig) -> None:
         "stopped; the arm holds",
         "a stop was requested; the arm holds until reset",
     )
+
+
+def test_cancels_of_one_program_may_share_a_number_and_bar_nothing_else(rig: Rig) -> None:
+    rig.master.slow_sync = True
+    rig.run(A)
+    epoch = rig.snapshot.epoch
+    for program in (2, 1, 1):
+        rig.send(Cancel(0, program, "off its path"))
+    rig.master.slow_sync = False
+    rig.go(2 * PERIOD)
+    assert {answer.request for answer in rig.of(Answer)} == {0}
+    assert answers(rig) == [
+        "program 2 is not running",
+        "program 1 is not running",
+        "canceled; 3 switches were under way",
+    ]
+    assert (rig.results, rig.last(Ended).message, rig.snapshot.epoch) == ([(1, "canceled")], "off its path", epoch)
+
+
+def test_requests_of_number_zero_that_wait_are_all_answered(rig: Rig) -> None:
+    rig.master.slow_sync = True
+    rig.run(A)
+    for request in (Cancel(0, 1, ""), Cancel(0, None, ""), Halt(0)):
+        rig.send(request)
+    assert answers(rig) == []
+    rig.master.slow_sync = False
+    rig.go(2 * PERIOD)
+    assert [answer.request for answer in rig.of(Answer)] == [0, 0, 0]
+    rig.send(Reset(0))
+    assert rig.last(Answer).message == "resetting; the mode will be ready, or fault with the reason"

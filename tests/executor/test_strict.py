@@ -6,7 +6,7 @@ import pytest
 
 from controller.executor.clearance import ANSWER_WITHIN
 from controller.executor.core import PERIOD
-from controller.program import Clearance, Ended, Question, pack
+from controller.program import Clearance, Ended, Question, Replaced, Replacement, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
@@ -69,6 +69,56 @@ def test_the_program_ends_if_the_planner_dies_during_a_question(rig: Rig) -> Non
     rig.go(1.1)
     assert rig.results == [(1, "aborted")]
     assert (rig.mode, rig.reason) == ("ready", "holding; the planner is silent")
+
+
+def test_an_answer_from_before_a_replacement_does_not_count(rig: Rig) -> None:
+    """The planner replaces stages when obstacles have changed; it answered for the obstacles of before."""
+    partly_switched(rig)
+    first = rig.last(Question)
+    rig.master.busy = True  # the stage cannot begin with the answer
+    rig.send(Clearance(first.question, None))
+    rig.send(Replacement(1, 1, 1, pack(A, SIZE), (Stage(pack(B, SIZE), at=0.3),), True))
+    assert rig.last(Replaced).accepted
+    rig.master.busy = False
+    rig.go(0.1)
+    second = rig.last(Question)
+    assert (second.start, second.stage) == (first.start, first.stage)
+    assert (rig.switched, second.question > first.question) == ([A], True)
+    rig.send(Clearance(first.question, None))
+    assert rig.switched == [A], "the answer is late"
+    rig.send(Clearance(second.question, None))
+    rig.go(0.5)
+    assert (rig.switched, rig.results) == ([A, A, B], [(1, "done")])
+
+
+def test_a_refused_replacement_keeps_the_question(rig: Rig) -> None:
+    partly_switched(rig)
+    rig.send(Replacement(1, 1, 1, pack(B, SIZE), (), True))
+    assert not rig.last(Replaced).accepted
+    rig.go(0.1)
+    (question,) = rig.of(Question)
+    rig.send(Clearance(question.question, None))
+    assert rig.switched == [A, A]
+
+
+def test_an_answer_is_used_once(rig: Rig) -> None:
+    """The same stage from the same states may not be clear any more."""
+    partly_switched(rig)
+    rig.master.partly = 0b000001
+    rig.send(Clearance(rig.last(Question).question, None))
+    rig.go(0.2)
+    assert len(rig.of(Question)) == 2
+
+
+def test_an_answer_does_not_count_for_the_next_program(rig: Rig) -> None:
+    partly_switched(rig)
+    rig.master.busy = True
+    rig.send(Clearance(rig.last(Question).question, None))
+    rig.run(A, strict=True)
+    assert rig.results == [(1, "replaced")]
+    rig.master.busy = False
+    rig.go()
+    assert rig.switched == [A, A], "from the outputs, as it was planned"
 
 
 # --- set-points

@@ -1,6 +1,7 @@
 """The switch journal: its counts survive every end of a process."""
 
 import os
+import pickle
 import resource
 from pathlib import Path
 
@@ -28,6 +29,17 @@ def killed(journal: FileJournal) -> None:
 def switched(journal: FileJournal, states: int) -> None:
     journal.intend(0, states)
     journal.resolve(states)
+
+
+def test_a_journal_is_pickled_without_its_files(path: Path) -> None:
+    journal = FileJournal(path, LABELS)
+    switched(journal, 0b101)
+    journal.intend(0b101, 0b100)
+    copy = pickle.loads(pickle.dumps(journal))
+    assert type(copy) is MemoryJournal
+    assert (copy.resolve(0b100), copy.counts) == (1, [2, 0, 1] + [0] * 8)
+    assert journal.counts[0] == 1
+    journal.close()
 
 
 def test_counts_survive_a_killed_process(path: Path) -> None:

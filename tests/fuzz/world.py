@@ -165,12 +165,12 @@ class World:
         means_nothing = not (standard or it.is_error_frame)
         wrong_length = standard and it.arbitration_id in TPDOS and it.dlc != 1
         self._hear_all()
-        before = self.master.measured, self.master.known
+        before = self.master._network.measured, self.master.known
         self.wire.waiting.append(it)
         self._hear_all()
-        if means_nothing and (self.master.measured, self.master.known) != before:
+        if means_nothing and (self.master._network.measured, self.master.known) != before:
             raise AssertionError(f"taken for the state of a board: {it}")
-        if wrong_length and self.master.measured != before[0]:
+        if wrong_length and self.master._network.measured != before[0]:
             raise AssertionError(f"taken for inputs: {it}")
         if standard:
             self.boards.receive("can0", Frame(it.arbitration_id, bytes(it.data)), self.now)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.manipulator.joints import revolute
-from controller.manipulator.locked import lock_actuators, none_locked, transferred
+from controller.manipulator.locked import lock_actuators, none_locked, require_states, transferred
 from controller.manipulator.manipulator import Manipulator
 from tests.arms import every_configuration, paper_arm, short_arms
 
@@ -23,6 +23,7 @@ def locked_arms(draw: st.DrawFn) -> tuple[Manipulator, np.ndarray]:
 @given(locked_arms())
 def test_what_is_left_are_the_configurations_with_the_held_states_and_their_tips(case):
     arm, locked = case
+    require_states(arm, locked)
     reduced = lock_actuators(arm, locked)
     whole = every_configuration(arm)
     states = np.array([arm.actuator_states(c) for c in whole])
@@ -47,12 +48,14 @@ def test_a_configuration_that_is_left_out_cannot_be_carried():
         transferred(np.zeros(2, dtype=np.int64), arm, reduced)
 
 
-def test_a_module_that_has_no_state_left_is_named():
+@pytest.mark.parametrize("check", [lock_actuators, require_states])
+def test_a_module_that_has_no_state_left_is_named(check):
     motor = Manipulator([revolute((0, 0, 1), [0.0, 0.1, 0.2], np.eye(4))])  # spelled 00, 01, 11
     with pytest.raises(ValueError, match="module 1 has no state in which 1 is extended and 2 is contracted"):
-        lock_actuators(motor, np.array([1, 0], dtype=np.int8))
+        check(motor, np.array([1, 0], dtype=np.int8))
 
 
-def test_locked_states_of_a_wrong_number_are_refused():
+@pytest.mark.parametrize("check", [lock_actuators, require_states])
+def test_locked_states_of_a_wrong_number_are_refused(check):
     with pytest.raises(ValueError, match="6 actuators, got locked states of shape"):
-        lock_actuators(paper_arm(2), np.zeros(3, dtype=np.int8))
+        check(paper_arm(2), np.zeros(3, dtype=np.int8))

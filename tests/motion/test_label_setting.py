@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.frames import angle_between
+from controller.manipulator.frame_kernels import angle_between
 from controller.motion.label_setting import LabelSetting, least_remaining_cost
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import Clearance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from controller.manipulator.frames import angle_between
+from controller.manipulator.frame_kernels import angle_between
 from controller.motion import lookahead
 from controller.motion.lookahead import LookAhead
 from controller.motion.trajectory import through

@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from controller.manipulator.frames import angle_between, planar
+from controller.manipulator.frame_kernels import angle_between
+from controller.manipulator.frames import planar
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.point_by_point import plan

@@ -182,6 +182,7 @@ class FakeLedger:
     """Remembers what is recorded."""
 
     fault: str | None = None
+    instance = 0
 
     def __init__(self, actuators: int) -> None:
         self.entries: list[tuple[Any, ...]] = []

@@ -1,12 +1,10 @@
 """Locked actuators, single actuators, and states that are no configuration."""
 
-import json
 from collections.abc import Callable
 from typing import Any
 
-import pytest
-
 from controller.config import Arm
+from controller.planning.core.tasks import BuildTables
 from controller.program import (
     Acknowledge,
     Answer,
@@ -17,14 +15,14 @@ from controller.program import (
     pack,
     unpack,
 )
-from tests.planning.conftest import DOCUMENT, Desk
+from tests.planning.conftest import DOCUMENT
+from tests.planning.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
 from tests.planning.test_obstacles import obstacles
-from tests.waiting import eventually
 
 
 def degrade(desk: Desk, actuator: str, state: int | None) -> None:
-    desk.planning.degrade(json.dumps({"actuator": actuator, "state": state}).encode(), desk.inbox.replying("degrade"))
+    desk.ask("degrade", {"actuator": actuator, "state": state}, "degrade")
 
 
 def test_a_locked_actuator_is_planned_around(desk: Desk) -> None:
@@ -34,55 +32,47 @@ def test_a_locked_actuator_is_planned_around(desk: Desk) -> None:
     desk.executor.answer(lock, "locked, as the executor says", locked=b"\x01\x00", locks=1)
     words = "locked, as the executor says"  # its snapshot may come later
     assert desk.inbox.next("degrade") == {"accepted": True, "code": 0, "message": words}
-    eventually(lambda: desk.planning.state()["degraded"])
-    assert desk.planning.state()["degraded"] == [{"actuator": "1.left", "state": 0}]
-    assert [fault["code"] for fault in desk.planning.state()["faults"]] == ["degraded"]
-    eventually(lambda: desk.planning.state()["mode"] == "ready")
+    assert desk.state()["degraded"] == [{"actuator": "1.left", "state": 0}]
+    assert [fault["code"] for fault in desk.state()["faults"]] == ["degraded"]
+    assert desk.state()["mode"] == "ready"
     desk.goal((0, 1, 0, 0))
     program = desk.executor.expect(Program)
     assert not unpack(program.stages[-1].states) & 1
 
 
-def test_while_the_tables_are_rebuilt_goals_are_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    import threading
-
-    door = threading.Event()
-    rebuild = desk.planning._locked._rebuild
-    monkeypatch.setattr(desk.planning._locked, "_rebuild", lambda locked: (door.wait(30), rebuild(locked)))
+def test_while_the_tables_are_rebuilt_goals_are_refused(desk: Desk) -> None:
+    desk.held.add(BuildTables)
     desk.show(locked=b"\x01\x00", locks=1)
-    eventually(lambda: desk.planning.state()["mode"] == "starting")
-    assert desk.planning.state()["reason"] == "the planner's tables are being rebuilt; locked: 1.left (contracted)"
+    assert desk.state()["mode"] == "starting"
+    assert desk.state()["reason"] == "the planner's tables are being rebuilt; locked: 1.left (contracted)"
     desk.goal(A)
     assert desk.inbox.next("reply")["message"].startswith("the arm is starting: the planner's tables are being rebuilt")
-    door.set()
-    eventually(lambda: desk.planning.state()["mode"] == "ready")
+    desk.release(BuildTables)
+    assert desk.state()["mode"] == "ready"
 
 
-def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    rebuild = desk.planning._locked._rebuild
-
-    def broken(locked: Any) -> None:
-        raise MemoryError("no memory")
-
-    monkeypatch.setattr(desk.planning._locked, "_rebuild", broken)
+def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk) -> None:
+    desk.failing.add(BuildTables)
     desk.show(locked=b"\x01\x00", locks=1)
-    eventually(lambda: desk.planning.state()["mode"] == "fault")
-    assert "no memory" in desk.planning.state()["reason"]
-    monkeypatch.setattr(desk.planning._locked, "_rebuild", rebuild)
-    desk.planning.reset(desk.inbox.replying("reset"))
-    eventually(lambda: desk.planning.state()["mode"] == "ready")
+    assert desk.state()["mode"] == "fault"
+    assert "no memory" in desk.state()["reason"]
+    desk.failing.clear()
+    desk.ask("reset")
+    assert desk.state()["mode"] == "ready"
 
 
-@pytest.mark.parametrize(
-    ("actuator", "state", "words"),
-    [
-        ("9.left", 0, "actuator: '9.left' is no actuator of this arm; they are 1.left to 4.right"),
-        ("1.left", 1, "state: the end-stop of 1.left reads contracted"),
-    ],
-)
-def test_a_lock_that_cannot_be_is_refused_in_words(desk: Desk, actuator: str, state: int, words: str) -> None:
-    degrade(desk, actuator, state)
+def test_a_state_that_the_end_stop_denies_is_the_executors_to_refuse(desk: Desk) -> None:
+    desk.show(sensed=desk.executor.state.known)
+    degrade(desk, "1.left", 1)
+    lock = desk.executor.expect(Lock)
+    desk.executor.answer(lock, "the end-stop of 1.left reads contracted", accepted=False)
+    assert desk.inbox.next("degrade")["message"] == "the end-stop of 1.left reads contracted"
+
+
+def test_a_lock_of_an_unknown_actuator_is_refused_in_words(desk: Desk) -> None:
+    degrade(desk, "9.left", 0)
     reply = desk.inbox.next("degrade")
+    words = "actuator: '9.left' is no actuator of this arm; they are 1.left to 4.right"
     assert (reply["accepted"], reply["message"]) == (False, words)
 
 
@@ -99,7 +89,7 @@ def test_a_lock_that_the_executor_refuses_ends_nothing(desk: Desk) -> None:
 
 def jog(desk: Desk, **actuators: str) -> None:
     named = {label.replace("_", ".").strip("m"): state for label, state in actuators.items()}
-    desk.planning.jog(json.dumps({"actuators": named}).encode(), desk.inbox.replying())
+    desk.ask("jog", {"actuators": named})
 
 
 def test_single_actuators_are_switched(desk: Desk) -> None:
@@ -127,7 +117,7 @@ def test_locked_actuators_and_those_that_would_touch_are_not_switched(desk: Desk
     jog(desk, m1_left="extended")
     message = desk.inbox.next("reply")["message"]
     assert "1.left is locked" in message or message.startswith("the arm is starting")
-    eventually(lambda: desk.planning.state()["mode"] == "ready")
+    assert desk.state()["mode"] == "ready"
     obstacles(desk, (desk.tip(0, 0, 0, 1), 0.02))
     jog(desk, m4_left="extended")
     assert "would collide" in desk.inbox.next("reply")["message"]
@@ -146,13 +136,13 @@ def test_a_state_that_is_no_configuration_is_left_by_single_actuators(
         bits for bits in range(4) if bits not in {int(row @ [1, 2]) for row in desk.arm.manipulator.modules[0].bits}
     )
     desk.show(outputs=unused)
-    (fault,) = desk.planning.state()["faults"]
-    assert (fault["code"], desk.planning.state()["mode"]) == ("unknown-state", "ready")
-    desk.raw({"waypoints": [{"position": [0.2, 0.0]}]})
+    (fault,) = desk.state()["faults"]
+    assert (fault["code"], desk.state()["mode"]) == ("unknown-state", "ready")
+    desk.ask("goal", {"waypoints": [{"position": [0.2, 0.0]}]})
     assert desk.inbox.next("reply")["message"].startswith("unknown state: what the boards measure is no configuration")
     labels = desk.arm.manipulator.actuators
     wanted = {label: "contracted" for label in labels[:2]}
-    desk.planning.jog(json.dumps({"actuators": wanted}).encode(), desk.inbox.replying())
+    desk.ask("jog", {"actuators": wanted})
     program = desk.executor.expect(Program)
     desk.executor.accept(program)
     assert desk.inbox.next("reply")["accepted"]
@@ -160,7 +150,7 @@ def test_a_state_that_is_no_configuration_is_left_by_single_actuators(
     desk.executor.end(program)
     assert desk.inbox.next("result")["status"] == "succeeded"
     desk.settle()
-    assert desk.planning.state()["faults"] == []
+    assert desk.state()["faults"] == []
 
 
 def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_only_its_own(

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from controller.config import Arm
-from controller.planning.link import ExecutorLink
-from controller.planning.planning import Planning
 from controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT
-from tests.planning.core import CoreExecutor
-from tests.planning.executor import DIGEST, FakeLedger, Inbox
+from tests.planning.core_executor import CoreExecutor
+from tests.planning.executor import Inbox
+from tests.planning.process import RunningPlanner
 from tests.waiting import PATIENCE, eventually
 
 
@@ -22,33 +21,29 @@ class Chain:
     """A planner on an executor."""
 
     def __init__(self, arm: Arm, folder: Path) -> None:
-        self.arm, self.path, self.inbox = arm, folder / "small.sock", Inbox()
+        self.arm, self.folder, self.path, self.inbox = arm, folder, folder / "small.sock", Inbox()
         self.densities = map_densities(arm.reduced, arm.pixel, arm.level_pixels)
         self.executor = CoreExecutor(self.path)
-        self.planning = self.plan_anew()
+        self.planner = self.plan_anew()
 
-    def plan_anew(self) -> Planning:
+    def plan_anew(self) -> RunningPlanner:
         """Starts a planner."""
-        self.ledger = FakeLedger(6)
-        link = ExecutorLink(self.path, "small", DIGEST)
-        planning = Planning(self.arm, self.densities, link, self.ledger, self.inbox.put)
-        planning.start()
-        eventually(lambda: planning.state()["mode"] == "ready")
-        return planning
+        planner = RunningPlanner(self.arm, self.densities, self.path, self.folder, self.inbox)
+        eventually(lambda: planner.state.get("mode") == "ready")
+        return planner
 
     def close(self) -> None:
-        self.planning.close()
+        self.planner.close()
         self.executor.close()
 
     def goal(self, *configurations: tuple[int, int], step: float = 0.1, name: str = "a", **fields: Any) -> None:
         tips = [self.arm.manipulator.tip(np.array(c))[:2, 3].tolist() for c in configurations]
         waypoints = [{"t": step * k, "position": p} for k, p in enumerate(tips)]
-        payload = {"id": name, "waypoints": waypoints, **fields}
-        self.planning.goal(json.dumps(payload).encode(), self.inbox.replying())
+        self.planner.ask("goal", {"id": name, "waypoints": waypoints, **fields})
 
     def error(self, configuration: tuple[int, int]) -> float:
         """Distance of the measured tip from that of a configuration."""
-        tip = self.planning.state()["tip"]
+        tip = self.planner.state["tip"]
         wanted = self.arm.manipulator.tip(np.array(configuration))[:2, 3]
         return float("inf") if tip is None else float(np.linalg.norm(wanted - tip["position"]))
 
@@ -65,6 +60,7 @@ A, B, C = (1, 2), (3, 4), (7, 0)
 
 
 def test_goals_one_after_the_other(chain: Chain) -> None:
+    done = 0
     for k, goal in enumerate((A, B, C, (0, 0))):
         chain.goal(goal, name=f"g{k}")
         assert chain.inbox.next("reply")["accepted"]
@@ -72,9 +68,10 @@ def test_goals_one_after_the_other(chain: Chain) -> None:
         result = chain.inbox.next("result")
         assert (result["id"], result["status"]) == (f"g{k}", "succeeded"), result
         assert result["error"] <= 0.002
-        assert chain.ledger.known() == tuple(chain.executor.journal.counts), "the ledger waits for no diagnostics"
-    assert sum(chain.executor.journal.counts) == sum(entry[3] for entry in chain.ledger.entries if entry[0] == "ended")
-    eventually(lambda: chain.planning.diagnostics()["counts"] == tuple(chain.executor.journal.counts))
+        assert chain.planner.ledger.known() == tuple(chain.executor.journal.counts), "no diagnostics are needed"
+        done += result["switches"]
+    assert sum(chain.executor.journal.counts) == done
+    eventually(lambda: chain.planner.diagnostics["counts"] == tuple(chain.executor.journal.counts))
 
 
 def test_a_trajectory_is_fed_back_waypoint_by_waypoint(chain: Chain) -> None:
@@ -109,21 +106,21 @@ def test_cancel_and_goals_after_it(chain: Chain) -> None:
         chain.goal(A, B, step=10, name=f"g{k}")
         assert chain.inbox.next("reply")["accepted"]
         chain.inbox.next("feedback")
-        chain.planning.cancel(chain.inbox.replying("canceled"))
+        chain.planner.ask("cancel", name="canceled")
         told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
         assert told["canceled"]["message"] == "canceled"
         assert told["result"]["status"] == "canceled"
-        eventually(lambda: chain.planning.state()["mode"] == "ready")
+        eventually(lambda: chain.planner.state["mode"] == "ready")
 
 
 def test_a_planner_that_ends_leaves_the_arm_and_another_goes_on(chain: Chain) -> None:
     chain.goal(A, B, step=10)
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
-    chain.planning.close()
+    chain.planner.close()
     result = chain.inbox.next("result")
     assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
-    chain.planning = chain.plan_anew()
+    chain.planner = chain.plan_anew()
     chain.goal(C, name="b")
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
@@ -134,17 +131,12 @@ def test_the_result_of_a_planner_that_was_killed_is_told_by_the_next(chain: Chai
     chain.goal(A, B, step=10)
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
-    old = chain.planning
-    old._goals._results.publish = lambda *_: None  # type: ignore[method-assign]  # it is dead and says nothing
-    old._goals.heard = lambda message: None  # type: ignore[method-assign]
-    old._link._drop()
-    old._link.close()
-    chain.planning = chain.plan_anew()
+    chain.planner.vanish()
+    chain.planner = chain.plan_anew()
     result = chain.inbox.next("inherited")
     assert (result["id"], result["status"]) == ("a", "aborted")
     assert "the planner is gone" in result["message"]
     assert result["configuration"] == "12"
-    old.close()
 
 
 def test_an_executor_that_is_halted_is_met_again(chain: Chain) -> None:
@@ -154,9 +146,9 @@ def test_an_executor_that_is_halted_is_met_again(chain: Chain) -> None:
     chain.executor.frozen.set()
     result = chain.inbox.next("result")
     assert (result["id"], result["status"]) == ("a", "aborted")
-    eventually(lambda: chain.planning.state()["mode"] == "fault")
+    eventually(lambda: chain.planner.state["mode"] == "fault")
     chain.executor.frozen.clear()
-    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    eventually(lambda: chain.planner.state["mode"] == "ready")
     chain.goal(C, name="b")
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
@@ -167,44 +159,44 @@ def test_stop_and_reset(chain: Chain) -> None:
     chain.goal(A, B, step=30)
     assert chain.inbox.next("reply")["accepted"]
     chain.inbox.next("feedback")
-    chain.planning.stop(chain.inbox.replying("stop"))
+    chain.planner.ask("stop", name="stop")
     told = dict(chain.inbox._queue.get(timeout=PATIENCE) for _ in range(2))
     assert told["result"]["message"] == "stopped; the arm holds"
     assert told["stop"]["accepted"]
-    eventually(lambda: chain.planning.state()["mode"] == "stopped")
-    chain.planning.reset(chain.inbox.replying("reset"))
+    eventually(lambda: chain.planner.state["mode"] == "stopped")
+    chain.planner.ask("reset", name="reset")
     assert chain.inbox.next("reset")["accepted"]
-    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    eventually(lambda: chain.planner.state["mode"] == "ready")
 
 
 def test_set_points_are_followed(chain: Chain) -> None:
     wanted = [(1, 2)]
-    chain.planning.setpoints(
+    chain.planner.planner.read_setpoints(
         lambda: json.dumps({"position": chain.arm.manipulator.tip(np.array(wanted[0]))[:2, 3].tolist()}).encode()
     )
     for goal in (A, C, (0, 0)):
         wanted[0] = goal
         eventually(lambda: chain.error(wanted[0]) < 0.003)
-    assert chain.planning.state()["mode"] == "executing"
-    chain.planning.setpoints(lambda: None)
-    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    assert chain.planner.state["mode"] == "executing"
+    chain.planner.planner.read_setpoints(lambda: None)
+    eventually(lambda: chain.planner.state["mode"] == "ready")
 
 
 def test_a_jog_and_a_lock(chain: Chain) -> None:
     payload = {"actuators": {"1.left": "extended", "2.right": "extended"}}
-    chain.planning.jog(json.dumps(payload).encode(), chain.inbox.replying())
+    chain.planner.ask("jog", payload)
     assert chain.inbox.next("reply")["accepted"]
     assert chain.inbox.next("result")["status"] == "succeeded"
-    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    eventually(lambda: chain.planner.state["mode"] == "ready")
     eventually(lambda: not chain.executor.core.motion.moving)
     wish = {"actuator": "1.left", "state": 1}
-    chain.planning.degrade(json.dumps(wish).encode(), chain.inbox.replying("degrade"))
+    chain.planner.ask("degrade", wish, "degrade")
     assert chain.inbox.next("degrade")["message"] == "locked: 1.left (extended)"
-    eventually(lambda: chain.planning.state()["degraded"])
-    eventually(lambda: chain.planning.state()["mode"] == "ready")
+    eventually(lambda: chain.planner.state["degraded"])
+    eventually(lambda: chain.planner.state["mode"] == "ready")
     chain.goal(A, name="after")
     reply = chain.inbox.next("reply")
     if reply["accepted"]:
         chain.inbox.next("feedback")
         chain.inbox.next("result")
-    assert chain.planning.state()["measured"][0] == 1
+    assert chain.planner.state["measured"][0] == 1

@@ -1,20 +1,17 @@
 """Goals on a played executor: programs, answers, feedback, and exactly one result."""
 
-import contextlib
-import json
-import threading
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from controller.motion import codes, whole
 from controller.motion.pacing import pace_of
-from controller.planning import planning
-from controller.planning.messages import BARRED
-from controller.program import Acknowledge, Cancel, Halt, Hello, Program, Replacement, Reset
+from controller.planning.core.admission import BARRED
+from controller.program import Acknowledge, Cancel, Halt, Program, Replacement, Reset, unpack
 from controller.search.solver import Solver
-from tests.planning.conftest import Desk
-from tests.waiting import eventually
+from controller.workspace.densities import Densities
+from tests.planning.desk import Desk
 
 A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 
@@ -47,7 +44,7 @@ def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> Non
     assert told["excursion"] >= 0
     assert told["orientation_error"] is None
     desk.settle()
-    assert (desk.planning.state()["goal"], desk.planning.state()["waypoint"]) == ("a", 0)
+    assert (desk.state()["goal"], desk.state()["waypoint"]) == ("a", 0)
     desk.executor.run(program, 1, switches=5)
     assert desk.inbox.next("feedback")["waypoint"] == 1
     ended = desk.executor.end(program, switches=5)
@@ -59,8 +56,11 @@ def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> Non
     assert desk.executor.expect(Acknowledge).result == ended.result
     desk.settle()
     assert desk.inbox.empty
-    assert (desk.planning.state()["mode"], desk.planning.state()["reason"]) == ("ready", "holding; goal a was reached")
-    assert desk.ledger.entries == [("accepted", "a", 2), ("ended", "succeeded", 0, 5)]
+    assert (desk.state()["mode"], desk.state()["reason"]) == ("ready", "holding; goal a was reached")
+    (_, accepted), (_, ended_entry), (_, again) = desk.entries
+    assert (accepted.accepted.goal, accepted.accepted.waypoints, accepted.ended) == ("a", 2, None)
+    assert ended_entry.ended[1:] == again.ended[1:] == ("succeeded", 0, "reached", 5)
+    assert len({entry.identity for _, entry in desk.entries}) == 1
 
 
 def test_a_tip_measured_elsewhere_misses_the_goal(desk: Desk) -> None:
@@ -82,9 +82,14 @@ def test_a_goal_is_sent_again_from_where_the_arm_has_moved_to(desk: Desk) -> Non
     second = desk.executor.expect(Program)
     assert second.program > first.program
     assert second.start == desk.bits(*C).to_bytes(2, "little")
-    assert second.stages[-1].states == first.stages[-1].states
+    switches = (unpack(second.start) ^ unpack(second.stages[-1].states)).bit_count()
     desk.executor.accept(second)
-    assert desk.inbox.next("reply")["accepted"]
+    assert desk.inbox.next("reply")["message"] == f"accepted, 1 waypoint, {switches} switches planned"
+    desk.executor.run(second, 0, switches=switches)
+    desk.inbox.next("feedback")
+    desk.executor.end(second, switches=switches)
+    result = desk.inbox.next("result")
+    assert (result["certificate"], result["lower_bound"]) == ("optimal", switches)
 
 
 def test_a_goal_that_never_catches_up_is_refused(desk: Desk) -> None:
@@ -115,7 +120,7 @@ def test_a_mode_that_takes_no_goal_refuses_it_with_its_reason(desk: Desk, mode: 
 def test_a_cancel_bars_what_came_before_it_and_nothing_that_comes_after(desk: Desk) -> None:
     desk.goal(A, name="before")
     program = desk.executor.expect(Program)
-    desk.planning.cancel(desk.inbox.replying("canceled"))
+    desk.ask("cancel", name="canceled")
     desk.goal(B, name="after")
     cancel = desk.executor.expect(Cancel)
     assert (cancel.program, cancel.reason) == (None, "canceled; the arm holds")
@@ -129,7 +134,7 @@ def test_a_cancel_bars_what_came_before_it_and_nothing_that_comes_after(desk: De
 
 def test_a_cancel_ends_the_running_goal(desk: Desk) -> None:
     program = taken(desk, A, B)
-    desk.planning.cancel(desk.inbox.replying("canceled"))
+    desk.ask("cancel", name="canceled")
     cancel = desk.executor.expect(Cancel, Replacement)
     desk.executor.end(program, "canceled", cancel.reason, mark=0)
     result = desk.inbox.next("result")
@@ -148,12 +153,12 @@ def test_an_end_before_the_last_waypoint_is_told_with_its_reason(desk: Desk, sta
 
 
 def test_stop_and_reset_go_straight_to_the_executor(desk: Desk) -> None:
-    desk.planning.stop(desk.inbox.replying("stop"))
+    desk.ask("stop", name="stop")
     halt = desk.executor.expect(Halt)
     desk.executor.answer(halt, "stopped; the arm holds until reset", mode="stopped", reason="a stop was requested")
     assert desk.inbox.next("stop")["message"] == "stopped; the arm holds until reset"
     desk.settle()
-    desk.planning.reset(desk.inbox.replying("reset"))
+    desk.ask("reset", name="reset")
     reset = desk.executor.expect(Reset)
     desk.executor.answer(reset, "resetting", mode="starting", reason="booting")
     assert desk.inbox.next("reset")["accepted"]
@@ -167,31 +172,34 @@ def test_a_second_goal_of_the_running_id_is_refused(desk: Desk) -> None:
 
 def test_an_executor_that_dies_aborts_the_goal_once_and_its_late_result_is_acknowledged(desk: Desk) -> None:
     program = taken(desk, A, B, step=10)
-    desk.executor.drop()
+    desk.drop()
     result = desk.inbox.next("result")
     assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
     assert result["message"] == "the executor closed the connection; the arm holds"
-    eventually(lambda: desk.link.connected and desk.link.snapshot)
+    desk.executor.greet(program.program)
     ended = desk.executor.end(program, "aborted", "the planner is gone", mark=-1)
-    assert desk.executor.expect(Acknowledge, Hello, Replacement).result == ended.result
+    assert desk.executor.expect(Acknowledge, Replacement).result == ended.result
     assert desk.inbox.empty
 
 
-def test_the_result_of_another_run_of_the_planner_is_published(desk: Desk) -> None:
+def test_the_result_of_another_run_of_the_planner_is_published(
+    desk: Desk, make_desk: Callable[..., Desk], small_densities: Densities
+) -> None:
     program = taken(desk, A)
-    desk.planning._goals._goals.clear()  # as if an earlier planner process had sent it
-    desk.executor.show(outputs=program.stages[-1].states)
-    ended = desk.executor.end(program)
-    result = desk.inbox.next("inherited")
+    later = make_desk(desk.arm, small_densities)
+    later.executor.show(outputs=program.stages[-1].states)
+    ended = later.executor.end(program)
+    result = later.inbox.next("inherited")
     assert (result["id"], result["status"], result["error"] <= 0.002) == ("a", "succeeded", True)
-    assert desk.executor.expect(Acknowledge).result == ended.result
-    assert desk.ledger.entries[-1] == ("adopted", "a", 1)
+    assert later.executor.expect(Acknowledge).result == ended.result
+    ((_, entry),) = later.entries
+    assert (entry.accepted.goal, entry.accepted.waypoints, entry.ended.status) == ("a", 1, "succeeded")
 
 
 def test_a_tip_off_its_path_ends_the_goal(desk: Desk) -> None:
     points = [desk.tip(0, 0, 0, 0), desk.tip(0, 0, 0, 7)]
     waypoints = [{"t": 2.0 * k, "position": p} for k, p in enumerate(points)]
-    desk.raw({"id": "p", "waypoints": waypoints, "path_tolerance": 0.15, "tolerance": {"position": 0.05}})
+    desk.ask("goal", {"id": "p", "waypoints": waypoints, "path_tolerance": 0.15, "tolerance": {"position": 0.05}})
     program = desk.executor.expect(Program)
     desk.executor.accept(program)
     assert desk.inbox.next("reply")["accepted"]
@@ -205,12 +213,12 @@ def test_a_tip_off_its_path_ends_the_goal(desk: Desk) -> None:
     assert (result["status"], result["code"]) == ("aborted", codes.PATH_TOLERANCE_VIOLATED)
     assert result["message"].startswith("after waypoints[0] the measured tip is ")
     desk.settle()
-    assert "left its path" in desk.planning.state()["reason"]
+    assert "left its path" in desk.state()["reason"]
 
 
 def test_a_goal_of_a_configuration_is_reached_by_that_one_only(desk: Desk) -> None:
     for name, status in (("1200", "succeeded"), ("1201", "aborted")):
-        desk.raw({"id": name, "waypoints": [{"configuration": "1200"}]})
+        desk.ask("goal", {"id": name, "waypoints": [{"configuration": "1200"}]})
         program = desk.executor.expect(Program, Replacement, Acknowledge)
         assert program.stages[-1].states == desk.bits(1, 2, 0, 0).to_bytes(2, "little")
         desk.executor.accept(program)
@@ -226,8 +234,8 @@ def test_a_goal_of_a_configuration_is_reached_by_that_one_only(desk: Desk) -> No
 def test_a_plan_query_is_answered_while_goals_wait(desk: Desk) -> None:
     desk.goal(A)
     program = desk.executor.expect(Program)  # the planner waits for the executor's answer
-    payload = json.dumps({"waypoints": [{"position": desk.tip(*B)}]}).encode()
-    desk.planning.plan(payload, desk.inbox.replying("plan"))
+    payload = {"waypoints": [{"position": desk.tip(*B)}]}
+    desk.ask("plan", payload, "plan")
     answer = desk.inbox.next("plan")
     assert answer["accepted"]
     assert [w["t"] for w in answer["waypoints"]] == [0]
@@ -240,7 +248,7 @@ def test_a_plan_query_is_answered_as_plans_are_made_elsewhere(desk: Desk, small_
     manipulator = desk.arm.reduced
     positions = np.array([desk.tip(*row) for row in ((1, 2, 3, 4), (5, 6, 7, 0), (1, 2, 0, 0))])
     waypoints = [{"t": 10 * k, "position": position.tolist()} for k, position in enumerate(positions)]
-    desk.planning.plan(json.dumps({"waypoints": waypoints}).encode(), desk.inbox.replying("plan"))
+    desk.ask("plan", {"waypoints": waypoints}, "plan")
     answer = desk.inbox.next("plan")
     goals = whole.Goals(positions, np.full(3, 0.002), np.tile(np.eye(3), (3, 1, 1)), np.full(3, np.inf))
     pace = pace_of(desk.arm.settings)
@@ -255,33 +263,31 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
     program = desk.executor.expect(Program)
     for _ in range(16):
         desk.goal(B)
-    desk.planning.goal(b"{}", desk.inbox.replying("flood"))
+    desk.ask("goal", b"{}", "flood")
     assert desk.inbox.next("flood")["message"] == "waypoints: required, but missing"
-    desk.planning.goal(b'{"waypoints": []}', desk.inbox.replying("flood"))
+    desk.ask("goal", b'{"waypoints": []}', "flood")
     assert desk.inbox.next("flood")["message"] == "busy: 16 goals are waiting already"
     far = b'{"id": "far", "waypoints": [{"configuration": "0"}, {"position": [90, 0]}]}'
-    for ask in (desk.planning.goal, desk.planning.plan):  # a goal beyond the arm's length takes no place in the queue
-        ask(far, desk.inbox.replying("flood"))
+    for key in ("goal", "plan"):  # a goal beyond the arm's length takes no place in the queue
+        desk.ask(key, far, "flood")
         answer = desk.inbox.next("flood")
         assert (answer["id"], answer["code"]) == ("far", codes.GOAL_TOLERANCE_VIOLATED)
         assert "waypoints[1].position: (90, 0) is out of reach: 90 from the base, " in answer["message"]
-    desk.planning.goal(b" " * 2_000_000, desk.inbox.replying("flood"))
+    desk.ask("goal", b" " * 2_000_000, "flood")
     assert "2000000 bytes" in desk.inbox.next("flood")["message"]
-    desk.planning.cancel(desk.inbox.replying("canceled"))
+    desk.ask("cancel", name="canceled")
     desk.executor.decline(program, "epoch")
     cancel = desk.executor.expect(Cancel)
     assert [desk.inbox.next("reply")["message"] for _ in range(17)] == [BARRED] * 17
     desk.executor.answer(cancel, "canceled")
 
 
-def test_closing_ends_the_running_goal_with_a_result(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning, "LAST_RESULTS_WITHIN", 60.0)  # long enough for a machine that stands still
+def test_closing_ends_the_running_goal_with_a_result(desk: Desk) -> None:
     program = taken(desk, A, B, step=10)
-    closing = threading.Thread(target=desk.planning.close)
-    closing.start()
+    desk.quit()
     cancel = desk.executor.expect(Cancel, Replacement)
-    with contextlib.suppress(BrokenPipeError):  # the planner may close the connection before it has the snapshot
-        desk.executor.end(program, "canceled", cancel.reason, mark=-1)
+    assert not desk.core.ended
+    desk.executor.end(program, "canceled", cancel.reason, mark=-1)
     result = desk.inbox.next("result")
-    closing.join()
+    assert desk.core.ended
     assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")

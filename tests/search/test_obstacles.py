@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.frames import angle_between, turned
+from controller.manipulator.frame_kernels import angle_between
+from controller.manipulator.frames import turned
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import NONE

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.bench import goal_sets
-from controller.manipulator.frames import Frame, angle_between, turned
+from controller.manipulator.frame_kernels import angle_between
+from controller.manipulator.frames import Frame, turned
 from controller.manipulator.manipulator import Manipulator
 from controller.search import two_list
 from controller.search.branch_and_bound import BranchAndBound

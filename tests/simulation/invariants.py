@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from controller.executor.bits import indices
 from controller.executor.core import PERIOD
+from controller.executor.program_execution import FED_WITHIN, STARVED
+from controller.program import Begun
 from drivers.canopen.wire import cia301
 from tests.simulation.bus_model import RPDOS
 from tests.simulation.facts import Switch
@@ -13,6 +15,8 @@ from tests.simulation.record import LATE
 
 if TYPE_CHECKING:
     from tests.simulation.world import World
+
+SETTLED_WITHIN = 3.0  # [s], longest time in which the last stage of a program settles, or is a fault
 
 
 class Violation(AssertionError):
@@ -88,7 +92,7 @@ def outputs_fall_only_with_a_cause(world: World) -> None:
 def each_program_has_one_result(world: World) -> None:
     """A result belongs to an accepted program, and is sent again only until it is acknowledged."""
     record = world.record
-    for ended in record.step.ended:
+    for ended, _ in record.step.ended:
         key = record.instance, ended.program
         require(key in record.programs, f"a result for program {ended.program}, which was not accepted")
         require(record.results.setdefault(key, ended.result) == ended.result, f"two results of program {ended.program}")
@@ -111,12 +115,48 @@ def programs_are_accepted_only_as_they_should_be(world: World) -> None:
 
 
 def epochs_and_modes_are_respected(world: World) -> None:
-    """An accepted program belongs to the last shown epoch, and each cancel, halt and fault begins a new epoch."""
+    """An accepted program belongs to the last shown epoch.
+
+    Each cancel, halt, fault and loss of the planner begins a new epoch.
+    """
     for epoch, least in world.record.step.epochs:
-        require(epoch >= least, f"the epoch is {epoch} after {least} cancels, halts and faults")
+        require(epoch >= least, f"the epoch is {epoch} after {least} cancels, halts, faults and lost planners")
     for program, _ in world.record.step.accepted:
         require(program.epoch == world.epoch_before, f"program {program.program} is of epoch {program.epoch}")
         require(world.mode_before in ("ready", "executing"), f"a program was accepted in mode {world.mode_before}")
+
+
+def a_lost_planner_bars_what_it_planned(world: World) -> None:
+    """No program is accepted that was planned before its planner was silent or gone."""
+    for program, _ in world.record.step.accepted:
+        barred = world.record.barred
+        require(program.epoch > barred, f"program {program.program} was planned before the loss of the planner")
+
+
+def stages_and_marks_are_reported_once(world: World) -> None:
+    """Stages are reported in order, and each mark once, for the stage reached last, also over replacements."""
+    for message, running in world.record.step.progress:
+        if isinstance(message, Begun):
+            known = running.taken < message.stage < len(running.stages)
+            require(known, f"stage {message.stage} of program {running.number} is reported after {running.taken}")
+            running.take(message.stage, world.record.locked)
+            continue
+        text = f"mark {message.mark} of program {running.number} is reported"
+        require(running.settled < running.taken, f"{text} again")
+        require(message.mark == running.marks[running.taken], f"{text} after stage {running.taken}")
+        require(not (message.planned and running.skipped), f"{text} as planned, but a stage was skipped")
+        running.settled = running.taken
+
+
+def programs_without_further_stages_end(world: World) -> None:
+    """A program whose planner sends no further stages ends, and not before its time."""
+    for ended, running in world.record.step.ended:
+        if running is not None and STARVED in ended.message:
+            waited = running.unfed if running.starves else 0.0
+            require(waited > FED_WITHIN - PERIOD, f"program {ended.program} was given up after {waited:g} s")
+    running = world.record.running
+    if running is not None and running.starves:
+        require(running.unfed < FED_WITHIN + SETTLED_WITHIN, f"program {running.number} waits for stages for ever")
 
 
 def switches_are_counted(world: World) -> None:
@@ -268,6 +308,9 @@ INVARIANTS = (
     each_program_has_one_result,
     programs_are_accepted_only_as_they_should_be,
     epochs_and_modes_are_respected,
+    a_lost_planner_bars_what_it_planned,
+    stages_and_marks_are_reported_once,
+    programs_without_further_stages_end,
     switches_are_counted,
     heartbeats_do_not_pause,
     inrush_and_rest_hold,

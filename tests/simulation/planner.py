@@ -7,9 +7,11 @@ from random import Random
 from controller.executor.arm import ExecutedArm
 from controller.program import (
     ALIVE_EVERY,
+    Accepted,
     Acknowledge,
     Alive,
     Answer,
+    Begun,
     Cancel,
     Clearance,
     Counts,
@@ -18,6 +20,7 @@ from controller.program import (
     Goodbye,
     Lock,
     Question,
+    Replaced,
     Reset,
     Snapshot,
     Up,
@@ -30,7 +33,8 @@ from tests.simulation.process import ExecutorProcess
 from tests.simulation.programs import Author, Drawn
 
 ACTS = {
-    **{"program": 30, "bad program": 8, "replacement": 12, "set-point": 20, "wait": 40, "cancel": 3},
+    **{"program": 30, "bad program": 8, "replacement": 12, "park": 6, "resume": 12},
+    **{"set-point": 20, "wait": 40, "cancel": 3},
     **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 0.5, "stray answer": 1, "acknowledge": 8, "operator": 1},
 }
 
@@ -69,8 +73,22 @@ class ScriptedPlanner:
     # --- its troubles
 
     def stall(self, seconds: float) -> None:
-        """Makes it hang for a time [s]."""
+        """Makes it hang for a time [s], perhaps after it has planned a request and before it sends it."""
         self._awake_at = max(self._awake_at, self._agenda.now + seconds)
+        client, snapshot, wakes = self.connection.client, self.snapshot, self._awake_at
+        if client is None or snapshot is None or self._random.random() < 0.3:
+            return
+        self._number += 1
+        drawn, request = None, self._author.setpoint(snapshot, self._number, wakes)
+        if self._random.random() < 0.6:
+            drawn = self._author.program(snapshot, self._number, wakes)
+
+        def send() -> None:
+            if client == self.connection.client and self.awake:
+                self._drawn = drawn
+                self.connection.send(request if drawn is None else drawn.program)
+
+        self._agenda.at(wakes, send)
 
     @property
     def awake(self) -> bool:
@@ -105,9 +123,15 @@ class ScriptedPlanner:
                 self.results.append(message.result)
             case Declined() if self._drawn is not None and self._drawn.program.program == message.program:
                 self._drawn = None
+            case Accepted() if self._drawn is not None and self._drawn.program.program == message.program:
+                self._drawn.begin = message.begin
+            case Begun() if self._drawn is not None and self._drawn.program.program == message.program:
+                self._drawn.taken = message.stage
+            case Replaced() if self._drawn is not None and self._drawn.program.program == message.program:
+                self._drawn.answered(message.accepted)
             case Question():
                 self._answer(message)
-            case Answer():
+            case Answer() if message.request:
                 assert self._answered < message.request <= self._request, "answers come once, in order"
                 self._answered = message.request
 
@@ -172,8 +196,12 @@ class ScriptedPlanner:
                 self._number += 1
                 good = self._author.program(snapshot, self._number, now)
                 self.connection.send(self._author.spoiled(good.program, snapshot))
-            case "replacement" if self._drawn is not None:
+            case "replacement" if self._drawn is not None and self._drawn.sent is None:
                 self.connection.send(self._author.replacement(self._drawn, unpack(snapshot.locked)))
+            case "park" if self._drawn is not None and self._drawn.sent is None:
+                self.connection.send(self._author.parking(self._drawn))
+            case "resume" if self._drawn is not None and self._drawn.sent is None and self._drawn.cut:
+                self.connection.send(self._author.resumption(self._drawn, now))
             case "set-point":
                 self._number += random.random() < 0.5
                 self.connection.send(self._author.setpoint(snapshot, self._number, now))
@@ -181,7 +209,7 @@ class ScriptedPlanner:
                 self.connection.send(Cancel(self._next(), None, "canceled by a client"))
             case "cancel program":
                 number = random.choice([max(0, snapshot.program), self._number, 10**9])
-                self.connection.send(Cancel(self._next(), number, "off its path"))
+                self.connection.send(Cancel(0, number, "off its path"))
             case "reset":
                 self.connection.send(Reset(self._next()))
             case "lock":

@@ -14,11 +14,33 @@ from controller.program import Program, Replacement, Setpoint, Snapshot, Stage, 
 
 @dataclass
 class Drawn:
-    """A program that was sent, with the stages appended since."""
+    """A program that was sent, with the stages appended since.
+
+    Attributes:
+        program: as it was sent.
+        stages: all stages that the executor has accepted.
+        begin: its zero of time [s].
+        generation: of the last replacement.
+        taken: the last stage that the executor has reported.
+        cut: stages that a parking has cut off.
+        sent: replacement that is not answered yet.
+    """
 
     program: Program
     stages: list[Stage]
+    begin: float = 0.0
     generation: int = 0
+    taken: int = -1
+    cut: tuple[Stage, ...] = ()
+    sent: Replacement | None = None
+
+    def answered(self, accepted: bool) -> None:
+        """Records the answer to the replacement that was sent."""
+        message, self.sent = self.sent, None
+        if message is not None and accepted:
+            if not message.stages:
+                self.cut = (*self.stages[message.first :], *self.cut)
+            self.stages[message.first :] = message.stages
 
 
 class Author:
@@ -51,24 +73,35 @@ class Author:
     def replacement(self, drawn: Drawn, locked: int) -> Replacement:
         """Returns a replacement of a program's stages, from a random stage on."""
         random = self._random
-        drawn.generation += 1
         first = random.randint(0, len(drawn.stages))
         if random.random() < 0.6:
             first = len(drawn.stages)
         states = drawn.stages[first - 1].states if first else drawn.program.start
         earliest = drawn.stages[first - 1].at if first else 0.0
         stages = self._walk(unpack(states), locked, random.randint(0, 4), earliest)
-        message = Replacement(
-            program=drawn.program.program,
-            generation=drawn.generation,
-            first=first,
-            start=states,
-            stages=tuple(stages),
-            final=random.random() < 0.8,
-            strict=random.random() < 0.1,
-        )
-        drawn.stages[first:] = stages
-        return message
+        return self._replacing(drawn, first, tuple(stages), random.random() < 0.8, random.random() < 0.1)
+
+    def parking(self, drawn: Drawn) -> Replacement:
+        """Returns a replacement that parks a program: its stages that have not begun are cut off."""
+        return self._replacing(drawn, drawn.taken + 1, (), final=False, strict=self._random.random() < 0.3)
+
+    def resumption(self, drawn: Drawn, now: float) -> Replacement:
+        """Returns a replacement that appends stages that were cut off, at their old times or later."""
+        random, last = self._random, len(drawn.stages) - 1
+        count = random.choice([1, len(drawn.cut)])
+        stages, drawn.cut = drawn.cut[:count], drawn.cut[count:]
+        earliest = drawn.stages[last].at if drawn.stages else stages[0].at
+        if random.random() < 0.7:
+            earliest = max(earliest, now - drawn.begin)
+        delay = max(0.0, earliest - stages[0].at)
+        later = (msgspec.structs.replace(s, at=s.at + delay, settled=s.settled + delay) for s in stages)
+        return self._replacing(drawn, last + 1, tuple(later), final=not drawn.cut, strict=False)
+
+    def _replacing(self, drawn: Drawn, first: int, stages: tuple[Stage, ...], final: bool, strict: bool) -> Replacement:
+        drawn.generation += 1
+        start = drawn.stages[first - 1].states if first else drawn.program.start
+        drawn.sent = Replacement(drawn.program.program, drawn.generation, first, start, stages, final, strict)
+        return drawn.sent
 
     def setpoint(self, snapshot: Snapshot, stream: int, now: float) -> Setpoint:
         """Returns a set-point near the outputs of a snapshot; one of four has no stages."""

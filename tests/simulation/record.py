@@ -7,20 +7,24 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from controller.executor.arm import ExecutedArm
-from controller.executor.core import Executor
-from controller.executor.events import Event, FromClient
+from controller.executor.core import LONGEST, PERIOD, Executor
+from controller.executor.events import ClientGone, Event, FromClient, Tick
+from controller.executor.program_execution import STARVED
 from controller.program import (
     Accepted,
     Acknowledge,
     Answer,
+    Begun,
     Cancel,
     Ended,
     Halt,
+    Hello,
     Program,
     Replaced,
     Replacement,
     Reset,
     Setpoint,
+    Settled,
     Snapshot,
     Up,
     unpack,
@@ -47,7 +51,8 @@ class Record:
         slack: permitted difference between the journal and `synced`, after a lost frame or an unread board.
         lying: mask of the actuators with frozen end-stops or broken wires.
         fallen: mask of the actuators whose outputs changed without a SYNC, perhaps unknown to the executor.
-        floor: number of cancels, halts and faults of this instance, the least value of its epoch.
+        floor: number of cancels, halts, faults and lost planners of this instance, the least value of its epoch.
+        barred: the epoch shown when the planner was lost last, or when it was heard last before its silence.
         suspect: mask of the actuators whose boards have missed a frame since their boot.
         last_heartbeat: time of the executor's last heartbeat on each bus [s].
         disturbed_at: last time when its heartbeats could not be sent on each bus [s].
@@ -78,7 +83,9 @@ class Record:
         self.synced, self.slack = [0] * count, [0] * count
         self.suspect = self.fallen = 0
         self.lying = self._lied = 0
-        self.floor = 0
+        self.floor = self.barred = 0
+        self._heard_epoch, self._silence, self._silent = 0, 0.0, False
+        self._last_tick = agenda.now
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
         self.switched_at = [-1e12] * count
@@ -100,7 +107,7 @@ class Record:
         self._note("the executor starts")
         self.instance += 1
         self.mode, self.epoch, self.floor, self.commit = "starting", 0, 0, None
-        self._epoch_at_stop = 0
+        self._epoch_at_stop = self.barred = self._heard_epoch = 0
         self.locked = self._arm.locked
         self._hold()
 
@@ -114,6 +121,7 @@ class Record:
         """Records an event that the executor takes."""
         self._note(("executor takes", event))
         self._stops = False
+        self._watch_planner(event)
         message = self._message = event.message if isinstance(event, FromClient) else None
         match message:
             case Acknowledge():
@@ -145,10 +153,14 @@ class Record:
                     # The cancel of one program begins no epoch: set-points of this epoch may follow.
                     self.stopped_at, self._epoch_at_stop = self._agenda.now, self.epoch - of_one
             case Replaced(accepted=True) if isinstance(self._message, Replacement) and self.running is not None:
-                new = [(unpack(stage.states), stage.at) for stage in self._message.stages]
-                self.running.stages[self._message.first :] = new
+                self.counts["parked"] += not self._message.stages
+                self.running.replace(self._message)
+            case Begun() | Settled() if self.running is not None and self.running.number == message.program:
+                self.step.progress.append((message, self.running))
             case Ended():
-                self.step.ended.append(message)
+                self.counts["starved"] += STARVED in message.message
+                still = self.running is not None and self.running.number == message.program
+                self.step.ended.append((message, self.running if still else None))
                 self.counts[message.status] += 1
                 if self.running is not None and self.running.number == message.program:
                     self.running = None
@@ -246,14 +258,42 @@ class Record:
         self.running = None
         self._setpoints.clear()
 
+    def _watch_planner(self, event: Event) -> None:
+        """Records the time for which the planner was silent and a program waits, and the loss of the planner."""
+        core, now = self.core(), self._agenda.now
+        assert core is not None
+        planner = core._clients.planner
+        match event:
+            case Tick():
+                passed = min(now - self._last_tick, LONGEST)
+                self._last_tick = now
+                self._silence += passed
+                if self.running is not None and self.running.starves:
+                    self.running.unfed += passed
+                lost = not self._silent and self._silence > self._arm.planner_timeout + 3 * PERIOD
+                if planner is not None and lost:
+                    self._silent = True
+                    self._lose_planner(self._heard_epoch)
+            case ClientGone() if event.client == planner:
+                self._lose_planner(self.epoch)
+            case FromClient() if event.client == planner or isinstance(event.message, Hello):
+                self._heard_epoch, self._silence, self._silent = self.epoch, 0.0, False
+
+    def _lose_planner(self, epoch: int) -> None:
+        """Records that requests of an epoch and of those before are barred."""
+        self.counts["lost planners"] += 1
+        self.floor, self.barred = self.floor + 1, max(self.barred, epoch)
+        self._hold()
+
     def _accept(self, message: Accepted) -> None:
         program = self._message
         assert isinstance(program, Program), "only a program is accepted"
         assert all(n < program.program for instance, n in self.programs if instance == self.instance), "numbers grow"
         self._hold()
         stages = [(unpack(stage.states), stage.at) for stage in program.stages]
+        marks = [stage.mark for stage in program.stages]
         self.stopped_at = math.inf
-        self.running = Running(program.program, message.begin, program.strict, stages)
+        self.running = Running(program.program, message.begin, program.strict, program.final, stages, marks)
         self.programs[self.instance, program.program] = program
         self.step.accepted.append((program, message))
         self.counts["strict"] += program.strict

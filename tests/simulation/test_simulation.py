@@ -9,13 +9,15 @@ from typing import Any
 import pytest
 
 from controller.executor.actuation import Actuation
+from controller.executor.core import Executor
 from controller.executor.kinds import Kinds
 from controller.executor.locked import LockedActuators
 from controller.executor.modes import Modes
 from controller.executor.motion import Motion
-from controller.executor.program_execution import ProgramExecution
+from controller.executor.program_execution import STARVED, End, ProgramExecution
 from controller.executor.results import Results
 from controller.executor.switch_journal import MemoryJournal
+from controller.program import Replacement
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import Heartbeat
 from drivers.canopen.wire.cia301 import SYNC, Frame, State
@@ -87,6 +89,33 @@ def _give_up_late(self: Commit, why: str) -> None:
         _give_up(self, why)
 
 
+_replace = ProgramExecution.replace
+
+
+def _settle_again(self: ProgramExecution, message: Replacement, most: int, actuators: int) -> None:
+    _replace(self, message, most, actuators)
+    if self.mark >= 0 and self._stages[self.taken].mark >= 0:
+        self._settles = 0.0
+
+
+def _take_again(self: ProgramExecution, message: Replacement, most: int, actuators: int) -> None:
+    _replace(self, message, most, actuators)
+    self.taken = max(-1, min(self.taken, message.first - 2))
+
+
+def _wait_for_ever(self: ProgramExecution, clock: float) -> End | None:
+    return End("done", "", "") if self.final else None
+
+
+def _do_not_wait_for_stages(self: ProgramExecution, clock: float) -> End | None:
+    return End("done", "", "") if self.final else End("aborted", STARVED, "")
+
+
+def _begin_no_epoch(self: Executor, why: str) -> None:
+    if not self.ending.begun:
+        self._hold(why)
+
+
 DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
     "switches are counted that were not made": (MemoryJournal, "resolve", _count_everything),
@@ -103,6 +132,11 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "START applies other outputs": (SimulatedBoard, "_enter", _start_switches),
     "waiting RPDOs are switched after a stop": (Commit, "give_up", _give_up_late),
     "interlocks are ignored": (Motion, "interlocks", lambda self: []),
+    "the loss of the planner begins no epoch": (Executor, "_lose_planner", _begin_no_epoch),
+    "marks settle again after a replacement": (ProgramExecution, "replace", _settle_again),
+    "stages are taken again after a replacement": (ProgramExecution, "replace", _take_again),
+    "programs wait for stages for ever": (ProgramExecution, "end", _wait_for_ever),
+    "programs do not wait for stages": (ProgramExecution, "end", _do_not_wait_for_stages),
 }
 
 
@@ -110,6 +144,11 @@ FOUND = {  # words of the violation, where another invariant could find the defe
     "START applies other outputs": "START switched",
     "waiting RPDOs are switched after a stop": "after a stop was answered",
     "pulses do not end": "a coil is on for",
+    "the loss of the planner begins no epoch": "before the loss of the planner",
+    "marks settle again after a replacement": "is reported again",
+    "stages are taken again after a replacement": "is reported after",
+    "programs wait for stages for ever": "waits for stages for ever",
+    "programs do not wait for stages": "was given up after",
 }
 
 

@@ -23,7 +23,7 @@ KINDS = {
     **{"frames are lost": 0.4, "frames come twice": 0.5, "answers are late": 0.6, "strange frame": 1.0},
     **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
     **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5, "actuator is jammed": 0.5},
-    **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 1.0},
+    **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 4.0},
     **{"foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
     **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
     **{"stop in mid commit": 0.8},

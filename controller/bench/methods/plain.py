@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from controller.bench.arm import BenchArm
 from controller.bench.methods import Solve
 from controller.library.goals import Goal
-from controller.manipulator.frames import angle_between
+from controller.manipulator.frame_kernels import angle_between
 from controller.manipulator.manipulator import Configuration
 
 SAMPLES = 2_000

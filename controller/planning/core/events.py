@@ -163,6 +163,22 @@ class Identity(NamedTuple):
     program: int
 
 
+class OpenGoal(NamedTuple):
+    """An accepted goal without a result.
+
+    Attributes:
+        identity: of its program.
+        goal: its id.
+        wall: time of the acceptance [UNIX s].
+        waypoints: number.
+    """
+
+    identity: Identity
+    goal: str
+    wall: float
+    waypoints: int
+
+
 class PublishResult(NamedTuple):
     """A result. The shell publishes it, notes durably that it did, and then posts `Published`.
 

@@ -132,6 +132,7 @@ class FollowSetpoint(NamedTuple):
         tolerance: greatest distance from the set-point; the search uses half of it.
         tables: solvers.
         scene: obstacles.
+        bias: tip bias that corrects `position`, dimension numbers, for the note; None: no tracker.
     """
 
     start: ArmStart
@@ -139,6 +140,7 @@ class FollowSetpoint(NamedTuple):
     tolerance: float
     tables: Tables
     scene: Scene
+    bias: tuple[float, ...] | None = None
 
 
 class CheckStages(NamedTuple):
@@ -288,7 +290,7 @@ class Followed(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """The first collision of the checked stages, in words; None if all are clear, or the check was abandoned."""
+    """The first collision of the checked stages, in words; None if all are clear."""
 
     collision: str | None
 
@@ -298,12 +300,12 @@ class SceneBuilt(NamedTuple):
 
     Attributes:
         scene: the new one.
-        count: number of all obstacles.
+        total: number of all obstacles.
         sent: number of those sent.
     """
 
     scene: Scene
-    count: int
+    total: int
     sent: int
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from drivers.canopen.boot.board_boot import boot_board
 from drivers.canopen.faults import Fault
@@ -66,7 +67,7 @@ class Booting:
         else:
             name = station.board.name
             text = f"board {name} restarted {self._reboots[i]} times during its boot: check its supply"
-            self._ended(i, Fault("board-rebooted", name, text))
+            self._ended(i, Fault("board-rebooted", name, text), now)
 
     def bus_lost(self, fault: Fault) -> None:
         """Cancels the boot of all boards of a bus; the fault of the bus replaces theirs."""
@@ -81,13 +82,10 @@ class Booting:
         self._find_lost()
 
     def _start(self, station: Station, now: float) -> None:
-        def ended(fault: Fault | None, now: float) -> None:
-            self._ended(station.index, fault)
-
         procedure = boot_board(station.index, station.board, self._outputs, self._timing, self._error_state)
-        station.runner.start(procedure, ended, now)
+        station.runner.start(procedure, partial(self._ended, station.index), now)
 
-    def _ended(self, i: int, fault: Fault | None) -> None:
+    def _ended(self, i: int, fault: Fault | None, now: float) -> None:
         self._pending.discard(i)
         if fault is not None:
             self._board_faults[i] = fault

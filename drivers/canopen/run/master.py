@@ -288,11 +288,6 @@ class Master:
         return tuple(station.board.boots for station in self._network.stations)
 
     @property
-    def measured(self) -> int:
-        """States of actuators with one output from the end-stops, else from the outputs; 0 where unknown."""
-        return self._network.measured
-
-    @property
     def known(self) -> int:
         """Mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops."""
         return self._network.image.known
@@ -342,12 +337,11 @@ class Master:
 
     def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float) -> None:
         """Starts a commit; `off`: mask of lines if they only go off, else None."""
-        network = self._network
-        if (refusal := network.refusal(off)) is not None:
+        if (refusal := self._network.refusal(off)) is not None:
             raise Busy(refusal)
-        frames = {bus: network.frames_of(bus, keys, off) for bus, keys in due.items()}
+        frames = {bus: self._network.frames_of(bus, keys, off) for bus, keys in due.items()}
         self._releasing = 0, 0
-        self._commit.begin(states, frames, partial(network.refusal, off), now, self._clock.at(now))
+        self._commit.begin(states, frames, partial(self._network.refusal, off), now, self._clock.at(now))
 
     def _lose(self, fault: Fault) -> None:
         self._network.forget(fault.source)  # one fault for the bus, not one for each board

@@ -74,7 +74,7 @@ class Runner:
         return self._sdo.twice
 
     def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None] | None, now: float) -> None:
-        """Starts a procedure in place of the running one; `ended` takes its fault, or None, and the time."""
+        """Starts a procedure in place of the running one; `ended`, if any, takes its fault, or None, and the time."""
         self.cancel()
         self._procedure, self._ended = procedure, ended
         self._resume(None, now)
@@ -118,8 +118,8 @@ class Runner:
             pass
         except BoardError as error:
             fault = error.fault
-        ended = self._ended
-        self._procedure = self._step = self._ended = None
+        self._procedure = self._step = None
+        ended, self._ended = self._ended, None
         if ended is not None:
             ended(fault, now)
 

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from controller.manipulator import frames
+from controller.manipulator.frame_kernels import distance
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from tests.arms import any_frames, every_configuration, every_tip, paper_arm, short_arms, spatial_arm
@@ -109,7 +110,7 @@ def test_every_level_agrees_with_enumeration(manipulator, pixel):
 def test_fine_pixels_count_exactly(arm):
     densities = map_oriented(arm, 0.0011, PLENTY, WEIGHT)
     tips = arm.tips(every_configuration(arm))
-    near = np.array([[frames.distance(f, g, WEIGHT) < 1e-6 for g in tips] for f in tips]).sum(axis=1)
+    near = np.array([[distance(f, g, WEIGHT) < 1e-6 for g in tips] for f in tips]).sum(axis=1)
     assert_allclose(densities.at(0, tips), np.log(near), atol=1e-6)
     assert densities.at(0, tips @ frames.spatial((0, 0, 0), (0, 0, 0.7, 1))).max() == -np.inf  # there, turned wrongly
     assert densities.at(0, np.array([frames.planar(50, 50)])) == -np.inf

@@ -236,8 +236,8 @@ class World:
 
     def measured(self) -> list[int]:
         """States, -1 where unknown."""
-        master = self.master
-        return [master.measured >> k & 1 if master.known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
+        measured, known = self.master._network.measured, self.master.known
+        return [measured >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
 
     def tick_once(self) -> None:
         self.master.tick(self.now)

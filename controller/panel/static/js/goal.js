@@ -125,11 +125,14 @@ function planInWords(editor) {
   if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${plan.message}`)];
   const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
   const last = waypoints[waypoints.length - 1];
-  const proof = plan.certificate === "bound" ? `proven: at least ${plan.lower_bound} switches` : CERTIFICATES[plan.certificate];
+  const weighted = plan.cost !== undefined && plan.cost !== plan.switches;
+  const least = weighted ? `a cost of at least ${plan.lower_bound}` : `at least ${plan.lower_bound} switches`;
+  const proof = plan.certificate === "bound" ? `proven: ${least}` : CERTIFICATES[plan.certificate];
   const stages = waypoints.flatMap((waypoint, k) => (waypoint.stages ?? []).map((stage) => ({ k, stage })));
   const excursion = Math.max(...waypoints.map((waypoint) => waypoint.excursion ?? 0));
   return [
-    el("dl", {}, ...pair("switches", String(plan.switches)), ...pair("certificate", proof ?? plan.certificate),
+    el("dl", {}, ...pair("switches", String(plan.switches)),
+      ...(weighted ? pair("cost", number(plan.cost)) : []), ...pair("certificate", proof ?? plan.certificate),
       ...pair("error", number(Math.max(...waypoints.map((waypoint) => waypoint.error ?? 0)), 5)),
       ...pair("deviation", `${number(excursion)} on the way`)),
     el("details", {}, el("summary", {}, `${stages.length} ${stages.length === 1 ? "stage" : "stages"}, configuration ${last.configuration}`),

@@ -85,7 +85,7 @@ def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, share
         else:
             now += 0.01 if step[0] == "tick" else 0.5
             master.tick(now)
-        assert 0 <= master.measured <= 3
+        assert 0 <= master._network.measured <= 3
         assert master.known in (0, 1, 2, 3)
         master.status(), master.warnings(), master.back, master.boot_faults, master.take_faults()
     assert sum(frame.id == 0x080 for frame in sent) <= commits

@@ -9,10 +9,57 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
+from controller.planning.core.tasks import Deviations, Improved, ImprovePlan
+from controller.planning.workers.arm_model import ArmModel, Proceed
+from controller.planning.workers.goal_plans import PlannedGoal, points_of, proof_of, stages_of
+from controller.planning.workers.keep_out import KeepOutSet
 from controller.search.solver import Solver
 
 MARGIN = 0.1  # [s] between the decision of a point and its first switch, at least
 BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
+
+
+def improve(model: ArmModel, task: ImprovePlan, proceed: Proceed) -> Iterator[Deviations | Improved]:
+    """Yields the deviations of a plan, then each improvement whose stages are clear.
+
+    Raises:
+        Abandoned: `proceed` has raised it, which is called between two parts.
+    """
+    goal: PlannedGoal = task.plan
+    deviations = list[float | None]()
+    for transition in (goal.first, *goal.plan.transitions[1:]):
+        proceed()
+        deviations.append(transition.deviation)
+    yield Deviations(tuple(deviations))
+    same_arm = goal.tables == task.tables.generation
+    if not task.search or not same_arm or model.arm.settings.method != "minimum-switch":
+        return
+    keep_out: KeepOutSet = task.scene.keep_out
+    plan = goal.plan
+    points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
+    for better in Improvement(model.solver(task.tables, task.scene), plan, model.pace, task.begin).plans():
+        proceed()
+        if (changed := changed_points(plan, better)) is None:
+            continue
+        transitions, before = better.transitions[changed], better.transitions[changed.start - 1].stages[-1]
+        stages = stages_of(transitions)
+        if not task.scene.free and keep_out.first_collision(before, stages, proceed) is not None:
+            continue
+        new = points_of(model, goal.start, before, transitions, changed.start)
+        points[changed] = [
+            point._replace(deviation=transition.deviation) for point, transition in zip(new, transitions, strict=True)
+        ]
+        plan = better
+        yield Improved(changed.start, tuple(points[changed.start :]), proof_of(plan))
+
+
+def changed_points(old: Plan, new: Plan) -> slice | None:
+    """Returns the points whose transitions differ between two plans; None if all stages are the same."""
+    pairs = enumerate(zip(old.transitions, new.transitions, strict=True))
+    staged = [k for k, (a, b) in pairs if a is not b]  # others are the same objects
+    differ = (k for k in staged if not np.array_equal(old.transitions[k].stages, new.transitions[k].stages))
+    first = next(differ, None)
+    return None if first is None else slice(first, staged[-1] + 1)
 
 
 class Improvement:
@@ -27,7 +74,7 @@ class Improvement:
 
     def __init__(self, solver: Solver, plan: Plan, pace: Pace, start: float = np.inf) -> None:
         self._solver, self._plan, self._pace, self._start = solver, plan, pace, start
-        self._longest = 0.0  # to extend to a point and to stage [s]; nothing is decided meanwhile
+        self._longest = 0.0  # to extend to a point, to stage and to check [s]; nothing is decided meanwhile
 
     def plans(self) -> Iterator[Plan]:
         """Yields the plan again and again, improved whenever more points are decided, so that the caller can act.
@@ -52,9 +99,9 @@ class Improvement:
             while True:
                 began = time.perf_counter()
                 self._improve(handed_over + 1, decided[handed_over : handed_over + BATCH])
-                self._longest = max(self._longest, extended + time.perf_counter() - began)
                 handed_over = min(handed_over + BATCH, len(decided))
                 yield self._plan
+                self._longest = max(self._longest, extended + time.perf_counter() - began)
                 if handed_over == len(decided):
                     break
 

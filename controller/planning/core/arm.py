@@ -1,0 +1,237 @@
+"""What the executor last said: its snapshot in the planner's terms, the mode, and the connection."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.motion.program import pack_states, unpack_states
+from controller.planning.core.tasks import ArmStart
+from controller.program import Diagnostics, Mode, Snapshot, Welcome
+
+if TYPE_CHECKING:
+    from controller.manipulator.manipulator import Configuration, Manipulator
+    from controller.motion.pacing import Pace
+
+States = NDArray[np.uint8]
+Measured = NDArray[np.int8]  # actuator states, -1 unknown
+
+
+def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
+    """Unpacks measured states to shape (A,); -1 where they are not known."""
+    states = unpack_states(measured, actuators).astype(np.int8)
+    return np.where(unpack_states(known, actuators) == 1, states, -1).astype(np.int8)
+
+
+def packed(states: NDArray[np.generic]) -> bytes:
+    """Returns actuator states (A,) in the executor's packing."""
+    return np.packbits(states.astype(np.uint8), bitorder="little").tobytes()
+
+
+class ArmState:
+    """The arm at one snapshot. Immutable; its arrays are computed at first use.
+
+    Attributes:
+        snapshot: as the executor sent it.
+        manipulator: the whole arm.
+    """
+
+    def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
+        self.manipulator, self.snapshot = manipulator, snapshot
+
+    @cached_property
+    def outputs(self) -> States:
+        """The boards' outputs, as last switched, shape (A,)."""
+        return self._unpacked(self.snapshot.outputs)
+
+    @cached_property
+    def measured(self) -> Measured:
+        """Measured states, shape (A,); -1 where they are not known."""
+        return measured_states(self.snapshot.measured, self.snapshot.known, len(self.manipulator.actuators))
+
+    @cached_property
+    def sensed(self) -> NDArray[np.bool_]:
+        """Which actuators have an end-stop, shape (A,)."""
+        return self._unpacked(self.snapshot.sensed).astype(np.bool_)
+
+    @cached_property
+    def locked(self) -> NDArray[np.bool_]:
+        """Which actuators are locked, shape (A,)."""
+        return self._unpacked(self.snapshot.locked).astype(np.bool_)
+
+    @cached_property
+    def commanded(self) -> States:
+        """The states from which stages begin, shape (A,): the outputs; for a locked actuator its locked state.
+
+        While actuators travel, the arm is in these states at the end of the running stage.
+        """
+        return np.where(self.locked & (self.measured >= 0), self.measured, self.outputs).astype(np.uint8)
+
+    @cached_property
+    def states(self) -> States:
+        """The states to plan from, shape (A,).
+
+        At rest these are the measured states, because an actuator may not have followed its output. While actuators
+        travel, they are the commanded states.
+        """
+        if self.snapshot.moving:
+            return self.commanded
+        return np.where(self.measured >= 0, self.measured, self.commanded).astype(np.uint8)
+
+    @cached_property
+    def start(self) -> ArmStart:
+        """Where a plan starts that is made now."""
+        return ArmStart(self.snapshot.outputs, packed(self.commanded), packed(self.states), self.snapshot.locked)
+
+    @cached_property
+    def known(self) -> bool:
+        """Whether each actuator's state is known or will be homed. It is not while a board is missing."""
+        empty = bytes((len(self.manipulator.actuators) + 7) // 8)
+        homing = self._unpacked(self.snapshot.homing or empty).astype(np.bool_)
+        return bool(((self.measured >= 0) | homing).all())
+
+    @cached_property
+    def configuration(self) -> Configuration | None:
+        """The configuration to plan from, shape (B,); None if the states spell none or are not known."""
+        if not self.known:
+            return None
+        try:
+            return self.manipulator.configuration(self.states)
+        except ValueError:
+            return None
+
+    @cached_property
+    def unknown_state(self) -> str | None:
+        """Why the arm at rest is in no configuration; None if it is in one, moves, or a board is missing."""
+        if self.snapshot.moving or not self.known:
+            return None
+        try:
+            self.manipulator.configuration(self.states)
+        except ValueError as error:
+            return f"what the boards measure is no configuration: {error}"
+        return None
+
+    @property
+    def locked_states(self) -> NDArray[np.int8]:
+        """The state in which each actuator is locked, shape (A,); -1 if it is free or not known."""
+        return np.where(self.locked, self.measured, -1).astype(np.int8)
+
+    def pack(self, stages: States) -> list[bytes]:
+        """Returns stages (k, A) packed for the executor, which sets the bits of locked actuators itself."""
+        return pack_states(np.where(self.locked, self.outputs, stages).astype(np.uint8))
+
+    def real(self, states: bytes) -> bytes:
+        """Returns packed states of a stage with the states of locked actuators, for checks of collisions."""
+        return packed(np.where(self.locked, self.commanded, self._unpacked(states)))
+
+    def _unpacked(self, states: bytes) -> States:
+        return unpack_states(states, len(self.manipulator.actuators))
+
+
+class RestClock:
+    """When each actuator switched last, according to the snapshots.
+
+    Args:
+        actuators: number of actuators.
+        travel: longest time of an actuator from end-stop to end-stop [s].
+        pace: of the transitions.
+    """
+
+    def __init__(self, actuators: int, travel: float, pace: Pace) -> None:
+        self._switched_at = np.full(actuators, -np.inf)
+        self._travel, self._pace = travel, pace
+
+    def note(self, before: ArmState | None, state: ArmState) -> None:
+        """Notes which actuators switched between two snapshots."""
+        if before is not None and before.snapshot.outputs != state.snapshot.outputs:
+            changed = before.outputs != state.outputs
+            self._switched_at = np.where(changed, state.snapshot.at, self._switched_at)
+
+    def ready(self, state: ArmState, stage: States, strict: bool) -> float:
+        """Returns the earliest time of a stage (A,) [s]: the last stage has ended, and its actuators have rested."""
+        differ, ready, switched_at = state.commanded != stage, -np.inf, self._switched_at
+        if differ.any() and (self._pace.inrush is not None or strict):
+            ready = switched_at.max() + self._travel
+        if differ.any() and self._pace.rest > 0:
+            ready = max(ready, switched_at[differ].max() + self._travel + self._pace.rest)
+        return float(ready)
+
+
+class ExecutorView:
+    """What the executor last said, and whether it is connected.
+
+    Attributes:
+        manipulator: the whole arm.
+        state: the arm at the latest snapshot; None if there is none.
+        diagnostics: the latest; None while not connected.
+        instance: of the latest executor; None before the first connection.
+        connected: whether the executor takes messages.
+        problem: why there is no connection.
+        rest: when each actuator switched last.
+        counted: switches of all actuators when the first executor was met; None before.
+
+    Args:
+        manipulator: the whole arm.
+        travel: longest time of an actuator from end-stop to end-stop [s].
+        pace: of the transitions.
+    """
+
+    def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
+        self.manipulator = manipulator
+        self.state: ArmState | None = None
+        self.diagnostics: Diagnostics | None = None
+        self.instance: int | None = None
+        self.connected, self.problem = False, "waiting for the executor"
+        self.rest = RestClock(len(manipulator.actuators), travel, pace)
+        self.counted: int | None = None
+        self._was_connected = False
+        self._sentence, self._shown_for = "", ""
+
+    def welcome(self, message: Welcome, known: tuple[int, ...]) -> None:
+        """Takes the greeting of an executor; `known` are the ledger's counts of switches."""
+        self.instance, self.connected = message.instance, True
+        self.problem = "waiting for the executor's first snapshot"
+        if self.counted is None:
+            self.counted = sum(map(max, known, message.counts)) if message.counts else sum(known)
+
+    def take(self, snapshot: Snapshot) -> ArmState:
+        """Stores a snapshot, and returns it as ArmState."""
+        state = ArmState(self.manipulator, snapshot)
+        self.rest.note(self.state, state)
+        self.state, self._was_connected = state, True
+        if snapshot.mode == "ready":
+            self._shown_for = self._shown_for or snapshot.reason
+        if self._shown_for and (snapshot.mode != "ready" or snapshot.reason != self._shown_for):
+            self._sentence = ""
+        return state
+
+    def lost(self, reason: str) -> None:
+        """Notes that there is no connection."""
+        self.connected, self.problem = False, reason
+        self.state = self.diagnostics = None
+        self._sentence = ""
+
+    def ended(self, sentence: str) -> None:
+        """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason."""
+        self._sentence, self._shown_for = sentence, ""
+
+    @property
+    def measured(self) -> Measured:
+        """Measured states, shape (A,); -1 where they are not known."""
+        return np.full(len(self.manipulator.actuators), -1, np.int8) if self.state is None else self.state.measured
+
+    def mode(self) -> tuple[Mode, str]:
+        """Returns the executor's mode, and its reason as a sentence."""
+        if self.state is None:
+            return "fault" if self._was_connected else "starting", self.problem
+        snapshot = self.state.snapshot
+        return snapshot.mode, self._sentence if snapshot.mode == "ready" and self._sentence else snapshot.reason
+
+
+def no_motion(mode: Mode, reason: str) -> Refusal:
+    """Returns the refusal of a motion in a mode that allows none."""
+    return Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}")

@@ -1,0 +1,340 @@
+"""The core of the planner: takes events and returns actions. It has no clock, no I/O, no threads and no search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
+
+from controller.motion.codes import PATH_TOLERANCE_VIOLATED
+from controller.motion.goal_motion import tracking_of
+from controller.planning.core.admission import Admission
+from controller.planning.core.arm import ExecutorView
+from controller.planning.core.events import (
+    Action,
+    Answered,
+    Disconnect,
+    Event,
+    FromExecutor,
+    Identity,
+    LinkDown,
+    ObstaclesMessage,
+    OpenGoal,
+    Payload,
+    Publish,
+    Published,
+    Quit,
+    RecordCounts,
+    Recorded,
+    Reply,
+    Request,
+    SetpointArrived,
+    Tick,
+    TipArrived,
+    ToExecutor,
+    Unsent,
+    Wake,
+    Warned,
+)
+from controller.planning.core.goals import Goals
+from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers, Shared
+from controller.planning.core.locks import Locks
+from controller.planning.core.messages import CLOSING
+from controller.planning.core.obstacles import ObstacleOwner
+from controller.planning.core.parts import Parts
+from controller.planning.core.programs import Programs
+from controller.planning.core.queries import Queries
+from controller.planning.core.reports import Outcome
+from controller.planning.core.requests import ExecutorRequests
+from controller.planning.core.results import Results
+from controller.planning.core.status import Status
+from controller.planning.core.stream import Stream
+from controller.planning.core.tasks import Scene, Tables
+from controller.planning.core.tip_bias import TipBiasEstimator
+from controller.program import (
+    ALIVE_EVERY,
+    Accepted,
+    Alive,
+    Answer,
+    Begun,
+    Counted,
+    Counts,
+    Declined,
+    Diagnostics,
+    Ended,
+    Question,
+    Replaced,
+    Settled,
+    Snapshot,
+    Up,
+    Welcome,
+)
+
+if TYPE_CHECKING:
+    from controller.config import Arm
+    from controller.motion.pacing import Pace
+
+LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
+
+
+class Beginning(NamedTuple):
+    """What the core knows at its start.
+
+    Attributes:
+        name: of this process, distinct from those of all others; a part of ids.
+        tables: for the locks of the arm's file.
+        scene: the obstacles of the arm's file.
+        obstacles: their number.
+        counts: switches of each actuator, of the ledger.
+        published: programs whose results were published by earlier planner processes.
+        owed: goals that they accepted, and whose results the ledger does not have.
+    """
+
+    name: str
+    tables: Tables
+    scene: Scene
+    obstacles: int
+    counts: tuple[int, ...]
+    published: Iterable[Identity] = ()
+    owed: Iterable[OpenGoal] = ()
+
+
+class Core:
+    """Plans goals, and has the executor run them.
+
+    Attributes:
+        ended: whether the process may end, after a `Quit`.
+
+    Args:
+        arm: the arm.
+        pace: of its transitions.
+        beginning: what is known at the start.
+    """
+
+    def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
+        manipulator, searches = arm.manipulator, arm.settings.method == "minimum-switch"
+        self.ended = False
+        self._actions: list[Action] = []
+        self._moment, self._counts = Moment(), beginning.counts
+        self._view = view = ExecutorView(manipulator, arm.travel_time, pace)
+        self._admission, self._numbers, self._jobs = Admission(), ProgramNumbers(), Jobs(self._act)
+        shared = Shared(view, self._admission, self._jobs, self._moment, self._numbers, self._act)
+        self._locks = locks = Locks(view, self._jobs, beginning.tables, self._act)
+        self._obstacles = obstacles = ObstacleOwner(shared, beginning.scene, beginning.obstacles)
+        self._results = Results(view, self._moment, beginning.published, beginning.owed, self._act)
+        self._programs = programs = Programs(shared, obstacles, self._results, searches)
+        parts = Parts(
+            view,
+            self._admission,
+            self._numbers,
+            self._jobs,
+            self._moment,
+            self._act,
+            locks,
+            obstacles,
+            programs,
+        )
+        tracker = arm.settings.tracker
+        self._tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
+        bias = no_bias if self._tip_bias is None else self._tip_bias.bias
+        self._goals = Goals(parts, pace, bias, prepares=searches, name=beginning.name)
+        self._queries = Queries(parts, bias, beginning.name)
+        self._requests = ExecutorRequests(parts, self._goals)
+        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, bias)
+        self._status = Status(parts, self._stream, self._tip_bias, self._waiting)
+        self._changed = True
+        self._alive_at = 0.0  # time of the next keep-alive [s]
+        self._most_silent = round(2.0 * arm.settings.planner_timeout / ALIVE_EVERY)
+        self._silent = 0  # keep-alives since the executor's last message
+        self._quit_at: float | None = None
+
+    def step(self, event: Event, now: float, wall: float) -> list[Action]:
+        """Handles an event.
+
+        Args:
+            event: of a client, the executor, a worker or the shell.
+            now: CLOCK_MONOTONIC, or any clock that never goes back [s].
+            wall: UNIX time [s].
+
+        Returns:
+            The actions, in order.
+        """
+        self._moment.now, self._moment.wall = now, wall
+        self._handle(event)
+        self._obstacles.check_standing()
+        self._programs.check()
+        self._goals.advance()
+        self._queries.advance()
+        self._stream.consider(now)
+        self._obstacles.answer(self._programs.unchecked())
+        self._keep_alive()
+        self._close()
+        if isinstance(event, Tick) or not self._actions:  # otherwise what is urgent does not wait for a report
+            self._status.report(now, wall, self._changed)
+            self._changed = False
+        report_at = now if self._changed else self._status.due(now)
+        due = min(self._alive_at, self._goals.due(), self._stream.due(now), report_at)
+        if self._quit_at is not None:
+            due = math.inf if self.ended else min(due, self._quit_at)
+        self._act(Wake(due))
+        actions, self._actions = self._actions, []
+        return actions
+
+    def _handle(self, event: Event) -> None:
+        moment = self._moment
+        self._changed |= not isinstance(event, Tick | TipArrived | SetpointArrived)
+        match event:
+            case FromExecutor(message):
+                self._silent = 0
+                self._hear(message)
+            case Request():
+                self._take(event)
+            case Answered(number, answer, last):
+                self._jobs.answered(number, answer, last, moment.now)
+            case SetpointArrived(payload):
+                self._stream.take(payload, self._admission.arrive(), moment.now, moment.wall)
+            case TipArrived(payload):
+                if self._tip_bias is not None:
+                    self._tip_bias.take(payload, moment.now, moment.wall)
+            case Published(number):
+                self._results.published(number)
+            case Recorded(entry):
+                self._programs.recorded(entry)
+                self._results.recorded(entry)
+            case LinkDown(reason):
+                self._lose(reason)
+            case Unsent(number, reason):
+                self._requests.unsent(number, reason)
+            case Warned(warnings):
+                self._status.warned(warnings)
+            case Quit():
+                self._quit()
+            case Tick():
+                pass
+
+    # --- clients
+
+    def _take(self, request: Request) -> None:
+        match request.key:
+            case "goal" | "jog":
+                self._goals.submit(request, self._admission.arrive())
+            case "plan":
+                self._queries.submit(request)
+            case "obstacles":
+                assert isinstance(request.message, ObstaclesMessage)
+                if self._obstacles.change(request.number, request.message):
+                    self._programs.park(self._obstacles.generation)
+                    self._stream.park(self._moment.now)
+            case "arm":
+                self._act(Reply(request.number, self._live()))
+            case _:
+                self._requests.take(request)
+
+    def _live(self) -> Payload:
+        """Returns the fields of the arm's description that change."""
+        state, running = self._view.state, self._programs.current
+        faults = () if state is None else state.snapshot.faults
+        return {
+            "limits": [fault.message for fault in faults if fault.code == "board-limits"],
+            "sent_obstacles": self._obstacles.regions,
+            "running": None if running is None else {"goal": running.report.id, "waypoints": running.report.waypoints},
+        }
+
+    # --- the executor
+
+    def _hear(self, message: Up) -> None:
+        match message:
+            case Snapshot():
+                self._admission.snapshot(message.epoch)
+                self._locks.update(self._view.take(message))
+            case Accepted():
+                self._goals.accepted(message)
+            case Declined():
+                self._goals.declined(message)
+            case Begun():
+                self._programs.begun(message)
+            case Replaced():
+                self._programs.replaced(message)
+            case Settled():
+                self._programs.settled(message)
+            case Ended():
+                self._programs.ended(message)
+            case Answer():
+                self._requests.answered(message)
+            case Question():
+                self._obstacles.ask(message)
+            case Counted(counts):
+                self._act(RecordCounts(counts))
+            case Diagnostics():
+                self._view.diagnostics = message
+                self._act(RecordCounts(message.counts))
+            case Welcome():
+                self._welcome(message)
+
+    def _welcome(self, message: Welcome) -> None:
+        self._view.welcome(message, self._counts)
+        self._numbers.at_least(message.program)
+        self._act(ToExecutor(Counts(self._counts)))
+        self._results.met(message.instance)
+        self._silent, self._alive_at = 0, self._moment.now
+
+    def _lose(self, reason: str) -> None:
+        """Ends what the executor ran: the connection is lost, or there is none for another reason than before."""
+        was = self._view.connected
+        self._view.lost(reason)
+        if was:
+            self._admission.lost()
+            self._goals.lost()
+            self._programs.lost(reason)
+            self._requests.lost(reason)
+
+    def _keep_alive(self) -> None:
+        """Tells the executor that the planner is alive, and detects an executor that is silent.
+
+        Silence is counted in keep-alives, so that a stop of this process does not count as the executor's silence.
+        """
+        now = self._moment.now
+        if now < self._alive_at:
+            return
+        self._alive_at = now + ALIVE_EVERY
+        self._jobs.tick(now)
+        if not self._view.connected:
+            return
+        self._act(ToExecutor(Alive()))
+        self._silent += 1
+        if self._silent > self._most_silent or self._requests.overdue():
+            self._silent = 0
+            self._act(Disconnect("the executor is silent"))
+
+    # --- the end
+
+    def _quit(self) -> None:
+        """Refuses what waits, and ends the running goal; the executor stays connected."""
+        if self._quit_at is not None:
+            return
+        self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
+        self._goals.closing = True
+        self._queries.close()
+        self._stream.park(self._moment.now)
+        if (running := self._programs.current) is not None:
+            self._programs.end(running, Outcome("aborted", PATH_TOLERANCE_VIOLATED, CLOSING))
+
+    def _close(self) -> None:
+        over = self._programs.idle and self._results.idle and not self._goals.waiting
+        if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
+            if not self.ended:
+                self._obstacles.answer([], at_once=True)
+                self._act(Publish("state", self._status.state(self._moment.now, self._moment.wall)))
+            self.ended = True
+
+    # ---
+
+    def _act(self, action: Action) -> None:
+        self._actions.append(action)
+
+    def _waiting(self) -> int:
+        return self._goals.waiting + self._queries.waiting
+
+
+def no_bias(now: float) -> None:
+    """Returns the tip bias of an arm without a tracker: none."""

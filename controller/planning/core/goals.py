@@ -1,0 +1,359 @@
+"""Requests for motion: each goal or jog waits, is planned from where the arm is, and is offered to the executor."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.motion.goal import GoalMessage
+from controller.planning.core.admission import BARRED, Ticket
+from controller.planning.core.arm import ArmState, no_motion, packed
+from controller.planning.core.events import Log, Reply, Request
+from controller.planning.core.messages import CLOSING, refused
+from controller.planning.core.offers import Offer, goal_program, jog_program, jog_stages
+from controller.planning.core.parts import Parts
+from controller.planning.core.tasks import (
+    Answer,
+    ArmStart,
+    Checked,
+    CheckStages,
+    PlanGoal,
+    Planned,
+    PrepareSearch,
+    Refused,
+    Scene,
+    Tables,
+)
+from controller.program import Accepted, Declined
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from controller.motion.pacing import Pace
+    from controller.planning.core.queries import Bias
+
+MOST_WAITING = 16
+MOST_TRIES = 10  # plans, and programs sent, of one goal while the arm moves
+PATIENCE = 2.0  # [s] for the executor's answer; it answers within milliseconds
+NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
+LONGEST_PLANNING = 60.0  # [s]
+IDLE = 0.02  # [s] without a request before the next search is prepared
+MOST_LINES = 5  # refusals logged in one second
+
+
+@dataclass(eq=False)
+class Motion:
+    """A goal or jog that has not begun.
+
+    Attributes:
+        request: number.
+        ticket: its place among all requests.
+        wanted: goal, or new states of single actuators by index.
+        id: of the goal or jog.
+        received: time of arrival [UNIX s].
+        since: when the present wait began [s].
+        tries: number of plans so far.
+        job: number of the task that plans or checks it; None: no task.
+        start: where its plan starts.
+        scene: among which it was planned.
+        tables: with which it was planned.
+        planned: the plan of a goal, or the stages (k, A) of a jog; None: there is none for the present start.
+        program: number of its program, if that waits for the executor's answer.
+        waits: the snapshot after which it is offered again; None: it does not wait for one.
+    """
+
+    request: int
+    ticket: Ticket
+    wanted: GoalMessage | dict[int, int]
+    id: str
+    received: float
+    since: float
+    tries: int = 0
+    job: int | None = None
+    start: ArmStart | None = None
+    scene: Scene | None = None
+    tables: Tables | None = None
+    planned: Planned | NDArray[np.uint8] | None = None
+    program: int | None = None
+    waits: ArmState | None = None
+
+
+class Goals:
+    """Requests for motion, one after the other.
+
+    A goal is planned from where the arm is, or from where its running stage ends. If the arm, the obstacles or the
+    locks have changed before the program is sent, the goal is planned anew.
+
+    Args:
+        parts: of the core.
+        pace: of the arm's transitions.
+        bias: returns the tip bias that corrects goals; None: no tracker.
+        prepares: whether searches are prepared while no request waits.
+        name: of this process, in the ids of jogs.
+    """
+
+    def __init__(self, parts: Parts, pace: Pace, bias: Bias, *, prepares: bool, name: str) -> None:
+        self.closing = False
+        self._parts, self._view, self._moment, self._act = parts, parts.view, parts.moment, parts.act
+        self._locks, self._obstacles, self._programs, self._pace = parts.locks, parts.obstacles, parts.programs, pace
+        self._bias, self._prepares, self._name = bias, prepares, name
+        self._waiting = deque[Motion]()
+        self._current: Motion | None = None
+        self._due = math.inf
+        self._idle_since = 0.0  # since when no request waits [s]
+        self._preparing: int | None = None  # the task that prepares the next search
+        self._prepared: object = None  # start, scene and tables for which the next search is prepared
+        self._second, self._lines = 0, 0
+
+    @property
+    def waiting(self) -> int:
+        """Number of requests that wait, the one that is planned included."""
+        return len(self._waiting) + (self._current is not None)
+
+    def submit(self, request: Request, ticket: Ticket) -> None:
+        """Queues a goal or jog, or refuses it at once."""
+        wanted, moment, name = request.message, self._moment, f"{self._name}{request.number:x}"
+        assert isinstance(wanted, GoalMessage | dict)
+        name = f"jog-{name}" if isinstance(wanted, dict) else wanted.id or name
+        motion = Motion(request.number, ticket, wanted, name, request.wall, moment.now)
+        if self.closing:
+            self._refuse(motion, Refusal(INVALID_GOAL, CLOSING))
+        elif len(self._waiting) >= MOST_WAITING:
+            self._refuse(motion, Refusal(INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting already"))
+        else:
+            self._waiting.append(motion)
+            self._parts.jobs.abandon(self._preparing, moment.now)
+            self._preparing, self._prepared = None, None
+            self._programs.pause_improvement()
+
+    def cancel(self, goal: str) -> bool:
+        """Refuses a waiting goal of this id; returns whether there was one."""
+        for motion in (*self._waiting, *([self._current] if self._current is not None else [])):
+            if motion.id == goal and motion.program is None:
+                self._parts.jobs.abandon(motion.job, self._moment.now)
+                self._end(motion, Refusal(INVALID_GOAL, BARRED))
+                return True
+        return False
+
+    def advance(self) -> None:
+        """Brings the first request as far as it can go now. Call at the end of each step."""
+        self._due = math.inf
+        while True:
+            if self._current is None:
+                if not self._waiting:
+                    self._prepare()
+                    return
+                self._current = self._waiting.popleft()
+                self._current.since = self._moment.now
+            motion = self._current
+            try:
+                self._proceed(motion)
+                return
+            except Refusal as refusal:
+                self._parts.jobs.abandon(motion.job, self._moment.now)
+                self._end(motion, refusal)
+
+    def due(self) -> float:
+        """Returns when `advance` must be called again, without another event [s]."""
+        return self._due
+
+    # --- the executor
+
+    def accepted(self, message: Accepted) -> None:
+        """Hands a request over whose program the executor has accepted."""
+        motion = self._current
+        self._programs.accepted(message)
+        if motion is not None and motion.program == message.program:
+            self._parts.admission.end_streams(motion.ticket)
+            self._drop(motion)
+
+    def declined(self, message: Declined) -> None:
+        """Offers a program again from where the arm has moved to, or refuses the request."""
+        self._programs.withdraw(message.program)
+        motion = self._current
+        if motion is None or motion.program != message.program:
+            return
+        motion.program = None
+        if message.cause == "moved":
+            motion.planned = None
+            motion.waits, motion.since = self._view.state, self._moment.now
+        else:
+            self._end(motion, Refusal(INVALID_GOAL, BARRED if message.cause == "epoch" else message.reason))
+
+    def lost(self) -> None:
+        """Refuses the request whose program the executor has not answered, because the connection is lost."""
+        motion = self._current
+        if motion is not None and motion.program is not None:
+            words = "the connection to the executor was lost before it accepted the goal; the arm holds"
+            self._end(motion, Refusal(INVALID_GOAL, words))
+
+    # --- one request
+
+    def _proceed(self, motion: Motion) -> None:
+        """Plans a request, offers it, or lets it wait.
+
+        Raises:
+            Refusal: the request cannot be carried out.
+        """
+        admission = self._parts.admission
+        if motion.program is not None:
+            if self._waits(motion, PATIENCE):
+                return
+            self._programs.give_up(motion.program)
+            raise Refusal(INVALID_GOAL, f"the executor did not answer within {PATIENCE:g} s")
+        if self.closing:
+            raise Refusal(INVALID_GOAL, CLOSING)
+        if admission.barred(motion.ticket):
+            raise Refusal(INVALID_GOAL, BARRED)
+        if motion.job is not None:
+            if self._waits(motion, LONGEST_PLANNING):
+                return
+            words = f"planning took longer than {LONGEST_PLANNING:g} s: send fewer waypoints"
+            raise Refusal(INVALID_GOAL, words)
+        if motion.waits is not None and motion.waits is self._view.state and self._waits(motion, NEWER_WITHIN):
+            return
+        motion.waits = None
+        if motion.ticket.epoch is None:
+            if self._waits(motion, PATIENCE):
+                return
+            raise Refusal(INVALID_GOAL, "the executor has not answered an earlier request; send it again")
+        state, (mode, reason) = self._view.state, self._locks.mode()
+        if state is None or mode not in ("ready", "executing"):
+            raise no_motion(mode, reason)
+        scene, tables = self._obstacles.scene, self._locks.tables
+        if tables is None:
+            raise Refusal(
+                INVALID_GOAL, f"the arm is {mode}: {reason}; the locked actuators are changing, send it again"
+            )
+        if scene is None:
+            return
+        if motion.planned is not None and (motion.start, motion.scene, motion.tables) == (state.start, scene, tables):
+            self._offer(motion, state, scene)
+        else:
+            self._plan(motion, state, scene, tables)
+
+    def _waits(self, motion: Motion, longest: float) -> bool:
+        """Returns whether a request may wait longer; if so, notes until when [s]."""
+        self._due = motion.since + longest
+        return self._moment.now < self._due
+
+    def _plan(self, motion: Motion, state: ArmState, scene: Scene, tables: Tables) -> None:
+        """Starts to plan a request from the arm's present state.
+
+        Raises:
+            Refusal: the request cannot be carried out, or the arm has moved too often meanwhile.
+        """
+        motion.tries += 1
+        if motion.tries > MOST_TRIES:
+            raise Refusal(INVALID_GOAL, "the arm moved each time before the goal could begin; send it again")
+        motion.start, motion.scene, motion.tables, motion.planned = state.start, scene, tables, None
+        if isinstance(motion.wanted, dict):
+            self._plan_jog(motion, motion.wanted, state, scene)
+            return
+        if (unknown := state.unknown_state) is not None:
+            raise Refusal(INVALID_GOAL, f"unknown state: {unknown}; switch single actuators with `jog`")
+        if state.configuration is None:
+            raise no_motion(*self._locks.mode())
+        bias = self._bias(self._moment.now)
+        numbers = None if bias is None else tuple(bias.tolist())
+        motion.since = self._moment.now
+        task = PlanGoal(motion.wanted, motion.received, state.start, numbers, tables, scene)
+        motion.job = self._parts.jobs.start(task, self._answered)
+
+    def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, scene: Scene) -> None:
+        motion.planned, motion.since = jog_stages(state, wanted, self._pace), self._moment.now
+        if scene.free or state.unknown_state is not None or state.configuration is None:
+            self._offer(motion, state, scene)
+            return
+        task = CheckStages(scene, state.start.commanded, tuple(map(packed, motion.planned)))
+        motion.job = self._parts.jobs.start(task, self._answered)
+
+    def _answered(self, answer: Answer, last: bool, now: float) -> None:
+        """Takes the plan of a goal, or the check of a jog."""
+        motion = self._current
+        if motion is None or motion.job is None:
+            return
+        motion.job = None
+        match answer:
+            case Planned():
+                motion.planned = answer
+            case Checked(None):
+                pass
+            case Checked(collision):
+                words = f"the motion from the arm's present state would collide: {collision}"
+                self._end(motion, Refusal(INVALID_GOAL, words))
+            case Refused(code, reason):
+                self._end(motion, Refusal(code, reason))
+            case _:
+                self._end(motion, Refusal(INVALID_GOAL, "internal error while planning, see the journal"))
+
+    # --- the program and the answer
+
+    def _offer(self, motion: Motion, state: ArmState, scene: Scene) -> None:
+        """Sends the program of a planned request.
+
+        Raises:
+            Refusal: the goal is late, or a goal of its id is running.
+        """
+        planned, running = motion.planned, self._programs.current
+        if isinstance(planned, Planned) and running is not None and running.report.id == motion.id:
+            words = f"id: goal {motion.id} is running already; a goal that replaces it needs another id"
+            raise Refusal(INVALID_GOAL, words)
+        request = Offer(motion.request, motion.ticket, motion.id, state, scene)
+        if isinstance(planned, Planned):
+            program = goal_program(self._parts, self._pace, request, planned)
+            program.tables = motion.tables
+        else:
+            assert planned is not None
+            assert isinstance(motion.wanted, dict)
+            program = jog_program(self._parts, self._pace, request, motion.wanted, planned)
+        motion.program, motion.since = program.program.program, self._moment.now
+        self._programs.offer(program)
+
+    def _end(self, motion: Motion, refusal: Refusal) -> None:
+        self._drop(motion)
+        self._refuse(motion, refusal)
+
+    def _drop(self, motion: Motion) -> None:
+        """Removes a request that is answered, or answered elsewhere from now on."""
+        motion.job = motion.program = None
+        if motion is self._current:
+            self._current, self._idle_since = None, self._moment.now
+        else:
+            self._waiting.remove(motion)
+
+    def _refuse(self, motion: Motion, refusal: Refusal) -> None:
+        """Answers a request; logs at most MOST_LINES refusals a second."""
+        self._act(Reply(motion.request, refused(refusal.code, str(refusal), motion.id)))
+        second = int(self._moment.now)
+        self._lines = 1 if second != self._second else self._lines + 1
+        self._second = second
+        if self._lines <= MOST_LINES:
+            self._act(Log(logging.INFO, f"{motion.id} refused: {refusal}"))
+        elif self._lines == MOST_LINES + 1:
+            self._act(Log(logging.INFO, f"more than {MOST_LINES} requests are refused in this second"))
+
+    # --- while nothing waits
+
+    def _prepare(self) -> None:
+        """Prepares the next search from where the arm is, once for each start."""
+        state, scene, tables, now = self._view.state, self._obstacles.scene, self._locks.tables, self._moment.now
+        if not self._prepares or self._preparing is not None:
+            return
+        if now < self._idle_since + IDLE:
+            self._due = self._idle_since + IDLE
+            return
+        if state is None or scene is None or tables is None or state.configuration is None or self.closing:
+            return
+        start = state.start, scene.generation, tables.generation
+        if start != self._prepared and not self._programs.improving:
+            self._prepared = start
+            self._preparing = self._parts.jobs.start(PrepareSearch(state.start, tables, scene), self._was_prepared)
+
+    def _was_prepared(self, answer: Answer, last: bool, now: float) -> None:
+        self._preparing = None

@@ -1,0 +1,172 @@
+"""The owner of the obstacles: their generation, the checks among them, and requests that replace them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from controller.motion.codes import INVALID_GOAL
+from controller.planning.core.events import ObstaclesMessage, Reply, ToExecutor
+from controller.planning.core.jobs import Shared
+from controller.planning.core.messages import done, refused
+from controller.planning.core.tasks import (
+    Answer,
+    BuildScene,
+    Checked,
+    CheckStages,
+    CheckStanding,
+    Scene,
+    SceneBuilt,
+)
+from controller.program import Clearance, Question
+
+LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight
+
+
+@dataclass(eq=False)
+class Change:
+    """A request for other obstacles that is not answered yet.
+
+    Attributes:
+        request: its number.
+        generation: of the obstacles.
+        at: time of arrival [s].
+        effects: what the obstacles did to running goals, as sentences.
+    """
+
+    request: int
+    generation: int
+    at: float
+    effects: list[str] = field(default_factory=list)
+
+
+class ObstacleOwner:
+    """The obstacles: those of the arm's file, and those sent since.
+
+    A new generation counts from its request on. Until its scene is built, and all that is in flight was checked among
+    it, no stage begins that was not.
+
+    Attributes:
+        generation: grows with each change.
+        scene: of this generation; None while it is built.
+        regions: the obstacles that were sent, as they came.
+        standing: with what the arm collides where it stands, in words; None: with nothing.
+
+    Args:
+        shared: what all parts of the core share.
+        scene: of the arm's file.
+        total: number of obstacles in it.
+    """
+
+    def __init__(self, shared: Shared, scene: Scene, total: int) -> None:
+        self.generation, self.regions = scene.generation, list[Any]()
+        self.scene: Scene | None = scene
+        self.standing: str | None = None
+        self._view, self._jobs, self._moment, self._act = shared.view, shared.jobs, shared.moment, shared.act
+        self._sent: Any = None  # the obstacles of the last request
+        self._built, self._counts = scene, (total, 0)
+        self._changes: list[Change] = []
+        self._questions: list[Question] = []
+        self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
+        self._standing_job: int | None = None
+
+    # --- requests
+
+    def change(self, request: int, message: ObstaclesMessage) -> bool:
+        """Takes other obstacles; returns whether they differ from the present ones."""
+        self._changes.append(Change(request, self.generation, self._moment.now))
+        empty = self._sent is None and not len(message.obstacles)
+        if empty or (self._sent is not None and same_content(self._sent, message.obstacles)):
+            return False
+        self.generation += 1
+        self._changes[-1].generation = self.generation
+        self._sent, self.regions, self.scene = message.obstacles, message.regions, None
+        task = BuildScene(self.generation, message.obstacles)
+        self._jobs.start(task, partial(self._scene_answered, self.generation))
+        return True
+
+    def note(self, effect: str) -> None:
+        """Notes what the obstacles did to a running goal, for the answer."""
+        for change in self._changes:
+            change.effects.append(effect)
+
+    def answer(self, unchecked: list[str], at_once: bool = False) -> None:
+        """Answers requests if all that is in flight is checked; `unchecked` are the ids of goals that are not."""
+        for change in list(self._changes):
+            checked = self.scene is not None and not unchecked and self._standing_job is None
+            if checked or at_once or self._moment.now > change.at + LONGEST:
+                self._changes.remove(change)
+                total, sent = self._counts
+                said = f"{total} {'obstacle' if total == 1 else 'obstacles'}, {sent} of them sent"
+                standing = [] if self.standing is None else [f"{self.standing} where the arm stands"]
+                later = [f"goal {goal} is still being checked, no stage begins before" for goal in unchecked]
+                self._act(Reply(change.request, done("; ".join([said, *standing, *change.effects, *later]))))
+
+    def _scene_answered(self, generation: int, answer: Answer, last: bool, now: float) -> None:
+        if generation != self.generation:
+            return
+        if isinstance(answer, SceneBuilt):
+            self.scene = self._built = answer.scene
+            self._counts = answer.total, answer.sent
+        else:  # the obstacles before stay in force, as a new generation, because what is in flight was parked
+            self.generation += 1
+            self.scene = self._built = self._built._replace(generation=self.generation)
+            self._sent = None
+            changes, self._changes = self._changes, []
+            for change in changes:
+                words = "the obstacles cannot be checked, see the journal; those before stay in force"
+                self._act(Reply(change.request, refused(INVALID_GOAL, words)))
+        questions, self._questions = self._questions, []
+        for question in questions:
+            self.ask(question)
+
+    # --- the executor's questions
+
+    def ask(self, question: Question) -> None:
+        """Answers the executor: what a stage collides with, from states for which it was not planned."""
+        scene = self.scene
+        if scene is None:
+            self._questions.append(question)
+        elif scene.free:
+            self._act(ToExecutor(Clearance(question.question, None)))
+        else:
+            task = CheckStages(scene, question.start, (question.stage,))
+            self._jobs.start(task, partial(self._question_answered, question, scene.generation))
+
+    def _question_answered(self, question: Question, generation: int, answer: Answer, last: bool, now: float) -> None:
+        if generation != self.generation:
+            self.ask(question)
+            return
+        touched = answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
+        self._act(ToExecutor(Clearance(question.question, None if touched is None else touched[:1_000])))
+
+    # --- where the arm stands
+
+    def check_standing(self) -> None:
+        """Checks whether the arm collides where it stands, if this may have changed. Call at the end of each step."""
+        scene, state = self.scene, self._view.state
+        if scene is None or state is None or self._standing_job is not None:
+            return
+        depends = scene.generation, state.snapshot.measured, state.snapshot.known
+        if depends == self._standing_seen:
+            return
+        self._standing_seen = depends
+        if scene.free or not bool((state.measured >= 0).all()):
+            self.standing = None
+            return
+        self._standing_job = self._jobs.start(CheckStanding(scene, state.snapshot.measured), self._standing_answered)
+
+    def _standing_answered(self, answer: Answer, last: bool, now: float) -> None:
+        self._standing_job = None
+        self.standing = answer.collision if isinstance(answer, Checked) else None
+
+
+def same_content(first: Any, second: Any) -> bool:
+    """Returns whether two sets of obstacles have the same content."""
+    arrays = ("kinds", "axes", "centres", "sizes")
+    return bool(first.names == second.names) and all(
+        np.array_equal(getattr(first, name), getattr(second, name)) for name in arrays
+    )

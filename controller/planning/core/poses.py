@@ -1,0 +1,78 @@
+"""The measured pose of the arm, and targets to compare it with.
+
+Measured actuator states have shape (A,), with 0 contracted, 1 extended, -1 unknown. Frames have shape (4, 4); lengths
+are in the arm's unit, angles in radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.notation import format_configuration, pose
+from controller.planning.core.events import Payload
+
+if TYPE_CHECKING:
+    from controller.manipulator.manipulator import Manipulator
+    from controller.planning.core.arm import Measured
+
+Frame = NDArray[np.float64]
+
+# The measured pose of an arm in no known configuration.
+UNKNOWN: Payload = dict.fromkeys(("configuration", "position", "orientation", "error", "orientation_error"))
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The target at one point of a goal.
+
+    Attributes:
+        position: of the tip in the world, shape (dimension,).
+        tolerance: greatest distance from the position.
+        rotation: of the tip in the world, shape (3, 3); None: any orientation serves.
+        angle_tolerance: greatest angle from the rotation [rad].
+        configuration: that the arm must have, as text; None: any.
+    """
+
+    position: NDArray[np.float64]
+    tolerance: float
+    rotation: NDArray[np.float64] | None = None
+    angle_tolerance: float = np.inf
+    configuration: str | None = None
+
+    def angle(self, tip: Frame) -> float | None:
+        """Returns the angle between a tip (4, 4) and the target [rad]; None if any orientation serves."""
+        if self.rotation is None:
+            return None
+        turned = tip[:3, :3].T @ self.rotation
+        sines = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
+        return math.atan2(math.hypot(*sines), np.trace(turned) - 1.0)  # twice the sine, twice the cosine
+
+
+def measured_tip(manipulator: Manipulator, measured: Measured) -> Frame | None:
+    """Returns the tip's frame (4, 4) for measured actuator states (A,); None if they spell no configuration."""
+    try:
+        return np.asarray(manipulator.tips(manipulator.configuration(measured)[None])[0])
+    except ValueError:
+        return None
+
+
+def measured_pose(manipulator: Manipulator, measured: Measured, target: Target | None) -> Payload:
+    """Returns configuration and pose of measured actuator states (A,), and the errors from a target.
+
+    All are None if the states spell no configuration; the errors are None without a target.
+    """
+    tip = measured_tip(manipulator, measured)
+    if tip is None:
+        return UNKNOWN
+    error = None if target is None else float(np.linalg.norm(tip[: len(target.position), 3] - target.position))
+    return {
+        "configuration": format_configuration(manipulator, manipulator.configuration(measured)),
+        **pose(manipulator, tip),
+        "error": error,
+        "orientation_error": None if target is None else target.angle(tip),
+    }

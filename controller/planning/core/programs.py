@@ -1,0 +1,330 @@
+"""Programs in flight: offered to the executor, accepted, replaced; their feedback and improvements."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from controller.motion.codes import PATH_TOLERANCE_VIOLATED
+from controller.planning.core.admission import Ticket
+from controller.planning.core.arm import measured_states
+from controller.planning.core.events import Accepted as AcceptedEntry
+from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
+from controller.planning.core.feed import Feed
+from controller.planning.core.jobs import Shared
+from controller.planning.core.obstacles import ObstacleOwner
+from controller.planning.core.reports import Outcome, Report, collision_outcome
+from controller.planning.core.results import Known, Results
+from controller.planning.core.tasks import (
+    Answer,
+    Checked,
+    CheckStages,
+    Deviations,
+    Improved,
+    ImprovePlan,
+    Tables,
+)
+from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
+
+GAVE_UP = "the planner gave up waiting for the executor"
+
+
+@dataclass(eq=False)
+class InFlight:
+    """One program, from its sending to its result.
+
+    Attributes:
+        program: as it was sent.
+        request: number of the client's request; its answer waits until the ledger has the acceptance.
+        ticket: of the request.
+        report: makes feedback and result.
+        feed: its stages.
+        plan: for the improvement; None for a jog.
+        tables: of the plan.
+        answer: of the request, once it is accepted.
+        delay: the trajectory's t = 0 in the program's time [s].
+        begin: its zero of time [s].
+        accepted: whether the executor accepted it.
+        outcome: the planner's reason to end it; the executor's result follows.
+        improving: number of the task that improves it.
+        deviates: whether the deviations of its points are still awaited.
+        held: reports that wait for the deviations, in order.
+        checking: number of the task that checks it.
+        unchecked: whether it cannot be checked, because the arm is in no configuration.
+    """
+
+    program: Program
+    request: int
+    ticket: Ticket
+    report: Report
+    feed: Feed
+    answer: dict[str, Any]
+    plan: Any = None
+    tables: Tables | None = None
+    delay: float = 0.0
+    begin: float = 0.0
+    accepted: bool = False
+    outcome: Outcome | None = None
+    improving: int | None = None
+    deviates: bool = False
+    held: deque[Settled | Ended] = field(default_factory=deque)
+    checking: int | None = None
+    unchecked: bool = False
+
+
+class Programs:
+    """The owner of what is in flight.
+
+    Attributes:
+        last_accepted: number of the latest program that the executor accepted.
+
+    Args:
+        shared: what all parts of the core share.
+        obstacles: the obstacles.
+        results: publishes results.
+        searches: whether plans are improved while they run.
+    """
+
+    def __init__(self, shared: Shared, obstacles: ObstacleOwner, results: Results, searches: bool) -> None:
+        self.last_accepted = 0
+        self._view, self._jobs, self._moment, self._act = shared.view, shared.jobs, shared.moment, shared.act
+        self._obstacles, self._results, self._searches = obstacles, results, searches
+        self._programs: dict[int, InFlight] = {}
+        self._replies: dict[int, tuple[int, dict[str, Any]]] = {}  # by entry of the ledger
+
+    # --- what is in flight
+
+    @property
+    def current(self) -> InFlight | None:
+        """The running program; None if there is none."""
+        running = [program for program in self._programs.values() if program.accepted]
+        return running[-1] if running else None
+
+    def running(self, goal: str) -> InFlight | None:
+        """Returns the accepted or offered program of a goal; None if there is none."""
+        return next((program for program in self._programs.values() if program.report.id == goal), None)
+
+    @property
+    def improving(self) -> bool:
+        """Whether a worker improves a running program."""
+        return any(program.improving is not None for program in self._programs.values())
+
+    @property
+    def offered(self) -> bool:
+        """Whether a program waits for the executor's answer."""
+        return any(not program.accepted for program in self._programs.values())
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is in flight, and no answer waits for the ledger."""
+        return not self._programs and not self._replies
+
+    def unchecked(self) -> list[str]:
+        """Returns the ids of programs whose stages are not yet checked among the present obstacles."""
+        running = [program for program in self._programs.values() if program.outcome is None]
+        return [program.report.id for program in running if program.feed.waits_for_check]
+
+    # --- sending
+
+    def offer(self, program: InFlight) -> None:
+        """Sends a program."""
+        self._programs[program.program.program] = program
+        self._act(ToExecutor(program.program))
+
+    def withdraw(self, number: int) -> InFlight | None:
+        """Abandons a program that the executor declined or does not answer; its result will not be published."""
+        program = self._programs.pop(number, None)
+        if program is not None and self._view.instance is not None:
+            self._results.waive(Identity(self._view.instance, number))
+        return program
+
+    def give_up(self, number: int) -> None:
+        """Withdraws a program, and cancels it in case the executor accepts it late."""
+        self.withdraw(number)
+        self._cancel(number, GAVE_UP)
+
+    def end(self, program: InFlight, outcome: Outcome) -> None:
+        """Cancels a running program at the executor; the outcome becomes its result."""
+        if program.outcome is None:
+            program.outcome = outcome
+            self._stop_tasks(program)
+            self._cancel(program.program.program, outcome.message)
+
+    def pause_improvement(self) -> None:
+        """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
+        for program in self._programs.values():
+            self._jobs.abandon(program.improving, self._moment.now)
+            self._stop_improving(program)
+
+    # --- the executor
+
+    def accepted(self, message: Accepted) -> InFlight | None:
+        """Handles the acceptance of a program; returns it, None if it was abandoned meanwhile."""
+        program = self._programs.get(message.program)
+        if program is None:
+            self._cancel(message.program, GAVE_UP)
+            return None
+        program.accepted, program.begin, self.last_accepted = True, message.begin, message.program
+        entry = self._results.next_entry()
+        self._replies[entry] = program.request, program.answer
+        accepted = AcceptedEntry(program.report.id, self._moment.wall, program.report.count)
+        self._act(Record(entry, self._identity(program), accepted, None))
+        self._improve(program)
+        self._feed(program)
+        return program
+
+    def recorded(self, entry: int) -> None:
+        """Answers the request of a program whose acceptance the ledger has."""
+        if (reply := self._replies.pop(entry, None)) is not None:
+            self._act(Reply(*reply))
+
+    def begun(self, message: Begun) -> None:
+        """Notes that a stage has begun, and sends more stages."""
+        if (program := self._programs.get(message.program)) is not None:
+            program.report.begun(program.feed.begin(message.stage))
+            self._feed(program)
+
+    def replaced(self, message: Replaced) -> None:
+        """Notes whether a replacement was accepted, and sends the next."""
+        if (program := self._programs.get(message.program)) is not None:
+            program.feed.answered(message.generation, message.accepted)
+            self._feed(program)
+
+    def settled(self, message: Settled) -> None:
+        """Publishes the feedback of a settled mark; ends the goal if the tip has left its path."""
+        if (program := self._programs.get(message.program)) is not None:
+            program.report.begun(message.mark)
+            measured = measured_states(message.measured, message.known, len(self._view.manipulator.actuators))
+            if (outcome := program.report.left_path(message.mark, measured)) is not None:
+                self.end(program, outcome)
+            program.held.append(message)
+            self._tell(program)
+
+    def ended(self, message: Ended) -> None:
+        """Handles the result of a program, own or of an earlier planner process."""
+        program = self._programs.get(message.program)
+        if program is None:
+            self._results.ended(message, None)
+            return
+        program.held.append(message)
+        self._jobs.abandon(program.checking, self._moment.now)
+        program.checking = None
+        self._tell(program)
+
+    def lost(self, reason: str) -> None:
+        """Ends all accepted programs as aborted, because the executor is lost; the others are withdrawn."""
+        for program in list(self._programs.values()):
+            if not program.accepted:
+                self.withdraw(program.program.program)
+                continue
+            program.deviates = False
+            self._tell(program)
+            if self._programs.pop(program.program.program, None) is not None:
+                self._stop_tasks(program)
+                message = f"{reason}; the arm holds"
+                outcome = program.outcome or Outcome("aborted", PATH_TOLERANCE_VIOLATED, message)
+                self._results.lost(self._identity(program), program.program.context, outcome)
+
+    # --- obstacles
+
+    def park(self, generation: int) -> None:
+        """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
+        for program in self._programs.values():
+            if program.feed.checked != generation and not program.unchecked:
+                self._jobs.abandon(program.checking, self._moment.now)
+                self._jobs.abandon(program.improving, self._moment.now)
+                self._stop_improving(program)
+                program.checking = None
+                program.feed.park(generation)
+                self._feed(program)
+
+    def check(self) -> None:
+        """Starts the checks of parked programs as soon as the obstacles are built. Call at the end of each step."""
+        scene, state = self._obstacles.scene, self._view.state
+        if scene is None or state is None:
+            return
+        for program in self._programs.values():
+            if program.checking is None and program.accepted and program.outcome is None:
+                unchecked = program.feed.to_check()
+                if unchecked is None:
+                    continue
+                if scene.free:
+                    program.feed.note_clear(unchecked.until)
+                    self._feed(program)
+                    continue
+                stages = tuple(map(state.real, unchecked.stages))
+                task = CheckStages(scene, state.real(unchecked.before), stages)
+                program.checking = self._jobs.start(task, partial(self._checked, program, unchecked.until))
+
+    def _checked(self, program: InFlight, until: int, answer: Answer, last: bool, now: float) -> None:
+        """Releases the stages that a check found clear; ends a program that would collide."""
+        program.checking = None
+        words = answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
+        if words is not None:
+            self._obstacles.note(f"goal {program.report.id} was aborted: it would collide: {words}")
+            self.end(program, collision_outcome(program.report.id, words))
+            return
+        program.feed.note_clear(until)
+        self._feed(program)
+
+    # --- improvement
+
+    def _improve(self, program: InFlight) -> None:
+        scene = self._obstacles.scene
+        if program.plan is None or program.tables is None or scene is None or scene.generation != program.feed.checked:
+            return
+        task = ImprovePlan(program.plan, program.begin + program.delay, self._searches, program.tables, scene)
+        program.deviates = True
+        program.improving = self._jobs.start(task, partial(self._improved, program))
+
+    def _improved(self, program: InFlight, answer: Answer, last: bool, now: float) -> None:
+        """Takes deviations and better plans."""
+        if isinstance(answer, Deviations):
+            program.feed.note_deviations(answer.values)
+            program.deviates = False
+        elif isinstance(answer, Improved) and program.outcome is None:
+            program.feed.improve(answer)
+            self._feed(program)
+        if last:
+            self._stop_improving(program)
+        self._tell(program)
+
+    def _stop_improving(self, program: InFlight) -> None:
+        program.improving, program.deviates = None, False
+        self._tell(program)
+
+    def _stop_tasks(self, program: InFlight) -> None:
+        self._jobs.abandon(program.improving, self._moment.now)
+        self._jobs.abandon(program.checking, self._moment.now)
+        program.improving = program.checking = None
+        program.deviates = False
+
+    # ---
+
+    def _tell(self, program: InFlight) -> None:
+        """Publishes what waits: feedback in order, then the result."""
+        while program.held and not program.deviates:
+            message = program.held.popleft()
+            if isinstance(message, Ended):
+                self._stop_tasks(program)
+                del self._programs[message.program]
+                report, feed = program.report, program.feed
+                self._results.ended(message, Known(program.outcome, report.present, feed.proof))
+                continue
+            measured = measured_states(message.measured, message.known, len(self._view.manipulator.actuators))
+            deviation = program.feed.deviation(message.mark) if message.planned else None
+            if (feedback := program.report.settled(message, measured, deviation)) is not None:
+                self._act(Publish("feedback", feedback))
+
+    def _feed(self, program: InFlight) -> None:
+        """Sends the next part of a running program."""
+        if program.accepted and program.outcome is None and (message := program.feed.message()) is not None:
+            self._act(ToExecutor(message))
+
+    def _cancel(self, number: int, reason: str) -> None:
+        self._act(ToExecutor(Cancel(0, number, reason[:1_000])))
+
+    def _identity(self, program: InFlight) -> Identity:
+        return Identity(self._view.instance or 0, program.program.program)

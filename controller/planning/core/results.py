@@ -1,0 +1,196 @@
+"""Results: each is made, published, recorded and acknowledged, in this order, whichever planner process it began in."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import msgspec
+
+from controller.journal import fields_of_result
+from controller.planning.core.arm import ExecutorView, measured_states
+from controller.planning.core.context import Context, decode_context
+from controller.planning.core.events import (
+    Accepted,
+    Action,
+    Identity,
+    Log,
+    OpenGoal,
+    Payload,
+    PublishResult,
+    Record,
+    ToExecutor,
+)
+from controller.planning.core.events import Ended as EndedEntry
+from controller.planning.core.jobs import Moment
+from controller.planning.core.poses import Target
+from controller.planning.core.reports import STATUS_CODES, Outcome, outcome_of, result_of
+from controller.planning.core.tasks import Proof
+from controller.program import Acknowledge, Ended
+
+LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
+
+
+class Known(NamedTuple):
+    """What this planner process knows of a program beside its context.
+
+    Attributes:
+        outcome: its own reason to end the goal; None: the executor's reason, and the measured states decide.
+        target: of the point that the arm was at; None for a jog.
+        proof: of the plan as it was improved; None: nothing is proven.
+    """
+
+    outcome: Outcome | None
+    target: Target | None
+    proof: Proof | None
+
+
+@dataclass(eq=False)
+class Untold:
+    """A result on its way.
+
+    Attributes:
+        identity: of the program.
+        result: number at the executor, which waits for its acknowledgement; None: the executor does not know it.
+        accepted: the acceptance, for a ledger that may not have it.
+        payload: of the result.
+    """
+
+    identity: Identity
+    result: int | None
+    accepted: Accepted | None
+    payload: Payload
+
+
+class Results:
+    """The owner of results that are not yet acknowledged.
+
+    A result is published once: a program that was published, also by an earlier planner process, is only recorded and
+    acknowledged when the executor sends its result again.
+
+    Args:
+        view: what the executor last said.
+        moment: of the present step.
+        published: programs whose results were published before.
+        owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
+        act: takes actions.
+    """
+
+    def __init__(
+        self,
+        view: ExecutorView,
+        moment: Moment,
+        published: Iterable[Identity],
+        owed: Iterable[OpenGoal],
+        act: Callable[[Action], None],
+    ) -> None:
+        self._view, self._moment, self._act = view, moment, act
+        self._told = dict.fromkeys(published)  # ordered: the oldest are forgotten first
+        self._owed = {goal.identity: goal for goal in owed}
+        self._last = 0  # number of a publication or of an entry of the ledger
+        self._publishing: dict[int, Untold] = {}
+        self._recording: dict[int, Untold] = {}
+
+    @property
+    def idle(self) -> bool:
+        """Whether all results were published and recorded."""
+        return not self._publishing and not self._recording
+
+    def next_entry(self) -> int:
+        """Returns the number of a new entry of the ledger."""
+        self._last += 1
+        return self._last
+
+    def waive(self, identity: Identity) -> None:
+        """Suppresses the result of an abandoned program."""
+        self._told[identity] = None
+
+    # --- made
+
+    def ended(self, message: Ended, known: Known | None) -> None:
+        """Takes the executor's result of a program; `known` is None for a program of an earlier planner process."""
+        context, view = decode_context(message.context), self._view
+        identity = Identity(view.instance or 0, message.program)
+        if any(untold.identity == identity for untold in (*self._publishing.values(), *self._recording.values())):
+            self._expect(identity, message.result)
+            return
+        if context is None:
+            text = f"the result of program {message.program} has no context that this planner can decode: "
+            self._act(Log(logging.WARNING, text + message.message))
+            self._act(ToExecutor(Acknowledge(message.result)))
+            return
+        manipulator = view.manipulator
+        measured = measured_states(message.measured, message.known, len(manipulator.actuators))
+        target = context.target if message.mark == context.last_mark else None
+        outcome = None
+        if known is not None:
+            context = msgspec.structs.replace(context, proof=known.proof)
+            target, outcome = known.target, known.outcome
+        outcome = outcome or outcome_of(manipulator, message, measured, context)
+        payload = result_of(manipulator, message, measured, context, outcome, target)
+        view.ended(outcome.sentence)
+        self._tell(Untold(identity, message.result, accepted_of(context), payload), known is None)
+
+    def lost(self, identity: Identity, context: bytes, outcome: Outcome) -> None:
+        """Ends a program of which the executor tells nothing any more."""
+        found, view = decode_context(context) or Context("unknown"), self._view
+        size = len(view.manipulator.actuators)
+        unknown = bytes((size + 7) // 8)
+        silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, 0, unknown, unknown)
+        measured = view.measured
+        payload = result_of(view.manipulator, silent, measured, found, outcome, None)
+        self._tell(Untold(identity, None, accepted_of(found), payload), False)
+
+    def met(self, instance: int) -> None:
+        """Ends as lost what earlier executors owed, because another one has come.
+
+        Goals of this executor are not lost: it sends their results, or runs them still.
+        """
+        for identity in [identity for identity in self._owed if identity.instance != instance]:
+            goal = self._owed.pop(identity)
+            context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
+            self.lost(identity, context, Outcome("lost", STATUS_CODES["lost"], LOST))
+
+    # --- published, recorded, acknowledged
+
+    def published(self, number: int) -> None:
+        """Records a result that was published."""
+        if (untold := self._publishing.pop(number, None)) is not None:
+            self._record(untold)
+
+    def recorded(self, entry: int) -> None:
+        """Acknowledges a result that was recorded."""
+        untold = self._recording.pop(entry, None)
+        if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
+            self._act(ToExecutor(Acknowledge(untold.result)))
+
+    def _tell(self, untold: Untold, inherited: bool) -> None:
+        self._owed.pop(untold.identity, None)
+        if untold.identity in self._told:
+            self._record(untold)
+            return
+        self._told[untold.identity] = None
+        number = self.next_entry()
+        self._publishing[number] = untold
+        self._act(PublishResult(number, untold.identity, inherited, untold.payload))
+        text = f"goal {untold.payload['id']} {untold.payload['status']}: {untold.payload['message']}"
+        self._act(Log(logging.INFO, text, fields_of_result(untold.payload)))
+
+    def _record(self, untold: Untold) -> None:
+        payload, number = untold.payload, self.next_entry()
+        fields = payload["status"], payload["code"], payload["message"], payload["switches"]
+        self._recording[number] = untold
+        self._act(Record(number, untold.identity, untold.accepted, EndedEntry(self._moment.wall, *fields)))
+
+    def _expect(self, identity: Identity, result: int) -> None:
+        """Notes that the executor waits for the acknowledgement of a result that is on its way."""
+        for untold in (*self._publishing.values(), *self._recording.values()):
+            if untold.identity == identity:
+                untold.result = result
+
+
+def accepted_of(context: Context) -> Accepted:
+    """Returns the acceptance of a goal, for a ledger that may not have it."""
+    return Accepted(context.id, context.sent, context.waypoints)

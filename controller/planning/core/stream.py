@@ -1,0 +1,282 @@
+"""Follows a moving goal: tracks set-points, and sends single stages to the executor.
+
+A stream is a sequence of set-points without a pause longer than the tracker's time-out. A cancel, stop, fault, reset or
+goal ends the present stream. Only a stream that begins later is followed.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.motion.codes import Refusal
+from controller.motion.setpoint import decode
+from controller.motion.tracking import GoalTracker
+from controller.planning.core.admission import Ticket
+from controller.planning.core.events import Log, Payload, ToExecutor
+from controller.planning.core.parts import Parts
+from controller.planning.core.tasks import Answer, Failed, Followed, FollowSetpoint
+from controller.program import Setpoint
+
+if TYPE_CHECKING:
+    from controller.config import Arm
+    from controller.motion.goal_motion import Tracking
+    from controller.motion.setpoint import Setpoint as TrackedSetpoint
+    from controller.planning.core.arm import ArmState
+
+PERIOD = 0.01  # [s] of the executor's loop
+POLL = 0.005  # [s] between two considerations, at least
+ALIVE_EVERY = 0.02  # [s] between commands without news, which keep the stream alive
+NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
+RETRY = 0.1  # [s] after a search that found nothing within tolerance, which takes longest
+SEARCH_TIME = 0.005  # [s] expected for the first search
+SMOOTHING = 0.1  # weight of the latest value in running means
+LONGEST = 1_000  # characters of a reason
+
+
+class Stream:
+    """Follows one stream of set-points at a time.
+
+    Times are monotonic. The tracker compares times with senders' stamps and gets UNIX seconds: monotonic time plus an
+    offset that is fixed while a track is alive, so that a change of the wall clock has no effect.
+
+    Args:
+        arm: the arm that follows.
+        tracking: parameters of the tracker.
+        parts: shared parts of the core.
+        bias: returns the tip bias at a time [s], shape (dimension,); None: no tracker.
+    """
+
+    def __init__(
+        self, arm: Arm, tracking: Tracking, parts: Parts, bias: Callable[[float], NDArray[np.float64] | None]
+    ) -> None:
+        """Builds the tracker, which takes almost a second."""
+        self._parts, self._bias, self._dimension = parts, bias, arm.manipulator.dimension
+        self._default_tolerance = self._tolerance = arm.tolerance
+        self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
+        self._lead = arm.travel_time + PERIOD  # of a stage
+        self._ticket: Ticket | None = None  # of the first set-point; None: no stream is followed
+        self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
+        self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
+        self._next_search = -math.inf  # as of the last consideration
+        self._job: tuple[int, FollowSetpoint] | None = None  # the search under way
+        self._answer: tuple[FollowSetpoint, Followed] | None = None  # not considered yet
+        self._found: tuple[FollowSetpoint, tuple[bytes, ...]] | None = None  # the last search, and its stages
+        self._interval, self._streams, self._received, self._refused = math.inf, 0, 0, 0
+        self._last_refusal: str | None = None
+        self._note = ""
+
+    # --- set-points
+
+    def take(self, payload: bytes, ticket: Ticket, now: float, wall: float) -> None:
+        """Takes a set-point that has arrived; a refused one is only counted.
+
+        Args:
+            payload: JSON.
+            ticket: of this set-point.
+            now: monotonic time [s].
+            wall: the same time [UNIX s].
+        """
+        self._received += 1
+        try:
+            setpoint = decode(payload, self._dimension, self._default_tolerance)
+            self._assign(ticket, now)
+            if self._ticket is not None and not self._parts.admission.stream_ended(self._ticket):
+                self._measure(setpoint, now, wall)
+        except Refusal as refusal:
+            self._refused += 1
+            self._last_refusal = str(refusal)
+
+    def _assign(self, ticket: Ticket, now: float) -> None:
+        """Assigns a set-point to the present stream, or begins a new one."""
+        if self._alive(self._heard, now):
+            last = now - self._heard
+            self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
+        else:
+            self._abandon(now)
+            self._streams += 1
+            self._ticket, self._number, self._interval, self._note = ticket, 0, math.inf, ""
+            self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
+        self._heard = now
+
+    def _measure(self, setpoint: TrackedSetpoint, now: float, wall: float) -> None:
+        """Passes a set-point to the tracker.
+
+        Raises:
+            Refusal: the set-point is stale, from the future or out of order.
+        """
+        if not self._alive(self._fitted, now):
+            self._tracker.forget()
+            self._offset = wall - now
+        if self._tracker.measure(setpoint.position, setpoint.stamp, now + self._offset):
+            self._fitted, self._tolerance = now, setpoint.tolerance
+
+    # --- commands
+
+    def consider(self, now: float) -> None:
+        """Commands the arm to the predicted goal; also without a new set-point, because the goal moves."""
+        parts = self._parts
+        if now < self._next_look:
+            return
+        self._next_look = now + POLL
+        if not self._alive(self._fitted, now):
+            self._abandon(now)
+            return
+        if parts.programs.offered:
+            return
+        ticket, mode = self._ticket, parts.locks.mode()[0]
+        if ticket is None or mode not in ("ready", "executing") or parts.admission.stream_ended(ticket):
+            self._end(now)
+            return
+        state = parts.view.state
+        if state is None or ticket.epoch is None:
+            return
+        if self._number <= parts.programs.last_accepted:  # a stream that continues after a goal counts as a new one
+            self._number = parts.numbers.next()
+        if self._decide(state, now) or now >= self._next_alive:
+            self._send(state, ticket.epoch, now)
+
+    def due(self, now: float) -> float:
+        """Returns the time of the next consideration [s]; infinite without a stream."""
+        if not self._alive(self._fitted, now):
+            return math.inf
+        next_search = math.inf if self._job is not None else self._next_search
+        return max(self._next_look, min(self._next_alive, next_search))
+
+    def park(self, now: float) -> None:
+        """Withdraws stages that have not begun, because the obstacles have changed."""
+        self._abandon(now)
+        state, ticket, admission = self._parts.view.state, self._ticket, self._parts.admission
+        if state is None or ticket is None or ticket.epoch is None or admission.stream_ended(ticket):
+            return
+        if self._alive(self._fitted, now) and self._number > self._parts.programs.last_accepted:
+            self._send(state, ticket.epoch, now)
+
+    def _send(self, state: ArmState, epoch: int, now: float) -> None:
+        """Sends the stages of the last search, or none if they no longer hold.
+
+        Stages are repeated during a search: a command without stages would withdraw those that have not begun.
+        """
+        self._next_alive = now + ALIVE_EVERY
+        stages = self._found[1] if self._found is not None and self._holds(self._found[0]) else ()
+        until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"[:LONGEST]
+        scene = self._parts.obstacles.scene
+        strict = scene is None or not scene.free
+        outputs = state.snapshot.outputs
+        self._parts.act(ToExecutor(Setpoint(self._number, epoch, outputs, stages, until, strict, reason)))
+
+    def _end(self, now: float) -> None:
+        """Ends the stream."""
+        self._abandon(now)
+        self._ticket, self._fitted = None, -math.inf
+        self._tracker.forget()
+
+    # --- searches
+
+    def _decide(self, state: ArmState, now: float) -> bool:
+        """Takes the answer of a search, or starts the next search; returns whether there are new stages."""
+        answer, self._answer = self._answer, None
+        if answer is not None and self._holds(answer[0]):
+            return self._use(*answer, now)
+        if self._job is None:
+            self._search(state, now)
+        return False
+
+    def _use(self, task: FollowSetpoint, answer: Followed, now: float) -> bool:
+        """Takes the stages of an answer; returns whether there are any."""
+        blocked = not answer.found or (bool(answer.note) and not answer.stages)
+        self._retry = self._next_search = now + (RETRY if blocked else POLL)
+        self._set_note(answer.note, now)
+        self._found = (task, answer.stages) if answer.stages else None
+        return bool(answer.stages)
+
+    def _search(self, state: ArmState, now: float) -> None:
+        """Starts a search from a state to the predicted goal, unless the arm stays or it is too early to decide."""
+        tables, scene, free_at = self._parts.locks.tables, self._parts.obstacles.scene, state.snapshot.free_at
+        self._next_search = max(free_at - self._searching - PERIOD, self._retry)
+        if tables is None or scene is None or now < self._next_search:
+            return
+        configuration = state.configuration
+        if configuration is None:
+            self._found = None
+            self._set_note(f", which is not possible now: {self._obstruction(state)}", now)
+            return
+        bias, tolerance = self._bias(now), self._tolerance
+        shift = np.zeros(self._dimension) if bias is None else bias
+        tip = self._parts.view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
+        lead = max(free_at - now, self._searching) + self._lead
+        goal = self._tracker.next_target(now + self._offset, lead, tip, tolerance)
+        if goal is None:
+            self._found = None
+            self._set_note("", now)
+            return
+        position, numbers = tuple((goal - shift).tolist()), None if bias is None else tuple(bias.tolist())
+        task = FollowSetpoint(state.start, position, tolerance, tables, scene, numbers)
+        self._job = self._parts.jobs.start(task, self._take_answer), task
+
+    def _take_answer(self, answer: Answer, _last: bool, now: float) -> None:
+        """Stores the answer of the search for the consideration at the end of this step."""
+        assert self._job is not None
+        (_, task), self._job = self._job, None
+        self._next_look = now
+        if isinstance(answer, Followed):
+            self._searching = running_mean(self._searching, answer.seconds)
+            self._answer = task, answer
+        elif isinstance(answer, Failed) and self._holds(task):
+            self._parts.act(Log(logging.ERROR, f"following failed, the arm holds: {answer.reason}"))
+            self._ticket = None
+
+    def _holds(self, task: FollowSetpoint) -> bool:
+        """Returns whether a task has the present tables, obstacles and start."""
+        state, tables, scene = self._parts.view.state, self._parts.locks.tables, self._parts.obstacles.scene
+        if state is None or tables is None or scene is None:
+            return False
+        same = (tables.generation, scene.generation) == (task.tables.generation, task.scene.generation)
+        return same and state.start == task.start
+
+    def _abandon(self, now: float) -> None:
+        """Abandons the search under way, and drops what was found."""
+        if self._job is not None:
+            self._parts.jobs.abandon(self._job[0], now)
+        self._job = self._answer = self._found = None
+
+    # --- what is told
+
+    def _obstruction(self, state: ArmState) -> str:
+        """Returns why the arm, which is in no known configuration, cannot follow."""
+        if state.unknown_state is not None:
+            return f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
+        mode, reason = self._parts.locks.mode()
+        return f"the arm is {mode}: {reason}"
+
+    def _set_note(self, note: str, now: float) -> None:
+        """Sets the note that `state` shows on the stream, at most once in NOTE_EVERY."""
+        if note != self._note and now >= self._next_note:
+            self._note, self._next_note = note, now + NOTE_EVERY
+
+    def _alive(self, last: float, now: float) -> bool:
+        """Returns whether the given time of the last set-point is within the time-out."""
+        return now - last <= self._timeout
+
+    def status(self, now: float) -> Payload:
+        """Returns the state of the stream for `diagnostics`."""
+        return {
+            "streams": self._streams,
+            "received": self._received,
+            "refused": self._refused,
+            "last_refusal": self._last_refusal,
+            "outliers": self._tracker.outliers,
+            "jumps": self._tracker.jumps,
+            "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard, now) else 0.0,
+            "alive": self._alive(self._fitted, now),
+        }
+
+
+def running_mean(mean: float, latest: float) -> float:
+    """Returns the running mean updated with the latest value."""
+    return mean + SMOOTHING * (latest - mean)

@@ -1,0 +1,223 @@
+"""The connection to the executor for a poll loop, without threads and locks."""
+
+import contextlib
+import logging
+import select
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from controller.planning.core.events import FromExecutor, LinkDown
+from controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hello, Malformed, Welcome, decode_up, encode
+
+log = logging.getLogger(__name__)
+
+RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
+SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read
+MOST_BEHIND = 1.0  # [s] that a message waits in the queue
+MOST_QUEUED = 1_000  # messages in the queue
+MOST_RECEIVED = 256  # packets in one call, so that a flood of them does not block the loop
+UNREAD = "the executor does not read its messages"
+
+
+class Connection:
+    """A connected socket. `shut` ends the connection at once; the socket is closed with the last reference.
+
+    A thread that sends holds a reference. Therefore the kernel cannot give the number of the socket to another file
+    while a thread is about to send to this number.
+    """
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+
+    def send(self, data: bytes) -> None:
+        """Sends one packet, which is atomic. For any thread.
+
+        Raises:
+            BlockingIOError: the socket is full.
+            OSError: the connection has ended.
+        """
+        self.socket.send(data, socket.MSG_NOSIGNAL)
+
+    def shut(self) -> None:
+        """Ends the connection."""
+        with contextlib.suppress(OSError):
+            self.socket.shutdown(socket.SHUT_RDWR)
+
+    def __del__(self) -> None:
+        if hasattr(self, "socket"):  # else there were too many open files
+            self.socket.close()
+
+
+class ExecutorLink:
+    """The connection to one executor. Belongs to the loop's thread; only `send_now` is for any thread.
+
+    Attributes:
+        retry_at: time of the next attempt to connect, while there is no connection [s].
+
+    Args:
+        path: of the socket, or a function that returns it for each attempt.
+        arm: name of the arm.
+        digest: SHA-256 of the arm's file, in hexadecimal.
+        clock: of the loop [s].
+    """
+
+    def __init__(
+        self,
+        path: Path | Callable[[], Path],
+        arm: str,
+        digest: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.retry_at = 0.0
+        self._path, self._arm, self._digest, self._clock = path, arm, digest, clock
+        self._connection: Connection | None = None
+        self._welcomed: Connection | None = None  # the same, after its Welcome
+        self._reason = "waiting for the executor"  # of the last LinkDown
+        self._received: list[FromExecutor | LinkDown] = []
+        self._queue: deque[tuple[float, bytes]] = deque()  # time and data of each message
+
+    def fileno(self) -> int:
+        """Returns the file descriptor to wait on; -1 without a connection."""
+        return -1 if self._connection is None else self._connection.socket.fileno()
+
+    @property
+    def sending(self) -> bool:
+        """Whether messages wait until the socket can be written; then call `flush`."""
+        return bool(self._queue)
+
+    @property
+    def pending(self) -> bool:
+        """Whether `receive` returns events even if the socket cannot be read."""
+        return bool(self._received)
+
+    def connect(self, now: float) -> None:
+        """Connects and sends Hello, at most every RETRY seconds; does nothing while there is a connection."""
+        if self._connection is not None or now < self.retry_at:
+            return
+        self.retry_at = now + RETRY
+        try:
+            connection = Connection()
+            connection.socket.connect(str(self._path() if callable(self._path) else self._path))
+            connection.send(encode(Hello(VERSION, "planner", self._arm)))
+        except OSError as error:
+            self._report(f"waiting for the executor at its socket: {error.strerror or error}")
+        except Exception:
+            if self._report("internal error, see the journal"):
+                log.exception("the link to the executor failed")
+        else:
+            self._connection = connection
+
+    def close(self) -> None:
+        """Ends the connection without an event; messages that were sent can still be read."""
+        if self._connection is not None:
+            self._connection.shut()
+        self._connection = self._welcomed = None
+        self._queue.clear()
+
+    def drop(self, reason: str) -> None:
+        """Ends the connection, if there is one; `receive` returns the LinkDown."""
+        if self._connection is not None:
+            self._report(reason)
+            self.close()
+            self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
+
+    # --- from the executor
+
+    def receive(self) -> list[FromExecutor | LinkDown]:
+        """Returns what has happened since the last call; never waits."""
+        for _ in range(MOST_RECEIVED):
+            if self._connection is None:
+                break
+            try:
+                data = self._connection.socket.recv(MOST_BYTES + 1)
+            except BlockingIOError:
+                break
+            except ConnectionResetError:  # the executor closed its end without reading all; its last messages follow
+                continue
+            except OSError as error:
+                self.drop(f"the connection to the executor is broken: {error}")
+                break
+            if (reason := self._accept(data)) is not None:
+                self.drop(reason)
+        received, self._received = self._received, []
+        return received
+
+    def _accept(self, data: bytes) -> str | None:
+        """Accepts a packet; returns why the connection must end."""
+        if not data:
+            return "the executor closed the connection"
+        try:
+            message = decode_up(data)
+        except Malformed as error:
+            return f"a message of the executor cannot be decoded, perhaps of another version: {error}"
+        match message:
+            case Goodbye():
+                return f"the executor refused this planner: {message.reason}"
+            case Welcome() if message.arm != self._arm:
+                return f"the executor drives the arm {message.arm!r}, not {self._arm!r}"
+            case Welcome() if message.digest != self._digest:
+                return "the executor was started with another version of the arm's file: restart it"
+            case Welcome():
+                self._welcomed = self._connection
+            case _:
+                pass
+        if self._welcomed is not None:
+            self._received.append(FromExecutor(message))
+        return None
+
+    def _report(self, reason: str) -> bool:
+        """Reports that there is no connection, if that is new; returns whether it is."""
+        new = self._welcomed is not None or reason != self._reason
+        if new:
+            self._received.append(LinkDown(reason))
+        self._reason = reason
+        return new
+
+    # --- to the executor
+
+    def send(self, message: Down) -> None:
+        """Sends a message, or queues it while the socket is full. Without a Welcome the message is dropped."""
+        if self._welcomed is not None:
+            self._queue.append((self._clock(), encode(message)))
+            self.flush()
+
+    def flush(self) -> None:
+        """Sends queued messages; drops the connection if the executor does not read."""
+        while self._queue and self._connection is not None:
+            try:
+                self._connection.send(self._queue[0][1])
+            except BlockingIOError:
+                if len(self._queue) > MOST_QUEUED or self._clock() - self._queue[0][0] > MOST_BEHIND:
+                    self.drop(UNREAD)
+                return
+            except OSError:  # `receive` finds the end, after the last messages
+                self._queue.clear()
+                return
+            self._queue.popleft()
+
+    def send_now(self, message: Down) -> str | None:
+        """Sends a message before all queued ones. For any thread; waits up to SEND_TIMEOUT for a full socket.
+
+        Returns:
+            why the message was not sent, None if it was.
+        """
+        connection = self._welcomed
+        if connection is None:
+            return self._reason
+        data = encode(message)
+        try:
+            with contextlib.suppress(BlockingIOError):
+                connection.send(data)
+                return None
+            writable = select.poll()
+            writable.register(connection.socket, select.POLLOUT)
+            writable.poll(SEND_TIMEOUT * 1000)
+            connection.send(data)
+        except BlockingIOError:
+            return UNREAD
+        except OSError as error:
+            return f"the connection to the executor is broken: {error}"
+        return None

@@ -1,0 +1,271 @@
+"""The loop around the planner's core: one thread that passes events to the core and carries out its actions."""
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+from controller.motion.codes import INVALID_GOAL
+from controller.planning.core.events import (
+    Abandon,
+    Action,
+    Answered,
+    Disconnect,
+    Event,
+    Fail,
+    Log,
+    Notify,
+    Payload,
+    Publish,
+    PublishResult,
+    Record,
+    RecordCounts,
+    Reply,
+    Request,
+    SetpointArrived,
+    Start,
+    Tick,
+    TipArrived,
+    ToExecutor,
+    Wake,
+    Warned,
+)
+from controller.planning.core.tasks import Failed
+from controller.planning.messages import CLOSING, refused
+from controller.planning.shell.inbox import Inbox
+from controller.planning.shell.link import ExecutorLink
+from controller.planning.shell.mailboxes import Mailboxes, Receive
+from controller.planning.shell.services import Core, Services
+from controller.program import Fault
+
+log = logging.getLogger(__name__)
+
+WARNINGS_EVERY = 0.25  # [s]
+
+OnReply = Callable[[Payload], None]
+Recorder = Callable[[Event, float, float, Sequence[Action] | None], None]
+
+
+class PlannerFailed(Exception):
+    """The process must end."""
+
+
+class Loop:
+    """Runs the core. For any thread.
+
+    An exception of the core ends the process, because its state may be wrong then. An exception in carrying out an
+    action is logged, and the next action follows.
+
+    Attributes:
+        ended: whether the core has ended and the executor has got all messages, or the loop does not run.
+
+    Args:
+        core: of the planner.
+        inbox: events of other threads; the loop is its reader.
+        link: to the executor; used by the loop's thread only.
+        services: carry out the actions.
+        recorder: takes each event, its times, and the actions, None after an exception; None: nobody records.
+        clocks: monotonic [s] and UNIX [s].
+    """
+
+    def __init__(
+        self,
+        core: Core,
+        inbox: Inbox,
+        link: ExecutorLink,
+        services: Services,
+        recorder: Recorder | None = None,
+        clocks: tuple[Callable[[], float], Callable[[], float]] = (time.monotonic, time.time),
+    ) -> None:
+        self.ended = threading.Event()
+        self.ended.set()
+        self._core, self._inbox, self._link, self._services = core, inbox, link, services
+        self._recorder, (self._clock, self._wall) = recorder, clocks
+        self._replies: dict[int, OnReply] = {}
+        self._mailboxes = Mailboxes()
+        self._wake, self._warnings_at = math.inf, 0.0
+        self._warned: tuple[Fault, ...] = ()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
+
+    def start(self) -> None:
+        """Starts the thread, which connects to the executor."""
+        self.ended.clear()
+        self._thread.start()
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Ends the thread, and refuses the requests that the core has not answered."""
+        self._closing = True
+        self._inbox.close()
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        for number in list(self._replies):
+            self._carry_out(Reply(number, refused(INVALID_GOAL, CLOSING)))
+
+    def request(self, request: Request, reply: OnReply) -> None:
+        """Posts a request; `reply` is called once, in the loop's thread, and must not wait."""
+        self._replies[request.number] = reply
+        self._inbox.post(request)
+
+    def post(self, event: Event) -> None:
+        """Posts an event; never waits."""
+        self._inbox.post(event)
+
+    def read(self, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
+        """Sets the mailbox of a kind of event: `receive` returns the latest payload, or None, and never waits."""
+        self._mailboxes.set(kind, receive)
+
+    # --- the thread
+
+    def _run(self) -> None:
+        try:
+            while not self._closing:
+                self._round()
+        except PlannerFailed as failure:
+            self._services.fatal(str(failure))
+        except BaseException as error:  # SystemExit too, which would end the thread without a word
+            log.critical("the planner failed", exc_info=True)
+            self._services.fatal(f"the planner failed: {error!r}")
+        finally:
+            self.ended.set()
+
+    def _round(self) -> None:
+        """Waits for events and handles them.
+
+        After the link was read, the posted events come before its messages: a request is posted before its stop is sent
+        to the executor, so that the core knows the request when the executor's answer comes.
+        """
+        ready = self._wait()
+        self._handle_posted()
+        self._link.connect(self._clock())
+        if self._link.sending:
+            self._link.flush()
+        if ready or self._link.pending:
+            messages = self._link.receive()
+            self._handle_posted()
+            self._step_all(messages)
+        self._handle_times()
+        if self._core.ended and not self._link.sending:
+            self.ended.set()
+
+    def _handle_posted(self) -> None:
+        """Handles the events posted so far."""
+        for _ in range(len(self._inbox.events)):
+            event = self._inbox.events.popleft()
+            if isinstance(event, Request):  # a set-point that waits has its place before a later request
+                self._step_all(self._mailboxes.look(self._clock()))
+            self._step(event)
+
+    def _wait(self) -> bool:
+        """Waits for events or the next time; returns whether the link is ready."""
+        due = min(self._wake, self._warnings_at, self._mailboxes.due)
+        if (number := self._link.fileno()) < 0:
+            due = min(due, self._link.retry_at)
+        timeout = 0.0 if self._link.pending else max(due - self._clock(), 0.0)
+        return self._inbox.wait(timeout, number, self._link.sending)
+
+    def _handle_times(self) -> None:
+        """Handles what is due."""
+        now = self._clock()
+        if now >= self._wake:
+            self._wake = math.inf
+            self._step(Tick())
+        if now >= self._mailboxes.due:
+            self._step_all(self._mailboxes.look(now))
+        if now >= self._warnings_at:
+            self._warnings_at = now + WARNINGS_EVERY
+            self._look_for_warnings()
+
+    def _look_for_warnings(self) -> None:
+        try:
+            warnings = self._services.warnings()
+        except Exception:
+            log.exception("the warnings are not known")
+            return
+        if warnings != self._warned:
+            self._warned = warnings
+            self._step(Warned(warnings))
+
+    # --- the core
+
+    def _step_all(self, events: Iterable[Event]) -> None:
+        for event in events:
+            self._step(event)
+
+    def _step(self, event: Event) -> None:
+        """Passes an event to the core and carries out the actions.
+
+        Raises:
+            PlannerFailed: the core wants the process to end.
+            Exception: of the core.
+        """
+        now, wall = self._clock(), self._wall()
+        actions: Sequence[Action] | None = None
+        try:
+            actions = self._core.step(event, now, wall)
+            for action in actions:
+                self._carry_out(action)
+        finally:
+            self._record(event, now, wall, actions)
+
+    def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
+        """Gives a step to the recorder, until the recorder fails."""
+        if self._recorder is not None:
+            try:
+                self._recorder(event, now, wall, actions)
+            except Exception:
+                self._recorder = None
+                log.exception("the recording of events has ended")
+
+    def _carry_out(self, action: Action) -> None:
+        """Carries out an action; logs its exception.
+
+        Raises:
+            PlannerFailed: the action is `Fail`.
+        """
+        try:
+            self._act(action)
+        except PlannerFailed:
+            raise
+        except Exception as error:
+            log.exception("the action %s failed", type(action).__name__)
+            if isinstance(action, Start):  # no worker will answer
+                self.post(Answered(action.number, Failed(repr(error)), True))
+
+    def _act(self, action: Action) -> None:
+        services = self._services
+        match action:
+            case Start(number, task):
+                services.workers.start(number, task)
+            case ToExecutor(message):
+                self._link.send(message)
+            case Reply(number, payload):
+                self._reply(number, payload)
+            case Publish(key, payload):
+                services.out.publish(key, payload)
+            case PublishResult():
+                services.out.publish_result(action)
+            case Record():
+                services.ledger.record(action)
+            case RecordCounts(counts):
+                services.ledger.counts(counts)
+            case Abandon(number):
+                services.workers.abandon(number)
+            case Disconnect(reason):
+                self._link.drop(reason)
+            case Wake(at):
+                self._wake = at
+            case Notify(text):
+                services.notifier.send(text)
+            case Log(level, text, fields):
+                log.log(level, "%s", text, extra={"journal": fields})
+            case Fail(reason):
+                raise PlannerFailed(reason)
+
+    def _reply(self, number: int, payload: Payload) -> None:
+        """Answers a request that was not answered before."""
+        if (reply := self._replies.pop(number, None)) is None:
+            log.error("request %d is not known, or was answered before", number)
+        else:
+            reply(payload)

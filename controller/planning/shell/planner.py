@@ -1,0 +1,185 @@
+"""The planner as the gateway uses it."""
+
+import itertools
+import time
+import uuid
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.config import Arm
+from controller.motion.pacing import pace_of
+from controller.notify import Notifier
+from controller.obstacles.obstacles import NONE
+from controller.planning.core.core import Beginning, Core
+from controller.planning.core.events import (
+    CancelMessage,
+    Ended,
+    Key,
+    Message,
+    OpenGoal,
+    Payload,
+    Quit,
+    Record,
+    Request,
+    SetpointArrived,
+    TipArrived,
+    Unsent,
+)
+from controller.planning.core.tasks import BuildScene, BuildTables
+from controller.planning.description import density, description, drawing, file
+from controller.planning.ledger import Ledger
+from controller.planning.published import PublishedResults
+from controller.planning.shell.inbox import Inbox
+from controller.planning.shell.link import ExecutorLink
+from controller.planning.shell.loop import Loop, OnReply, Recorder
+from controller.planning.shell.mailboxes import Receive
+from controller.planning.shell.requests import RequestDecoder
+from controller.planning.shell.services import Out, Services
+from controller.planning.workers.arm_model import build_tables
+from controller.planning.workers.keep_out import build_scene
+from controller.planning.workers.pool import Workers
+from controller.program import Cancel, Fault, Halt
+from controller.workspace.densities import Densities
+
+CANCELED = "canceled; the arm holds"
+LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
+
+
+class Outside(NamedTuple):
+    """What the planner needs from its process.
+
+    Attributes:
+        inbox: of the loop; the others post their events there.
+        ledger: of goals and switches.
+        published: marks of published results.
+        out: sends publications.
+        notifier: notifies systemd.
+        warnings: returns the active warnings of the clock, the network and the ledger.
+        fatal: ends the process with a message.
+    """
+
+    inbox: Inbox
+    ledger: Ledger
+    published: PublishedResults
+    out: Out
+    notifier: Notifier
+    warnings: Callable[[], tuple[Fault, ...]]
+    fatal: Callable[[str], None]
+
+
+class Planner:
+    """The core with its loop, workers and link. For any thread; all methods but `end_goals` and `close` return at once.
+
+    Args:
+        arm: with wiring.
+        densities: of the arm reduced by the actuators that its file declares stuck.
+        link: to the executor.
+        outside: what the planner needs from its process.
+        recorder: takes each step of the core; None: nobody records.
+    """
+
+    def __init__(
+        self, arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: Recorder | None = None
+    ) -> None:
+        self._arm, self._densities, self._link = arm, densities, link
+        self._decoder, self._description = RequestDecoder(arm), description(arm)
+        self._numbers = itertools.count(1)
+        known = outside.ledger.known()
+        weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
+        self._workers = Workers(arm, densities, weights, outside.inbox.post, outside.fatal)
+        locked = arm.locked.astype(np.uint8).tobytes()
+        tables = build_tables(arm, densities, weights, BuildTables(0, locked)).tables
+        built = build_scene(arm, BuildScene(0, NONE))
+        beginning = Beginning(
+            uuid.uuid4().hex[:8],
+            tables,
+            built.scene,
+            built.total,
+            known,
+            outside.published.known(),
+            tuple(self._owed(outside)),
+        )
+        services = Services(
+            self._workers, outside.ledger, outside.out, outside.notifier, outside.warnings, outside.fatal
+        )
+        core = Core(arm, pace_of(arm.settings), beginning)
+        self._loop = Loop(core, outside.inbox, link, services, recorder)
+
+    def _owed(self, outside: Outside) -> Iterator[OpenGoal]:
+        """Yields the goals without a result; records the results that were published and not recorded before a kill."""
+        for goal in outside.ledger.owed():
+            if (mark := outside.published.find(goal.identity)) is None:
+                yield goal
+            else:
+                ended = Ended(time.time(), mark.status, mark.code, mark.message, mark.switches)
+                outside.ledger.record(Record(0, goal.identity, None, ended))
+
+    def start(self) -> None:
+        """Starts the loop, which connects to the executor."""
+        self._loop.start()
+
+    def end_goals(self) -> None:
+        """Ends the running goal, and waits for its result; the executor stays connected."""
+        self._loop.post(Quit())
+        self._loop.ended.wait(LAST_RESULTS)
+
+    def close(self) -> None:
+        """Ends goals, the loop, and the connection to the executor."""
+        self.end_goals()
+        self._loop.close()
+        self._link.close()
+        self._workers.close()
+
+    # --- requests
+
+    def decode(self, key: Key, payload: bytes) -> Message:
+        """Returns the content of a request; see `RequestDecoder.decode`.
+
+        Raises:
+            Refusal: the payload is invalid.
+        """
+        return self._decoder.decode(key, payload)
+
+    def request(self, key: Key, message: Message, reply: OnReply) -> None:
+        """Posts a request. A stop, or a cancel without an id, goes to the executor before this method returns.
+
+        Simultaneous requests of several threads may reach the core in another order than their numbers.
+
+        Args:
+            key: of the interface.
+            message: of `decode`.
+            reply: takes the answer, once, in the loop's thread; must not wait.
+        """
+        number = next(self._numbers)
+        self._loop.request(Request(number, key, message, time.time()), reply)
+        if key == "stop":
+            reason = self._link.send_now(Halt(number))
+        elif key == "cancel" and message == CancelMessage():
+            reason = self._link.send_now(Cancel(number, None, CANCELED))
+        else:
+            return
+        if reason is not None:
+            self._loop.post(Unsent(number, reason))
+
+    def read_setpoints(self, receive: Receive) -> None:
+        """Sets the mailbox of set-points: `receive` returns the latest, or None, and never waits."""
+        self._loop.read(SetpointArrived, receive)
+
+    def read_measured_tips(self, receive: Receive) -> None:
+        """Sets the mailbox of measured tips; see `read_setpoints`."""
+        self._loop.read(TipArrived, receive)
+
+    def description(self, wanted: Collection[str] = ()) -> Payload:
+        """Returns the parts of the payload of `arm` that do not change.
+
+        Args:
+            wanted: parts to include besides: "drawing", "file", "density".
+        """
+        made: dict[str, Callable[[], Payload | None]] = {
+            "drawing": lambda: drawing(self._arm),
+            "file": lambda: file(self._arm),
+            "density": lambda: density(self._densities, planar=self._arm.manipulator.planar),
+        }
+        return {**self._description, **{name: make() for name, make in made.items() if name in wanted}}

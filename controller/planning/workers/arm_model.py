@@ -1,0 +1,117 @@
+"""What one worker knows of the arm: its pace, packed states, and the solver that avoids the present obstacles."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.manipulator.locked import lock_actuators, transferred
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.motion.pacing import pace_of
+from controller.motion.program import pack_states, unpack_states
+from controller.planning.core.tasks import ArmStart, BuildTables, Scene, Tables, TablesBuilt
+from controller.search.solver import Solver
+from controller.workspace.densities import Densities
+from controller.workspace.mapping import map_densities
+
+States = NDArray[np.uint8]
+
+# Called between two parts of a task. Raises Abandoned if the task is no longer needed, Refusal if its time is over.
+Proceed = Callable[[], None]
+
+
+class Abandoned(Exception):
+    """A task is no longer needed."""
+
+
+class Solvers(NamedTuple):
+    """Solvers with the same tables, one for each worker that searches; `Tables.solvers`."""
+
+    goals: Solver
+    queries: Solver
+    setpoints: Solver
+
+
+class ArmModel:
+    """The arm for one worker. Not thread-safe, because the memory of its solver is not.
+
+    Attributes:
+        arm: the whole arm.
+        pace: of its transitions.
+
+    Args:
+        arm: the whole arm.
+        worker: which of the solvers is used.
+    """
+
+    def __init__(self, arm: Arm, worker: Literal["goals", "queries", "setpoints"]) -> None:
+        self.arm, self.pace, self._worker = arm, pace_of(arm.settings), worker
+        self._generations = (-1, -1)  # of tables and obstacles of the latest solver
+        self._solver: Solver | None = None
+
+    def solver(self, tables: Tables, scene: Scene) -> Solver:
+        """Returns the solver of the reduced arm that avoids the obstacles of a scene."""
+        generations = tables.generation, scene.generation
+        if self._solver is None or generations != self._generations:
+            self._solver, self._generations = self._avoiding(getattr(tables.solvers, self._worker), scene), generations
+        return self._solver
+
+    def _avoiding(self, solver: Solver, scene: Scene) -> Solver:
+        if scene.free:
+            return solver
+        clearance, manipulator = scene.keep_out.clearance, solver.manipulator
+        if manipulator is not clearance.manipulator:
+            clearance = self.arm.clearance(manipulator, scene.keep_out.sent)
+        return solver.avoiding(clearance)
+
+    def unpack(self, packed: bytes) -> States:
+        """Returns packed actuator states as an array (A,)."""
+        return unpack_states(packed, len(self.arm.manipulator.actuators))
+
+    def pack(self, start: ArmStart, stages: States) -> list[bytes]:
+        """Returns stages (k, A) packed for the executor; locked actuators keep their bits of the outputs."""
+        if any(start.locked):
+            stages = np.where(self.unpack(start.locked), self.unpack(start.outputs), stages)
+        return pack_states(stages)
+
+    def configuration(self, start: ArmStart, reduced: Manipulator) -> Configuration:
+        """Returns the configuration (B,) of the reduced arm to plan from.
+
+        Raises:
+            Refusal: the states spell no configuration, or none of the reduced arm.
+        """
+        whole = self.arm.manipulator
+        try:
+            configuration = whole.configuration(self.unpack(start.states))
+        except ValueError as error:
+            words = f"unknown state: what the boards measure is no configuration: {error}"
+            raise Refusal(INVALID_GOAL, f"{words}; switch single actuators with `jog`") from None
+        try:
+            return transferred(configuration, whole, reduced)
+        except ValueError:
+            raise Refusal(INVALID_GOAL, "the locked actuators are changing, send it again") from None
+
+
+def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: BuildTables) -> TablesBuilt:
+    """Returns the solvers for locked states.
+
+    Args:
+        arm: the whole arm.
+        densities: of the arm reduced by the locked states of its file. Other densities are mapped, which takes seconds.
+        weights: cost of a switch of each actuator, shape (A,).
+        task: with the locked states.
+
+    Raises:
+        ValueError: a module has no state with its actuators locked so.
+    """
+    locked = np.frombuffer(task.locked, dtype=np.int8)  # 255 becomes -1
+    reduced = arm.reduced
+    if not np.array_equal(locked, arm.locked):
+        reduced = lock_actuators(arm.manipulator, locked)
+        densities = map_densities(reduced, arm.pixel, arm.level_pixels)
+    goals = Solver(reduced, densities, weights)
+    goals.prepare()
+    return TablesBuilt(Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another())))

@@ -1,0 +1,109 @@
+"""Collision checks of stages among the obstacles between two changes, and the tasks that ask for them."""
+
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.motion.program import unpack_states
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.obstacles import NONE, Obstacles
+from controller.obstacles.sweep import sweep_of
+from controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding, Scene, SceneBuilt
+
+log = logging.getLogger(__name__)
+
+States = NDArray[np.uint8]
+
+REMEMBERED = 20_000  # results of stage checks
+
+
+@dataclass(frozen=True, eq=False)
+class KeepOutSet:
+    """The obstacles between two changes, with the results of stage checks among them; `Scene.keep_out`. For any thread.
+
+    Attributes:
+        generation: grows with each change.
+        clearance: of the whole arm.
+        sent: the obstacles that were sent, without those of the arm's file.
+    """
+
+    generation: int
+    clearance: Clearance
+    sent: Obstacles = NONE
+    _known: dict[bytes, str | None] = field(init=False, default_factory=dict)
+
+    @property
+    def free(self) -> bool:
+        """Whether there is nothing to collide with."""
+        return self.clearance.free
+
+    def first_collision(
+        self, states: States, stages: Iterable[States], proceed: Callable[[], None] = lambda: None
+    ) -> str | None:
+        """Returns the first collision of consecutive stages, in words; None if all are clear.
+
+        The first check of a stage takes up to a third of a second.
+
+        Args:
+            states: actuator states before, shape (A,).
+            stages: actuator states after each stage, each of shape (A,).
+            proceed: called before each stage; it raises if the check is no longer needed.
+        """
+        for stage in () if self.free else stages:
+            proceed()
+            if (words := self._collision(states, stage)) is not None:
+                return words
+            states = stage
+        return None
+
+    def collision_at(self, measured: NDArray[np.int8] | States) -> str | None:
+        """Returns the collision in measured states (A,), in words; None if there is none or a state is unknown."""
+        if self.free:
+            return None
+        try:
+            standing = self.clearance.manipulator.configuration(measured)
+        except ValueError:
+            return None
+        return self.clearance.where(standing)
+
+    def _collision(self, states: States, stage: States) -> str | None:
+        key = np.concatenate([states, stage]).astype(np.uint8).tobytes()
+        if (known := self._known.get(key, "")) != "":
+            return known
+        try:
+            sweep = sweep_of(self.clearance)
+            touch = sweep.first_collision(states.astype(np.uint8), np.flatnonzero(states != stage))
+            words = None if touch is None else sweep.describe(touch)
+        except Exception as error:
+            log.exception("a stage cannot be checked for collisions")
+            words = f"a collision check failed: {error!r}"
+        if len(self._known) >= REMEMBERED:
+            self._known.clear()
+        self._known[key] = words
+        return words
+
+
+def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:
+    """Returns the scene of the obstacles of the arm's file and those sent."""
+    keep_out = KeepOutSet(task.generation, arm.clearance(others=task.obstacles), task.obstacles)
+    scene = Scene(task.generation, keep_out.free, keep_out)
+    return SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))
+
+
+def check_stages(task: CheckStages, proceed: Callable[[], None]) -> Checked:
+    """Returns the first collision of consecutive stages; `proceed` is called before each."""
+    keep_out: KeepOutSet = task.scene.keep_out
+    actuators = len(keep_out.clearance.manipulator.actuators)
+    before, stages = unpack_states(task.before, actuators), (unpack_states(stage, actuators) for stage in task.stages)
+    return Checked(keep_out.first_collision(before, stages, proceed))
+
+
+def check_standing(task: CheckStanding) -> Checked:
+    """Returns the collision of the arm at rest; None if its states spell no configuration."""
+    keep_out: KeepOutSet = task.scene.keep_out
+    actuators = len(keep_out.clearance.manipulator.actuators)
+    return Checked(keep_out.collision_at(unpack_states(task.states, actuators)))

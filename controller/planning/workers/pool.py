@@ -1,0 +1,185 @@
+"""The threads that carry out the tasks of the planner's core."""
+
+import logging
+import queue
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.motion.codes import Refusal
+from controller.planning.core.events import Answered, Event
+from controller.planning.core.tasks import (
+    Answer,
+    BuildScene,
+    BuildTables,
+    CheckStages,
+    CheckStanding,
+    DescribePlan,
+    Done,
+    Failed,
+    FollowSetpoint,
+    ImprovePlan,
+    PlanGoal,
+    PrepareSearch,
+    Refused,
+    Task,
+)
+from controller.planning.workers.arm_model import Abandoned, ArmModel, build_tables
+from controller.planning.workers.descriptions import describe
+from controller.planning.workers.goal_plans import plan_goal, prepare_search
+from controller.planning.workers.improvement import improve
+from controller.planning.workers.keep_out import build_scene, check_stages, check_standing
+from controller.planning.workers.setpoints import follow
+from controller.workspace.densities import Densities
+
+log = logging.getLogger(__name__)
+
+THREADS: dict[str, tuple[type[Task], ...]] = {
+    "goals": (PlanGoal, ImprovePlan, PrepareSearch),
+    "queries": (DescribePlan,),
+    "setpoints": (FollowSetpoint,),
+    "checks": (CheckStages, CheckStanding, BuildScene),
+    "tables": (BuildTables,),
+}
+
+
+@dataclass(eq=False)
+class QueuedTask:
+    """A task with its number. `abandoned` is set by the core's thread, and read by the worker's."""
+
+    number: int
+    task: Task
+    abandoned: bool = False
+
+    def proceed(self) -> None:
+        """Checks that the task is still needed.
+
+        Raises:
+            Abandoned: it is not.
+        """
+        if self.abandoned:
+            raise Abandoned
+
+
+class Workers:
+    """Carries out tasks, each kind in a thread of its own. All methods are for one thread; only `close` waits.
+
+    Each task is answered by `Answered`; its last answer is marked.
+
+    Args:
+        arm: the arm.
+        densities: of the arm reduced by the actuators that its file declares stuck.
+        weights: cost of a switch of each actuator, shape (A,).
+        post: takes the answers; called from the workers' threads.
+        fatal: takes the reason if a thread has ended unexpectedly, so that the process must end.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        densities: Densities,
+        weights: NDArray[np.float64],
+        post: Callable[[Event], None],
+        fatal: Callable[[str], None],
+    ) -> None:
+        """Starts the threads."""
+        self._arm, self._densities, self._weights, self._post, self._fatal = arm, densities, weights, post, fatal
+        self._for_goals, self._for_queries = ArmModel(arm, "goals"), ArmModel(arm, "queries")
+        self._for_setpoints = ArmModel(arm, "setpoints")
+        self._queued: dict[int, QueuedTask] = {}  # not answered; a worker removes its own
+        self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in THREADS}
+        self._queue_of = {kind: self._queues[name] for name, kinds in THREADS.items() for kind in kinds}
+        self._threads = [
+            threading.Thread(target=self._run, args=(name,), name=name, daemon=True) for name in self._queues
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def start(self, number: int, task: Task) -> None:
+        """Queues a task. It waits for those of the same thread before it: abandon what is less urgent."""
+        self._queued[number] = queued = QueuedTask(number, task)
+        self._queue_of[type(task)].put(queued)
+
+    def abandon(self, number: int) -> None:
+        """Lets a task end soon; a task that has not begun is answered by `Done` when its turn comes."""
+        if (queued := self._queued.get(number)) is not None:
+            queued.abandoned = True
+
+    def waiting(self) -> int:
+        """Returns the number of tasks that wait for their threads."""
+        return sum(waiting.qsize() for waiting in self._queues.values())
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Abandons all tasks and ends the threads; one that does not end in time [s] ends with the process."""
+        for queued in list(self._queued.values()):
+            queued.abandoned = True
+        for waiting in self._queues.values():
+            waiting.put(None)
+        until = time.monotonic() + timeout
+        for thread in self._threads:
+            thread.join(max(until - time.monotonic(), 0.0))
+
+    # --- the workers' threads
+
+    def _run(self, name: str) -> None:
+        try:
+            while (queued := self._queues[name].get()) is not None:
+                for answer, last in self._answers(queued):
+                    if last:
+                        self._queued.pop(queued.number, None)
+                    self._post(Answered(queued.number, answer, last))
+        except BaseException as error:  # SystemExit too, which would end a thread without a word
+            log.critical("the thread for %s has ended", name, exc_info=True)
+            self._fatal(f"the planner's thread for {name} has ended: {error!r}")
+
+    def _answers(self, queued: QueuedTask) -> Iterator[tuple[Answer, bool]]:
+        """Yields the answers to a task, and whether each is the last one; no Exception leaves it."""
+        last: Answer = Done()
+        try:
+            queued.proceed()
+            answer = self._perform(queued)
+            if isinstance(answer, Iterator):
+                for part in answer:
+                    yield part, False
+            else:
+                last = answer
+        except Abandoned:
+            pass
+        except Refusal as refusal:
+            last = Refused(refusal.code, str(refusal))
+        except Exception as error:
+            log.exception("the task %s failed", type(queued.task).__name__)
+            last = Failed(traceback.format_exception_only(error)[-1].strip())
+        yield last, True
+
+    def _perform(self, queued: QueuedTask) -> Answer | Iterator[Answer]:
+        match task := queued.task:
+            case PlanGoal():
+                return plan_goal(self._for_goals, task, queued.proceed)
+            case ImprovePlan():
+                return improve(self._for_goals, task, queued.proceed)
+            case PrepareSearch():
+                return prepare_search(self._for_goals, task, queued.proceed)
+            case DescribePlan():
+                return describe(self._for_queries, task, queued.proceed, lambda: self._hurry(queued))
+            case FollowSetpoint():
+                return follow(self._for_setpoints, task)
+            case CheckStages():
+                return check_stages(task, queued.proceed)
+            case CheckStanding():
+                return check_standing(task)
+            case BuildScene():
+                return build_scene(self._arm, task)
+            case BuildTables():
+                return build_tables(self._arm, self._densities, self._weights, task)
+
+    def _hurry(self, queued: QueuedTask) -> bool:
+        """Returns whether a query must end early: it is abandoned, a goal is planned, or another query waits."""
+        goal = any(isinstance(other.task, PlanGoal) for other in list(self._queued.values()))
+        return queued.abandoned or goal or not self._queues["queries"].empty()

@@ -1,0 +1,146 @@
+"""Switches, cost, bound and certificate of a plan are of the stages that it carries out, those of detours included."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion import point_by_point, stage_sequencer
+from controller.motion.codes import Refusal
+from controller.motion.pacing import Pace
+from controller.motion.plan import Plan
+from controller.motion.point_by_point import plan
+from controller.motion.trajectory import Trajectory, through
+from controller.motion.whole import look_ahead, plan_whole
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.obstacles import NONE, sphere
+from controller.search.solution import EPSILON
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+from tests.arms import every_configuration
+from tests.obstacles.moving import arm, hinge, truss
+
+HINGES = arm([hinge(0.0, 2.4, 1.0), hinge(0.0, 2.4, 1.0)])
+POST = Clearance(HINGES, sphere("disc 'post'", (0.29, 1.675), 0.1))
+FOLDED, TURNED = np.array([0, 0]), np.array([1, 0])  # on the way the second hinge must fold past the post, and back
+WEIGHTS = (2.0, 3.0)
+DETOUR = 2.0 + 2 * 3.0
+
+TRUSSES = arm([truss("BC" if k % 2 == 0 else "AD", 0.2, 0.2, 0.25) for k in range(3)])
+EVERY = every_configuration(TRUSSES)
+TIPS = TRUSSES.tips(EVERY)[:, :2, 3]
+TOLERANCE = 0.03
+PATIENT = 60.0  # [s], so that a busy machine finds as much as an idle one
+
+
+@pytest.fixture(autouse=True, scope="module")
+def patient() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage_sequencer, "DETOUR_TIME", PATIENT)
+        patch.setattr(point_by_point, "DETOUR_TIME", PATIENT)
+        patch.setattr(point_by_point, "ALTERNATIVE_TIME", PATIENT)
+        yield
+
+
+@pytest.fixture(scope="module")
+def hinges() -> Solver:
+    return Solver(HINGES, map_densities(HINGES, 0.05, 10_000), WEIGHTS, POST)
+
+
+@pytest.fixture(scope="module")
+def trusses() -> Solver:
+    return Solver(TRUSSES, map_densities(TRUSSES, 0.01, 10_000), 1.0 + np.arange(9) % 3)
+
+
+def goals_at(manipulator: Manipulator, *configurations: Configuration, fixed: bool = False) -> Trajectory:
+    tips = manipulator.tips(configurations)[:, :2, 3]
+    trajectory = through(np.arange(float(len(tips))), tips, 0.01)
+    states = {k: manipulator.actuator_states(c) for k, c in enumerate(configurations)}
+    return replace(trajectory, fixed=states) if fixed else trajectory
+
+
+def carried_out(manipulator: Manipulator, start: Configuration, found: Plan) -> list[np.ndarray]:
+    """How often each actuator switches on the way to each point, shape (A,) each."""
+    counts, before = [], manipulator.actuator_states(start)
+    for transition in found.transitions:
+        rows = np.vstack([before, transition.stages]).astype(int)
+        counts.append(np.abs(np.diff(rows, axis=0)).sum(axis=0))
+        before = transition.stages[-1]
+    return counts
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_detour_is_counted_in_switches_and_cost_and_is_not_optimal(hinges: Solver, fixed: bool) -> None:
+    found = plan(
+        hinges, goals_at(HINGES, TURNED, fixed=fixed), FOLDED, "minimum-switch", pace=Pace(0.06), seconds=PATIENT
+    )
+    (solution,) = found.solutions
+    assert solution.configuration.tolist() == TURNED.tolist()
+    assert (solution.switches, solution.cost) == (found.switches, found.cost) == (3, DETOUR)
+    assert (found.certificate, found.bound) == (solution.certificate, solution.bound) == ("bound", 2.0)
+
+
+def test_a_whole_plan_is_not_optimal_because_its_configurations_are(hinges: Solver) -> None:
+    found = plan_whole(hinges, goals_at(HINGES, TURNED), FOLDED, "minimum-switch", Pace(0.06), PATIENT)
+    assert (found.switches, found.cost, found.bound, found.certificate) == (3, DETOUR, 2.0, "bound")
+    assert found.solutions[0].proof() == found.proof()
+
+
+def test_a_detour_after_the_first_point_is_counted(hinges: Solver) -> None:
+    goals = goals_at(HINGES, FOLDED, TURNED, TURNED)
+    found = plan_whole(hinges, goals, FOLDED, "minimum-switch", Pace(0.06), PATIENT)
+    assert [solution.switches for solution in found.solutions] == [0, 3, 0]
+    assert [solution.certificate for solution in found.solutions] == ["optimal", "bound", "optimal"]
+    assert (found.switches, found.cost, found.certificate) == (3, DETOUR, "bound")
+
+
+def test_a_fixed_configuration_reached_without_a_detour_is_optimal(hinges: Solver) -> None:
+    free = hinges.avoiding(None)
+    found = plan(free, goals_at(HINGES, TURNED, fixed=True), FOLDED, "minimum-switch", pace=Pace(0.06), seconds=PATIENT)
+    assert (found.switches, found.cost, found.certificate) == (1, 2.0, "optimal")
+
+
+def test_a_waypoint_keeps_its_proof_when_others_change(trusses: Solver) -> None:
+    rng = np.random.default_rng(4)
+    start, *points = EVERY[rng.integers(len(EVERY), size=4)]
+    goals = goals_at(TRUSSES, *points)
+    found = plan(trusses, goals, start, "minimum-switch", pace=Pace(0.06), seconds=PATIENT)
+    same = found.improved(trusses, Pace(0.06), 0, [s.configuration for s in found.solutions], start)
+    assert [s.proof() for s in same.solutions] == [s.proof() for s in found.solutions]
+    other = found.improved(trusses, Pace(0.06), 0, [points[0]], start)
+    assert other.solutions[0].bound == found.solutions[0].bound
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.booleans(), st.sampled_from([None, 2]), st.integers(1, 3))
+def test_a_plan_is_what_it_says(trusses: Solver, seed: int, among: bool, inrush: int | None, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    centre = TIPS[rng.integers(len(TIPS))] + rng.normal(0, 0.1, 2)
+    clearance = Clearance(TRUSSES, sphere("disc", centre, 0.06) if among else NONE)
+    solver, free = trusses.avoiding(clearance if among else None), EVERY[~clearance.blocked(EVERY)]
+    start, *points = free[rng.integers(len(free), size=1 + count)]
+    goals = through(np.arange(float(count)), TRUSSES.tips(points)[:, :2, 3], TOLERANCE)
+    try:
+        found = plan(solver, goals, start, "minimum-switch", pace=Pace(0.06, inrush), seconds=PATIENT)
+    except Refusal:
+        return
+    for each in (found, look_ahead(solver, found, start, Pace(0.06, inrush))):
+        before = start
+        for k, (solution, counts) in enumerate(zip(each.solutions, carried_out(TRUSSES, start, each), strict=True)):
+            assert solution.switches == counts.sum()
+            assert solution.cost == pytest.approx((solver.weights * TRUSSES.per_module(counts)).sum())
+            near = np.linalg.norm(TRUSSES.tips(free)[:, :2, 3] - goals.positions[k], axis=1) <= TOLERANCE
+            least = solver.cost(free[near], before).min()
+            assert solution.bound <= least * (1 + EPSILON)
+            assert solution.certificate != "optimal" or solution.cost <= least * (1 + EPSILON)
+            before = solution.configuration
+        assert each.switches == sum(solution.switches for solution in each.solutions)
+        assert each.cost == pytest.approx(sum(solution.cost for solution in each.solutions))
+        assert each.certificate != "optimal" or each.cost <= each.bound * (1 + EPSILON)
+        if count == 1:
+            assert each.bound <= least * (1 + EPSILON)
+            assert each.proof() == each.solutions[0].proof()

@@ -1,0 +1,428 @@
+"""The planner's core on a simulated clock: workers that compute at once, and an executor that the test plays."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from controller.config import Arm
+from controller.motion.codes import Refusal
+from controller.motion.pacing import pace_of
+from controller.obstacles.obstacles import NONE
+from controller.planning.core.core import Beginning, Core
+from controller.planning.core.events import (
+    Abandon,
+    Action,
+    Answered,
+    CancelMessage,
+    Disconnect,
+    Event,
+    Fail,
+    FromExecutor,
+    LinkDown,
+    Log,
+    Publish,
+    Published,
+    PublishResult,
+    Quit,
+    Record,
+    RecordCounts,
+    Recorded,
+    Reply,
+    Request,
+    Start,
+    Tick,
+    ToExecutor,
+    Wake,
+)
+from controller.planning.core.messages import refused
+from controller.planning.core.tasks import (
+    Answer,
+    BuildScene,
+    BuildTables,
+    Done,
+    Failed,
+    ImprovePlan,
+    PrepareSearch,
+    Task,
+)
+from controller.planning.shell.requests import RequestDecoder
+from controller.planning.workers.arm_model import ArmModel, build_tables
+from controller.planning.workers.descriptions import describe
+from controller.planning.workers.goal_plans import plan_goal
+from controller.planning.workers.improvement import improve
+from controller.planning.workers.keep_out import build_scene, check_stages, check_standing
+from controller.planning.workers.setpoints import follow
+from controller.program import (
+    Accepted,
+    Alive,
+    Begun,
+    Cancel,
+    Counts,
+    Declined,
+    Down,
+    Ended,
+    Halt,
+    Program,
+    Settled,
+    Snapshot,
+    Up,
+    Welcome,
+    pack,
+    unpack,
+)
+from controller.program import (
+    Answer as ExecutorAnswer,
+)
+from controller.workspace.densities import Densities
+
+T = TypeVar("T", bound=Down)
+
+FAR = 1e9  # [s], so far ahead that look-ahead never decides a point early
+
+
+class PlayedExecutor:
+    """The executor, played by the test.
+
+    Attributes:
+        state: the latest snapshot; `show` changes and sends it.
+        messages: of the planner, but keep-alives and counts.
+    """
+
+    def __init__(self, desk: Desk, actuators: int) -> None:
+        self._desk, self.actuators, self.instance = desk, actuators, 1
+        full, none = (1 << actuators) - 1, bytes((actuators + 7) // 8)
+        known = pack(full, actuators)
+        self.state = Snapshot(
+            desk.now, "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
+        )
+        self.messages = deque[Down]()
+        self._results = 0
+
+    def greet(self, greatest: int = 0) -> None:
+        """Accepts the planner, and shows the arm."""
+        self.send(Welcome(1, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
+        self.show()
+
+    def expect(self, kind: type[T], *passing: type[Any]) -> T:
+        """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
+        while self.messages:
+            message = self.messages.popleft()
+            if isinstance(message, kind):
+                return message
+            assert isinstance(message, passing), f"{message} came where {kind.__name__} was expected"
+        raise AssertionError(f"no {kind.__name__} came")
+
+    def nothing(self, kind: type[Any]) -> bool:
+        """Whether no message of a kind has come."""
+        return not any(isinstance(message, kind) for message in self.messages)
+
+    def send(self, message: Up) -> None:
+        self._desk.post(FromExecutor(message))
+
+    def show(self, **changes: Any) -> None:
+        """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""
+        if isinstance(bits := changes.get("outputs"), int):
+            changes["outputs"] = pack(bits, self.actuators)
+        if "outputs" in changes and "measured" not in changes:
+            changes["measured"] = changes["outputs"]
+        self.state = msgspec.structs.replace(self.state, at=self._desk.now, **changes)
+        self.send(self.state)
+
+    def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
+        """Answers a request as the executor does: it begins a new epoch if needed, and sends a snapshot."""
+        ends = not isinstance(message, Cancel) or message.program is None
+        self.send(ExecutorAnswer(message.request, accepted, text))
+        self.show(epoch=self.state.epoch + (ends and accepted), **changes)
+
+    def accept(self, program: Program) -> None:
+        self.send(Accepted(program.program, program.begin or self._desk.now))
+        self.show(mode="executing", reason=program.name, program=program.program)
+
+    def decline(self, program: Program, cause: Any, reason: str = "because") -> None:
+        self.send(Declined(program.program, cause, reason))
+
+    def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
+        """Carries out a stage of a program, and settles its mark if it has one."""
+        states = program.stages[stage]
+        self.send(Begun(program.program, stage, switches))
+        self.show(outputs=states.states, measured=measured or states.states)
+        if states.mark >= 0:
+            at = measured or states.states
+            self.send(Settled(program.program, states.mark, at, self.state.known, switches, 1, True))
+
+    def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
+        """Sends the result of a program."""
+        self._results += 1
+        ended = Ended(
+            self._results,
+            program.program,
+            program.context,
+            status,
+            message,
+            fields.get("mark", program.stages[-1].mark),
+            fields.get("switches", 1),
+            fields.get("measured", self.state.measured),
+            self.state.known,
+            fields.get("travels", ()),
+        )
+        self.send(ended)
+        self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
+        return ended
+
+
+class Inbox:
+    """What clients receive, in order."""
+
+    def __init__(self) -> None:
+        self.payloads = deque[tuple[str, dict[str, Any]]]()
+
+    def put(self, key: str, payload: Any) -> None:
+        self.payloads.append((key, dict(payload)))
+
+    def next(self, key: str) -> dict[str, Any]:
+        """Returns the next payload, and checks its key."""
+        assert self.payloads, f"no {key} came"
+        came, payload = self.payloads.popleft()
+        assert came == key, f"{came} {payload} came where {key} was expected"
+        return payload
+
+    @property
+    def empty(self) -> bool:
+        return not self.payloads
+
+
+class Desk:
+    """A core with all that surrounds it.
+
+    Attributes:
+        now: monotonic time [s].
+        wall: UNIX time [s].
+        inbox: answers, feedback and results.
+        published: the latest `state` and `diagnostics`.
+        entries: what the ledger has recorded.
+        logs: lines of the log.
+        failures: sentences with which the process would have ended.
+        held: kinds of tasks that are not answered, until `release`.
+        failing: kinds of tasks that fail.
+        storing: whether results are noted as published, and entries as recorded, at once.
+
+    Args:
+        arm: the arm.
+        densities: of it.
+        published: programs whose results were published before.
+        owed: goals that earlier planner processes accepted.
+    """
+
+    def __init__(self, arm: Arm, densities: Densities, published: Any = (), owed: Any = ()) -> None:
+        self.arm, self.now, self.wall = arm, FAR, 2 * FAR
+        self.inbox, self.published, self.entries = Inbox(), dict[str, Any](), list[tuple[Any, ...]]()
+        self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
+        self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
+        self._densities, self._decode = densities, RequestDecoder(arm).decode
+        self._events, self._queued = deque[Event](), dict[int, Task]()
+        self._names, self._numbers, self._wake = dict[int, str](), 0, float("inf")
+        self._weights = arm.weights({})
+        locked = arm.locked.astype(np.uint8).tobytes()
+        tables = build_tables(arm, densities, self._weights, BuildTables(0, locked)).tables
+        built = build_scene(arm, BuildScene(0, NONE))
+        self._models = {kind: ArmModel(arm, kind) for kind in ("goals", "queries", "setpoints")}  # type: ignore[arg-type]
+        self.beginning = Beginning("t", tables, built.scene, built.total, self.counts, published, owed)
+        self.core = Core(arm, pace_of(arm.settings), self.beginning)
+        self.executor = PlayedExecutor(self, len(arm.manipulator.actuators))
+        self._waiting = list[Action]()  # publications and records that are held back
+
+    # --- the shell
+
+    def post(self, *events: Event) -> None:
+        """Has the core handle events, and all that follows from them."""
+        self._events.extend(events)
+        while self._events:
+            for action in self.core.step(self._events.popleft(), self.now, self.wall):
+                self._carry_out(action)
+
+    def pass_time(self, seconds: float) -> None:
+        """Lets time pass; the core wakes when it asked to."""
+        until = self.now + seconds
+        while (now := min(max(self._wake, self.now), until)) < until:
+            self._set_time(now + 1e-6)
+            self.post(Tick())
+        self._set_time(until)
+        self.post(Tick())
+
+    def show(self, **changes: Any) -> None:
+        """Sends a snapshot of the executor, and lets what follows happen."""
+        self.executor.show(**changes)
+        self.settle()
+
+    def quit(self) -> None:
+        """Asks the process to end."""
+        self.post(Quit())
+
+    def drop(self, reason: str = "the executor closed the connection") -> None:
+        """Closes the connection, like an executor that dies."""
+        self.post(LinkDown(reason))
+
+    def settle(self) -> None:
+        """Lets what is due at once happen, so that `state` is current."""
+        self.pass_time(0.01)
+
+    def release(self, *kinds: type[Task]) -> None:
+        """Answers the held tasks of some kinds, and holds them no longer."""
+        self.held -= set(kinds)
+        for number, task in list(self._queued.items()):
+            if type(task) in kinds:
+                self._answer(number, task)
+        self.post()
+
+    def store(self) -> None:
+        """Notes held results as published, and held entries as recorded."""
+        waiting, self._waiting = self._waiting, []
+        for action in waiting:
+            self._store(action)
+        self.post()
+
+    def _set_time(self, now: float) -> None:
+        self.wall += now - self.now
+        self.now = now
+
+    def _carry_out(self, action: Action) -> None:
+        match action:
+            case Reply(number, payload):
+                self.inbox.put(self._names.pop(number), payload)
+            case Publish("feedback", payload):
+                self.inbox.put("feedback", payload)
+            case Publish(key, payload):
+                self.published[key] = payload
+            case PublishResult():
+                self.inbox.put("inherited" if action.inherited else "result", action.payload)
+                self._store(action) if self.storing else self._waiting.append(action)
+            case Record():
+                self._store(action) if self.storing else self._waiting.append(action)
+            case RecordCounts(counts):
+                self.counts = counts
+            case ToExecutor(message):
+                if not isinstance(message, Alive | Counts):
+                    self.executor.messages.append(message)
+            case Start(number, task):
+                self._queued[number] = task
+                if type(task) not in self.held:
+                    self._answer(number, task)
+            case Abandon(number):
+                if self._queued.pop(number, None) is not None:
+                    self._events.append(Answered(number, Done(), True))
+            case Wake(at):
+                self._wake = at
+            case Log(_, text):
+                self.logs.append(text)
+            case Fail(reason) | Disconnect(reason):
+                self.failures.append(reason)
+
+    def _store(self, action: Action) -> None:
+        if isinstance(action, PublishResult):
+            self._events.append(Published(action.number))
+        elif isinstance(action, Record):
+            kinds = ["accepted"] * (action.accepted is not None) + ["ended"] * (action.ended is not None)
+            self.entries.append(("+".join(kinds), action))
+            self._events.append(Recorded(action.entry))
+
+    # --- the workers
+
+    def _answer(self, number: int, task: Task) -> None:
+        answers = list(self._answers(task))
+        self._queued.pop(number)
+        self._events.extend(Answered(number, answer, k == len(answers) - 1) for k, answer in enumerate(answers))
+
+    def _answers(self, task: Task) -> Iterator[Answer]:
+        try:
+            yield from self.perform(task)
+        except Refusal as refusal:
+            from controller.planning.core.tasks import Refused
+
+            yield Refused(refusal.code, str(refusal))
+        except Exception as error:
+            yield Failed(repr(error))
+
+    def perform(self, task: Task) -> Iterator[Answer]:
+        """Yields the answers to a task."""
+        if type(task) in self.failing:
+            raise MemoryError("no memory")
+        match task:
+            case ImprovePlan():
+                yield from improve(self._models["goals"], task, lambda: None)
+                yield Done()
+            case PrepareSearch():
+                yield Done()
+            case BuildScene():
+                yield build_scene(self.arm, task)
+            case BuildTables():
+                yield build_tables(self.arm, self._densities, self._weights, task)
+            case _:
+                yield self._computed(task)
+
+    def _computed(self, task: Any) -> Answer:
+        name, proceed = type(task).__name__, lambda: None
+        match name:
+            case "PlanGoal":
+                return plan_goal(self._models["goals"], task, proceed)
+            case "DescribePlan":
+                return describe(self._models["queries"], task, proceed, lambda: False)
+            case "FollowSetpoint":
+                return follow(self._models["setpoints"], task)
+            case "CheckStages":
+                return check_stages(task, proceed)
+            case _:
+                return check_standing(task)
+
+    # --- clients
+
+    def ask(self, key: Any, payload: Any = None, name: str = "reply") -> int:
+        """Sends a request as the gateway does; its answer comes to the inbox by `name`. Returns its number."""
+        data = payload if isinstance(payload, bytes) else b"" if payload is None else json.dumps(payload).encode()
+        try:
+            message = self._decode(key, data)
+        except Refusal as refusal:
+            self.inbox.put(name, refused(refusal.code, str(refusal), refusal.goal))
+            return 0
+        self._numbers += 1
+        self._names[self._numbers] = name
+        if key == "stop":
+            self.executor.messages.append(Halt(self._numbers))
+        elif key == "cancel" and message == CancelMessage():
+            self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
+        self.post(Request(self._numbers, key, message, self.wall))
+        return self._numbers
+
+    def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:
+        """Sends a goal whose waypoints are the tips of configurations."""
+        waypoints = [{"t": step * k, "position": self.tip(*c)} for k, c in enumerate(configurations)]
+        self.ask("goal", {"id": name, "waypoints": waypoints, **fields})
+
+    def tip(self, *configuration: int) -> list[float]:
+        return self.arm.manipulator.tip(np.array(configuration))[:2, 3].tolist()  # type: ignore[no-any-return]
+
+    def bits(self, *configuration: int) -> int:
+        states = self.arm.manipulator.actuator_states(np.array(configuration))
+        return sum(int(s) << k for k, s in enumerate(states))
+
+    def packed(self, *configuration: int) -> bytes:
+        return pack(self.bits(*configuration), len(self.arm.manipulator.actuators))
+
+    def state(self) -> dict[str, Any]:
+        """Returns the present payload of `state`."""
+        self.settle()
+        return dict(self.published["state"])
+
+    def diagnostics(self) -> dict[str, Any]:
+        """Returns the latest payload of `diagnostics`."""
+        self.pass_time(1.1)
+        return dict(self.published["diagnostics"])
+
+    @property
+    def outputs(self) -> int:
+        return unpack(self.executor.state.outputs)

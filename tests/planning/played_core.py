@@ -1,0 +1,134 @@
+"""The shared parts of the core on a simulated clock, with stand-ins for locks, obstacles and programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.motion.pacing import pace_of
+from controller.planning.core.admission import Admission
+from controller.planning.core.arm import ExecutorView, packed
+from controller.planning.core.events import Action, Start
+from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers
+from controller.planning.core.parts import Parts
+from controller.planning.core.tasks import Answer, Scene, Tables
+from controller.program import Fault, Mode, Snapshot
+
+T = TypeVar("T")
+
+
+class PlayedLocks:
+    """The executor's mode, and tables that the test sets."""
+
+    def __init__(self, view: ExecutorView) -> None:
+        self._view, actuators = view, len(view.manipulator.actuators)
+        self.tables: Tables | None = Tables(1, b"\xff" * actuators)
+        self.states: NDArray[np.int8] = np.full(actuators, -1, np.int8)
+
+    def mode(self) -> tuple[Mode, str]:
+        return self._view.mode()
+
+    def faults(self) -> Iterator[Fault]:
+        labels = self._view.manipulator.actuators
+        return (Fault("degraded", labels[k], "locked") for k in np.flatnonzero(self.states >= 0))
+
+
+@dataclass
+class PlayedObstacles:
+    scene: Scene | None = field(default_factory=lambda: Scene(1, free=True))
+    generation: int = 1
+    standing: str | None = None
+
+
+@dataclass
+class PlayedReport:
+    id: str
+    waypoint: int | None
+    target: Any
+
+
+@dataclass
+class PlayedProgram:
+    report: PlayedReport
+
+
+@dataclass
+class PlayedPrograms:
+    current: PlayedProgram | None = None
+    offered: bool = False
+    last_accepted: int = 0
+
+
+class PlayedCore:
+    """The parts of a core with a small arm at rest.
+
+    Attributes:
+        now: monotonic time [s].
+        wall: the same time [UNIX s].
+        actions: those not taken by `take`.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm, self.now, self.wall, self.actions = arm, 100.0, 1e9, list[Action]()
+        self.view = ExecutorView(arm.manipulator, arm.travel_time, pace_of(arm.settings))
+        self.admission, self.jobs, self.numbers = Admission(), Jobs(self.actions.append), ProgramNumbers()
+        self.locks, self.obstacles, self.programs = PlayedLocks(self.view), PlayedObstacles(), PlayedPrograms()
+        self.parts = Parts(
+            view=self.view,
+            admission=self.admission,
+            numbers=self.numbers,
+            jobs=self.jobs,
+            moment=Moment(),
+            act=self.actions.append,
+            locks=self.locks,
+            obstacles=self.obstacles,
+            programs=self.programs,
+        )
+        size = len(arm.manipulator.actuators)
+        none, known = packed(np.zeros(size)), packed(np.ones(size))
+        self.snapshot = Snapshot(
+            self.now, "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
+        )
+
+    def show(self, **changes: Any) -> None:
+        """Takes a snapshot with changes; new outputs are measured, too."""
+        if "outputs" in changes:
+            changes.setdefault("measured", changes["outputs"])
+        self.snapshot = msgspec.structs.replace(self.snapshot, at=self.now, **changes)
+        self.view.take(self.snapshot)
+        self.admission.snapshot(self.snapshot.epoch)
+
+    def advance(self, seconds: float) -> None:
+        self.now, self.wall = self.now + seconds, self.wall + seconds
+
+    def take(self, kind: type[T]) -> list[T]:
+        """Returns the actions of a kind since the last call, or the messages of a kind to the executor."""
+        contents = [getattr(action, "message", action) for action in self.actions]
+        taken = [content for content in contents if isinstance(content, kind)]
+        kept = [a for a, content in zip(self.actions, contents, strict=True) if not isinstance(content, kind)]
+        self.actions[:] = kept
+        return taken
+
+    def task(self, kind: type[T]) -> tuple[int, T]:
+        """Returns the one task that was started, with its number."""
+        ((number, task),) = self.take(Start)
+        assert isinstance(task, kind)
+        return number, task
+
+    def answer(self, number: int, answer: Answer) -> None:
+        self.jobs.answered(number, answer, True, self.now)
+
+    def states(self, *configuration: int) -> bytes:
+        """Returns the packed actuator states of a configuration."""
+        return packed(self.arm.manipulator.actuator_states(np.array(configuration)))
+
+    def tip(self, *configuration: int) -> list[float]:
+        """Returns the tip's position in a configuration."""
+        tip = self.arm.manipulator.tips([configuration])[0]
+        return tip[: self.arm.manipulator.dimension, 3].tolist()  # type: ignore[no-any-return]

@@ -1,0 +1,340 @@
+"""The loop around the core: order of events, actions and their failures, times, and the end."""
+
+import logging
+import select
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller.planning.core.events import (
+    Abandon,
+    Accepted,
+    Answered,
+    Disconnect,
+    Event,
+    Fail,
+    FromExecutor,
+    Identity,
+    LinkDown,
+    Log,
+    Notify,
+    Publish,
+    Published,
+    PublishResult,
+    Quit,
+    Record,
+    RecordCounts,
+    Recorded,
+    Reply,
+    Request,
+    SetpointArrived,
+    Start,
+    Tick,
+    TipArrived,
+    ToExecutor,
+    Unsent,
+    Wake,
+    Warned,
+)
+from controller.planning.core.tasks import BuildTables, Done, Failed
+from controller.planning.messages import CLOSING
+from controller.planning.shell.inbox import Inbox
+from controller.planning.shell.link import ExecutorLink
+from controller.planning.shell.loop import WARNINGS_EVERY, Loop
+from controller.planning.shell.mailboxes import EVERY, STREAM_ENDS, STREAM_EVERY
+from controller.program import Answer, Fault, Halt, Hello, Snapshot
+from tests.planning.executor import DIGEST, ScriptedExecutor
+from tests.planning.shell.parts import Remembering, ScriptedCore
+from tests.waiting import PATIENCE
+
+REQUEST = Request(1, "reset", None, 0.0)
+TASK = BuildTables(1, b"")
+
+
+class Bench:
+    """A loop without a thread: the test calls its rounds, and sets its clock."""
+
+    def __init__(self, path: Path) -> None:
+        self.now = 100.0
+        self.core, self.services, self.recorded = ScriptedCore(), Remembering(), list[Any]()
+        self.inbox, self.link = Inbox(), ExecutorLink(path, "small", DIGEST, lambda: self.now)
+        self.loop = self.make()
+
+    def make(self) -> Loop:
+        clocks = (lambda: self.now, lambda: 1e9)
+        return Loop(self.core, self.inbox, self.link, self.services.services, self.record, clocks)
+
+    def record(self, *step: Any) -> None:
+        self.recorded.append(step)
+
+    def handle(self, *events: Event) -> list[Event]:
+        """Posts events, runs the loop once, and returns what the core has seen but snapshots."""
+        before = len(self.core.steps)
+        for event in events:
+            self.loop.post(event)
+        self.loop._round()
+        return [event for event in self.core.steps[before:] if "Snapshot" not in str(event)]
+
+    def receive(self, *events: Event) -> list[Event]:
+        """Does the same when the executor's message has arrived."""
+        assert select.select([self.link.fileno()], [], [], PATIENCE)[0]
+        return self.handle(*events)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path / "small.sock")
+    bench.handle(Published(0))  # connects
+    yield bench
+    bench.loop.close()
+    bench.link.close()
+
+
+@pytest.fixture
+def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
+    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
+    yield executor
+    executor.close()
+
+
+# --- order
+
+
+def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: Bench) -> None:
+    executor.expect(Hello)
+    while not any(isinstance(event, FromExecutor) for event in bench.core.steps):
+        bench.receive()
+    assert bench.link.send_now(Halt(1)) is None
+    executor.expect(Halt)
+    executor.send(Answer(1, True, "stopped"))
+    assert bench.receive(REQUEST)[0] == REQUEST
+    while not any(event == FromExecutor(Answer(1, True, "stopped")) for event in bench.core.steps):
+        bench.receive()
+
+
+def test_a_setpoint_that_waits_comes_before_a_request(bench: Bench) -> None:
+    box = [b"1"]
+    bench.loop.read(SetpointArrived, lambda: box.pop() if box else None)
+    bench.loop.read(TipArrived, lambda: None)
+    assert bench.handle(Published(1), REQUEST) == [Published(1), SetpointArrived(b"1"), REQUEST]
+
+
+def test_events_posted_by_the_core_s_actions_wait_for_the_next_round(bench: Bench) -> None:
+    bench.core.script[Request] = [Start(1, TASK)]
+    bench.services.broken = {"start"}
+    assert bench.handle(REQUEST) == [REQUEST]
+    assert bench.handle() == [Answered(1, Failed("RuntimeError('start is broken')"), True)]
+
+
+# --- times
+
+
+def test_it_ticks_at_the_last_wake(bench: Bench) -> None:
+    bench.core.script[Request] = [Wake(101.0), Wake(102.0)]
+    bench.handle(REQUEST)
+    bench.now = 101.5
+    assert bench.handle() == []
+    bench.now = 102.0
+    assert bench.handle() == [Tick()]
+    bench.now = 200.0
+    assert bench.handle(Published(1)) == [Published(1)]
+
+
+def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> None:
+    setpoints, tips = list[bytes](), [b"t"]
+    bench.loop.read(SetpointArrived, lambda: setpoints.pop() if setpoints else None)
+    bench.loop.read(TipArrived, lambda: tips.pop() if tips else None)
+    mailboxes = bench.loop._mailboxes
+    assert bench.handle(Published(1)) == [Published(1), TipArrived(b"t")]
+    assert mailboxes.due == bench.now + EVERY
+    setpoints.append(b"s")
+    bench.now = mailboxes.due
+    assert bench.handle() == [SetpointArrived(b"s")]
+    assert mailboxes.due == bench.now + STREAM_EVERY
+    bench.now += STREAM_ENDS
+    bench.handle()
+    assert mailboxes.due == bench.now + EVERY
+
+
+def test_a_mailbox_that_fails_keeps_nothing_waiting(bench: Bench) -> None:
+    def fail() -> bytes:
+        raise RuntimeError("closed")
+
+    bench.loop.read(SetpointArrived, fail)
+    bench.loop.read(TipArrived, lambda: b"t")
+    assert bench.handle(REQUEST) == [TipArrived(b"t"), REQUEST]
+
+
+def test_changed_warnings_are_told(bench: Bench) -> None:
+    fault = Fault("clock-set", "system", "set by 1 s")
+    bench.services.faults = (fault,)
+    assert bench.handle(Published(1)) == [Published(1)]
+    told = []
+    for broken in (set(), set(), {"warnings"}, set()):
+        bench.services.broken = broken
+        bench.now += WARNINGS_EVERY
+        told += bench.handle()
+    bench.services.faults = ()
+    bench.now += WARNINGS_EVERY
+    told += bench.handle()
+    assert [event for event in told if isinstance(event, Warned)] == [Warned((fault,)), Warned(())]
+
+
+# --- actions
+
+
+def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    result = PublishResult(1, Identity(1, 1), False, {"id": "a"})
+    record = Record(1, Identity(1, 1), Accepted("a", 0.0, 1), None)
+    bench.core.script[Request] = [
+        Start(1, TASK), Reply(1, {"accepted": True}), Publish("state", {"mode": "ready"}), result, record,
+        RecordCounts((1, 2)), ToExecutor(Halt(1)), Abandon(1), Notify("WATCHDOG=1"),
+        Log(logging.WARNING, "100 % moved", {"HYPERBIT_GOAL": "a"}), Wake(0.0),
+    ]  # fmt: skip
+    bench.loop.request(REQUEST, lambda payload: bench.services.calls.append(("reply", payload)))
+    assert bench.handle()[:2] == [REQUEST, Tick()]
+    assert bench.services.calls == [
+        ("start", 1, TASK), ("reply", {"accepted": True}), ("publish", "state", {"mode": "ready"}),
+        ("publish_result", result), ("record", record), ("counts", (1, 2)), ("abandon", 1), ("send", "WATCHDOG=1"),
+    ]  # fmt: skip
+    (line,) = [record for record in caplog.records if record.levelno == logging.WARNING]
+    assert (line.getMessage(), line.journal) == ("100 % moved", {"HYPERBIT_GOAL": "a"})  # type: ignore[attr-defined]
+
+
+def test_messages_go_to_the_executor_until_it_is_disconnected(executor: ScriptedExecutor, bench: Bench) -> None:
+    bench.core.script[FromExecutor] = lambda event: (
+        [ToExecutor(Halt(5)), Disconnect("the executor is silent")] if isinstance(event.message, Snapshot) else []
+    )
+    while not bench.link.pending:
+        bench.receive()
+    executor.expect(Hello)
+    assert executor.expect(Halt).request == 5
+    assert LinkDown("the executor is silent") in bench.handle()
+
+
+def test_a_failing_action_stops_no_other(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    def fail(payload: Any) -> None:
+        raise RuntimeError("the query has gone")
+
+    bench.core.script[Request] = lambda event: [Reply(event.number, {}), Publish("state", {})]
+    bench.services.broken = {"publish"}
+    answered: list[Any] = []
+    bench.loop.request(REQUEST, fail)
+    bench.loop.request(REQUEST._replace(number=2), answered.append)
+    bench.handle()
+    assert answered == [{}]
+    assert [record.getMessage() for record in caplog.records].count("the action Reply failed") == 1
+    assert [call[0] for call in bench.services.calls] == ["publish", "publish"]
+
+
+def test_a_request_is_answered_at_most_once(bench: Bench) -> None:
+    answered: list[Any] = []
+    bench.core.script[Request] = [Reply(1, {"first": True}), Reply(1, {"first": False})]
+    bench.loop.request(REQUEST, answered.append)
+    bench.handle()
+    assert answered == [{"first": True}]
+
+
+def test_the_recorder_gets_each_step_until_it_fails(bench: Bench) -> None:
+    def fail(*step: Any) -> None:
+        failed.append(step)
+        raise OSError("the disk is full")
+
+    failed: list[Any] = []
+
+    bench.core.script[Request] = [Notify("a")]
+    bench.recorded.clear()
+    bench.handle(REQUEST)
+    assert bench.recorded == [(REQUEST, 100.0, 1e9, [Notify("a")])]
+    bench.loop._recorder = fail
+    bench.handle(REQUEST, REQUEST)
+    assert len(failed) == 1
+    assert len(bench.services.calls) == 3
+
+
+# --- the end
+
+
+def run(bench: Bench) -> None:
+    """Runs the loop with its thread until it ends by itself."""
+    bench.loop.start()
+    assert bench.loop.ended.wait(PATIENCE)
+
+
+def test_an_exception_of_the_core_ends_the_process(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    def fail(event: Request) -> list[Any]:
+        raise KeyError(event.number)
+
+    bench.core.script[Request] = fail
+    bench.loop.post(REQUEST)
+    bench.loop.post(Unsent(1, "it is not handled any more"))
+    run(bench)
+    assert bench.services.calls == [("fatal", "the planner failed: KeyError(1)")]
+    assert "Traceback" in caplog.text
+    assert bench.core.steps[-1] == REQUEST
+    assert bench.recorded[-1] == (REQUEST, 100.0, 1e9, None)
+
+
+def test_the_core_can_end_the_process(bench: Bench) -> None:
+    bench.core.script[Recorded] = [Fail("the worker for goals does not answer"), Notify("WATCHDOG=1")]
+    bench.loop.post(Recorded(1))
+    run(bench)
+    assert bench.services.calls == [("fatal", "the worker for goals does not answer")]
+
+
+def test_it_says_when_the_core_has_ended(bench: Bench) -> None:
+    def end(event: Quit) -> list[Any]:
+        bench.core.ended = True
+        return []
+
+    bench.core.script[Quit] = end
+    bench.loop.ended.clear()
+    bench.handle(REQUEST)
+    assert not bench.loop.ended.is_set()
+    bench.handle(Quit())
+    assert bench.loop.ended.is_set()
+
+
+def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
+    answered: list[Any] = []
+    bench.loop.request(REQUEST, answered.append)
+    bench.loop.close()
+    bench.loop.close()
+    assert [payload["message"] for payload in answered] == [CLOSING]
+
+
+# --- threads
+
+
+def test_no_event_is_missed(bench: Bench) -> None:
+    count, senders = 2_000, 3
+
+    def post(sender: int) -> None:
+        for k in range(count):
+            bench.loop.post(Answered(sender * count + k, Done(), True))
+
+    bench.loop = bench.make()
+    bench.loop._warnings_at = bench.link.retry_at = 1e5  # nothing is due: only wake-ups end the waiting
+    bench.loop.start()
+    threads = [threading.Thread(target=post, args=(k,)) for k in range(senders)]
+    for thread in threads:
+        thread.start()
+    got = [bench.core.expect(Answered).task for _ in range(senders * count)]
+    assert sorted(got) == list(range(senders * count))
+    for sender in range(senders):
+        assert [task for task in got if task // count == sender] == sorted(t for t in got if t // count == sender)
+
+
+def test_a_thread_serves_requests(bench: Bench) -> None:
+    bench.core.script[Request] = lambda event: [Reply(event.number, {"number": event.number})]
+    bench.loop = bench.make()
+    bench.loop.start()
+    answered = threading.Event()
+    bench.loop.request(REQUEST, lambda payload: answered.set())
+    assert answered.wait(PATIENCE)
+    bench.loop.close()
+    assert not bench.loop._thread.is_alive()

@@ -1,0 +1,137 @@
+"""The planner as the gateway uses it: requests, the way of a stop, mailboxes, and the end."""
+
+import queue
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller.config import Arm
+from controller.planning.core.events import (
+    CancelMessage,
+    FromExecutor,
+    Key,
+    LinkDown,
+    Message,
+    Quit,
+    Reply,
+    Request,
+    SetpointArrived,
+    TipArrived,
+    ToExecutor,
+    Unsent,
+)
+from controller.planning.shell.inbox import Inbox
+from controller.planning.shell.link import ExecutorLink
+from controller.planning.shell.loop import Loop
+from controller.planning.shell.planner import CANCELED, Planner
+from controller.program import Acknowledge, Cancel, Halt, Hello, Welcome
+from controller.workspace.densities import Densities
+from tests.planning.executor import DIGEST, ScriptedExecutor
+from tests.planning.shell.parts import Remembering, ScriptedCore
+from tests.waiting import PATIENCE
+
+
+class Bench:
+    """A planner with a scripted core, which answers each request with its number."""
+
+    def __init__(self, arm: Arm, densities: Densities, path: Path) -> None:
+        self.core, self.services, inbox = ScriptedCore(), Remembering(), Inbox()
+        link = ExecutorLink(path, "small", DIGEST)
+        self.core.script[Request] = lambda event: [Reply(event.number, {"number": event.number})]
+        self.planner = Planner(arm, densities, Loop(self.core, inbox, link, self.services.services), link)
+        self.replies: queue.Queue[Any] = queue.Queue()
+
+    def request(self, key: Key, message: Message) -> Request:
+        """Sends a request, waits for its reply, and returns the event."""
+        self.planner.request(key, message, self.replies.put)
+        event = self.core.expect(Request)
+        assert self.replies.get(timeout=PATIENCE) == {"number": event.number}
+        return event
+
+    def welcome(self) -> None:
+        while not isinstance(self.core.expect(FromExecutor).message, Welcome):
+            pass
+
+    def end(self, event: Quit) -> list[Any]:
+        """Ends the core, with a last message."""
+        self.core.ended = True
+        return [ToExecutor(Acknowledge(7))]
+
+
+@pytest.fixture
+def bench(small: Arm, small_densities: Densities, tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(small, small_densities, tmp_path / "small.sock")
+    bench.core.script[Quit] = bench.end
+    bench.planner.start()
+    yield bench
+    bench.planner.close()
+
+
+@pytest.fixture
+def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
+    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
+    yield executor
+    executor.close()
+
+
+def test_requests_are_numbered_and_answered(bench: Bench) -> None:
+    first, second = bench.request("reset", None), bench.request("cancel", CancelMessage("a"))
+    assert (first.number, first.key, first.message) == (1, "reset", None)
+    assert (second.number, second.key, second.message) == (2, "cancel", CancelMessage("a"))
+    assert second.wall >= first.wall > 1e9
+
+
+def test_stop_and_cancel_go_to_the_executor_at_once(executor: ScriptedExecutor, bench: Bench) -> None:
+    bench.welcome()
+    executor.expect(Hello)
+    bench.request("cancel", CancelMessage("a"))
+    bench.request("stop", None)
+    bench.request("cancel", CancelMessage())
+    assert executor.expect(Halt) == Halt(2)
+    assert executor.expect(Cancel) == Cancel(3, None, CANCELED)
+    assert executor.nothing(object)
+
+
+def test_a_stop_that_cannot_be_sent_is_told_after_its_request(bench: Bench) -> None:
+    reason = bench.core.expect(LinkDown).reason
+    stop = bench.request("stop", None)
+    assert bench.core.expect(Unsent) == Unsent(stop.number, reason)
+    cancel = bench.request("cancel", CancelMessage())
+    assert bench.core.expect(Unsent) == Unsent(cancel.number, reason)
+
+
+def test_a_request_is_decoded_by_its_key(bench: Bench) -> None:
+    assert bench.planner.decode("cancel", b'{"id": "a"}') == CancelMessage("a")
+    assert bench.planner.decode("stop", b"\xff") is None
+
+
+def test_mailboxes_are_read(bench: Bench) -> None:
+    bench.planner.read_setpoints(lambda: b"setpoint")
+    assert bench.core.expect(SetpointArrived) == SetpointArrived(b"setpoint")
+    bench.planner.read_measured_tips(lambda: b"tip")
+    assert bench.core.expect(TipArrived) == TipArrived(b"tip")
+
+
+def test_the_description_has_the_wanted_parts(bench: Bench) -> None:
+    assert bench.planner.description()["name"] == "small"
+    parts = ("drawing", "file", "density")
+    assert not set(parts) & set(bench.planner.description())
+    assert set(bench.planner.description(parts)) - set(bench.planner.description()) == set(parts)
+
+
+def test_goals_end_before_the_connection(executor: ScriptedExecutor, bench: Bench) -> None:
+    bench.welcome()
+    executor.expect(Hello)
+    bench.planner.end_goals()
+    assert bench.core.expect(Quit) == Quit()
+    assert executor.expect(Acknowledge).result == 7
+    bench.planner.close()
+    assert bench.services.calls == []
+
+
+def test_an_end_without_a_start_does_not_wait(small: Arm, small_densities: Densities, tmp_path: Path) -> None:
+    bench = Bench(small, small_densities, tmp_path / "small.sock")
+    bench.planner.close()
+    assert bench.core.steps == []

@@ -1,0 +1,108 @@
+"""Decoding of requests: contents, refusals, and no other exception."""
+
+import json
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.config import Arm
+from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
+from controller.motion.goal import GoalMessage
+from controller.planning.core.events import CancelMessage, Key, LockMessage, ObstaclesMessage
+from controller.planning.shell.requests import RequestDecoder
+from tests.fuzz.requests import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT, wrong
+
+KEYS: tuple[Key, ...] = get_args(Key)
+NO_JSON = b"\xff\xfe"
+
+
+@pytest.fixture(scope="module")
+def decoder(small: Arm) -> RequestDecoder:
+    return RequestDecoder(small)
+
+
+def payload(value: Any) -> bytes:
+    return json.dumps(value).encode()
+
+
+@pytest.mark.parametrize("key", ["goal", "plan"])
+def test_a_goal(decoder: RequestDecoder, key: Key) -> None:
+    message = decoder.decode(key, payload({"id": "a", "waypoints": [{"position": [0.1, 0.8]}]}))
+    assert isinstance(message, GoalMessage)
+    assert (message.id, message.waypoints[0].position) == ("a", [0.1, 0.8])
+
+
+@pytest.mark.parametrize("key", ["goal", "plan"])
+def test_a_goal_far_out_of_reach_is_refused_with_its_id(decoder: RequestDecoder, key: Key) -> None:
+    far = {"id": "a", "waypoints": [{"position": [0.1, 0.8]}, {"t": 1.0, "position": [1.5, 2.0]}]}
+    with pytest.raises(
+        Refusal, match=r"waypoints\[1\].position: \(1.5, 2\) is out of reach: 2.5 from the base"
+    ) as told:
+        decoder.decode(key, payload(far))
+    assert (told.value.code, told.value.goal) == (GOAL_TOLERANCE_VIOLATED, "a")
+
+
+def test_a_position_within_its_tolerance_is_left_to_the_search(decoder: RequestDecoder) -> None:
+    decoder.decode("goal", payload({"waypoints": [{"position": [1.5, 2.0]}], "tolerance": {"position": 2.0}}))
+
+
+def test_a_position_of_another_dimension_is_left_to_the_schedule(decoder: RequestDecoder) -> None:
+    decoder.decode("goal", payload({"waypoints": [{"position": [1.5, 2.0, 9.0]}]}))
+
+
+def test_other_contents(decoder: RequestDecoder) -> None:
+    assert decoder.decode("jog", payload({"actuators": {"1.right": "extended"}})) == {2: 1}
+    assert decoder.decode("degrade", payload({"actuator": "1.left", "state": None})) == LockMessage("1.left", None)
+    sent = decoder.decode("obstacles", payload(OBSTACLES))
+    assert isinstance(sent, ObstaclesMessage)
+    assert sent.regions == OBSTACLES["regions"]
+    assert decoder.decode("obstacles", payload({"regions": []})).obstacles != sent.obstacles  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("key", ["stop", "reset", "arm"])
+def test_keys_without_a_content(decoder: RequestDecoder, key: Key) -> None:
+    assert decoder.decode(key, NO_JSON) is None
+
+
+def test_a_cancel_of_one_goal(decoder: RequestDecoder) -> None:
+    assert decoder.decode("cancel", b'{"id": "a 1"}') == CancelMessage("a 1")
+
+
+NO_NAMES = [
+    b"",
+    b"{}",
+    b"null",
+    b"[]",
+    b'"a"',
+    b'{"id": null}',
+    b'{"id": 1}',
+    b'{"id": ""}',
+    b'{"id": "\xc3\xa4"}',
+    NO_JSON,
+]
+
+
+@pytest.mark.parametrize("data", [*NO_NAMES, b"[" * 100_000, b'{"id": "a"'])
+def test_any_other_cancel_cancels_whatever_runs(decoder: RequestDecoder, data: bytes) -> None:
+    assert decoder.decode("cancel", data) == CancelMessage(None)
+
+
+@pytest.mark.parametrize("key", ["goal", "plan", "jog", "degrade", "obstacles"])
+def test_what_cannot_be_read_is_refused(decoder: RequestDecoder, key: Key) -> None:
+    for data in (b"", NO_JSON, b"{}", b"[" * 100_000):
+        with pytest.raises(Refusal) as told:
+            decoder.decode(key, data)
+        assert told.value.code == INVALID_GOAL
+
+
+@given(st.sampled_from(KEYS), wrong(GOAL, LINE, CONFIGURATIONS, JOG, SETPOINT, DEGRADE, OBSTACLES, {"id": "a"}))
+def test_nothing_but_refusals(decoder: RequestDecoder, key: Key, data: bytes) -> None:
+    told = ""
+    try:
+        decoder.decode(key, data)
+    except Refusal as refusal:
+        told = str(refusal)
+    assert told.isprintable()
+    assert not told or key not in ("stop", "cancel", "reset", "arm")
