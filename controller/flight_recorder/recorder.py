@@ -59,7 +59,7 @@ class FlightRecorder:
     Args:
         label: what is recorded.
         folder: of saved files; None: nothing is saved by itself.
-        opaque: field of NamedTuples that is recorded as None, because the core does not look inside.
+        opaque: field of a class that is left out, because the core only asks whether it is None.
         outside: constant objects that are recorded by name, such as the manipulator; the only ones of their types.
         batch: number of entries after which they are written; a caller with a larger one calls `flush`.
     """

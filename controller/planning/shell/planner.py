@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.config import Arm
+from controller.flight_recorder import FlightRecorder
 from controller.motion.pacing import pace_of
 from controller.notify import Notifier
 from controller.obstacles.obstacles import NONE
@@ -33,7 +34,7 @@ from controller.planning.ledger import Ledger
 from controller.planning.published import PublishedResults
 from controller.planning.shell.inbox import Inbox
 from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.loop import Loop, OnReply, Recorder
+from controller.planning.shell.loop import Loop, OnReply
 from controller.planning.shell.mailboxes import Receive
 from controller.planning.shell.requests import RequestDecoder
 from controller.planning.shell.services import Out, Services
@@ -77,11 +78,16 @@ class Planner:
         densities: of the arm reduced by the actuators that its file declares stuck.
         link: to the executor.
         outside: what the planner needs from its process.
-        recorder: takes each step of the core; None: nobody records.
+        recorder: of the core's steps, made with `OPAQUE` and the arm's manipulator; None: nobody records.
     """
 
     def __init__(
-        self, arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: Recorder | None = None
+        self,
+        arm: Arm,
+        densities: Densities,
+        link: ExecutorLink,
+        outside: Outside,
+        recorder: FlightRecorder | None = None,
     ) -> None:
         self._arm, self._densities, self._link = arm, densities, link
         self._decoder, self._description = RequestDecoder(arm), description(arm)
@@ -105,6 +111,8 @@ class Planner:
             self._workers, outside.ledger, outside.out, outside.notifier, outside.warnings, outside.fatal
         )
         core = Core(arm, pace_of(arm.settings), beginning)
+        if recorder is not None:
+            recorder.begin(core, lambda count: True)
         self._loop = Loop(core, outside.inbox, link, services, recorder)
 
     def _owed(self, outside: Outside) -> Iterator[OpenGoal]:
