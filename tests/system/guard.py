@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from controller.planning.planning import Planning
 
 from controller.gateway import daemon, session
 from controller.gateway.client import Client
 from controller.gateway.server import Receive
-from controller.planning.planning import Planning
 from tests.keys import certificates, openssl
 from tests.system.observer import Observer
 from tests.system.system import System

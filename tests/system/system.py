@@ -15,13 +15,13 @@ from typing import Any
 
 import can
 import zenoh
+from controller.planning.planning import Planning
 
 from controller.config import Arm, load
 from controller.executor.arm import read_arm
 from controller.gateway import daemon, session
 from controller.gateway.client import Client
 from controller.planning.ledger_file import read
-from controller.planning.planning import Planning
 from controller.workspace.cache import load_or_map
 from drivers.canopen.wiring import BusSettings, Wiring
 from drivers.simulation.simulation import Simulation

@@ -12,9 +12,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from controller.planning.planning import Planning
+
 from controller.planning.link import ExecutorLink
 from controller.planning.planner import Planner
-from controller.planning.planning import Planning
 from controller.program import Down, Program
 from controller.search.solver import Solver
 from tests.benchmarks.chain.records import Record
