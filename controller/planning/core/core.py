@@ -45,14 +45,14 @@ from controller.planning.core.locks import Locks
 from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.obstacles import ObstacleOwner
 from controller.planning.core.parts import Parts
-from controller.planning.core.programs import Programs
+from controller.planning.core.programs import InFlight, Programs
 from controller.planning.core.queries import Queries
 from controller.planning.core.reports import Outcome
 from controller.planning.core.requests import ExecutorRequests
 from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream
-from controller.planning.core.tasks import Scene, Tables
+from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
 from controller.planning.core.tip_bias import TipBiasEstimator
 from controller.program import (
     ALIVE_EVERY,
@@ -77,6 +77,14 @@ if TYPE_CHECKING:
     from controller.config import Arm
     from controller.motion.pacing import Pace
 
+# Fields that the core does not look inside: the flight recorder leaves them out.
+OPAQUE: dict[type, str] = {
+    Tables: "solvers",
+    Scene: "keep_out",
+    ImprovePlan: "plan",
+    Planned: "plan",
+    InFlight: "plan",
+}
 CALM = 0.003  # [s] after an action that is not a report, before the next report
 LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
