@@ -11,6 +11,7 @@ from pathlib import Path
 import zenoh
 
 from controller.config import Arm
+from controller.flight_recorder import FlightRecorder, Label
 from controller.gateway.arrivals import RepeatedGoals
 from controller.gateway.one_daemon import Claim
 from controller.gateway.outbox import Outbox, ResultHooks
@@ -18,6 +19,7 @@ from controller.gateway.server import Server
 from controller.gateway.session import lease, reachable
 from controller.gateway.warnings import Warnings
 from controller.notify import Notifier
+from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Recorded
 from controller.planning.inbox import Inbox
 from controller.planning.ledger import Ledger
@@ -91,8 +93,11 @@ def running(
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults)
         outside = Outside(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
+        label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
+        constant = {"manipulator": arm.manipulator}
+        recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant))
         link = ExecutorLink(socket, name, digest)
-        planner = closing.enter_context(planning(arm, densities, link, outside))
+        planner = closing.enter_context(planning(arm, densities, link, outside, recorder))
         claim.confirm()
         planner.start()
         server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)

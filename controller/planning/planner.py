@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.config import Arm
+from controller.flight_recorder import FlightRecorder
 from controller.motion.pacing import pace_of
 from controller.notify import Notifier
 from controller.obstacles.obstacles import NONE
@@ -33,7 +34,7 @@ from controller.planning.description import density, description, drawing, file
 from controller.planning.inbox import Inbox
 from controller.planning.ledger import Ledger
 from controller.planning.link import ExecutorLink
-from controller.planning.loop import Loop, OnReply, Recorder
+from controller.planning.loop import Loop, OnReply
 from controller.planning.mailboxes import Receive
 from controller.planning.published import PublishedResults
 from controller.planning.requests import RequestDecoder
@@ -155,7 +156,7 @@ class Planner:
 
 @contextlib.contextmanager
 def planning(
-    arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: Recorder | None = None
+    arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: FlightRecorder | None = None
 ) -> Iterator[Planner]:
     """A planner with its core and workers; at the end all are closed. `recorder` takes each step of the core."""
     known = outside.ledger.known()
@@ -167,7 +168,10 @@ def planning(
     workers = Workers(arm, densities, weights, outside.inbox.post, outside.fatal)
     with contextlib.closing(workers):
         services = Services(workers, outside.ledger, outside.out, outside.notifier, outside.warnings, outside.fatal)
-        loop = Loop(Core(arm, pace_of(arm.settings), beginning), outside.inbox, link, services, recorder)
+        core = Core(arm, pace_of(arm.settings), beginning)
+        if recorder is not None:
+            recorder.begin(core, lambda count: True)
+        loop = Loop(core, outside.inbox, link, services, recorder)
         with contextlib.closing(Planner(arm, densities, loop, link)) as planner:
             yield planner
 

@@ -12,9 +12,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway import session, warnings
-from controller.planning import follower, status_report
+from controller.gateway import session
+from controller.gateway.warnings import Warnings
 from controller.planning.ledger_file import read
+from controller.planning.loop import Loop
 from tests.system.motions import Motions
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.system import System
@@ -38,11 +39,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         return real() + ahead[0]
 
     monkeypatch.setattr(time, "time", wall)
-    for module in (warnings, status_report, follower):
-        for kind in [it for it in vars(module).values() if isinstance(it, type) and it.__module__ == module.__name__]:
-            defaults = kind.__init__.__defaults__ or ()  # type: ignore[misc]
-            taken = tuple(wall if it is real else it for it in defaults)
-            monkeypatch.setattr(kind.__init__, "__defaults__", taken)  # type: ignore[misc]
+    monkeypatch.setattr(Loop.__init__, "__defaults__", (None, (time.monotonic, wall)))
+    monkeypatch.setattr(Warnings.__init__, "__defaults__", (wall, time.monotonic))
 
     def put(seconds: float) -> None:
         ahead[0] = seconds
