@@ -46,7 +46,9 @@ class Tally:
         missing: accepted goals without a result.
         lost: goals with the status "lost".
         repeated: goals that two planners accepted, because a client without an answer asked again.
-        wrong: what else was wrong, in words.
+        limits: doubled and missing results of planners that were killed between the put of a result and its mark, or
+            within TRANSMITTED after the mark.
+        wrong: all other doubled and missing results, and what else was wrong, in words.
     """
 
     kills: int = 0
@@ -57,6 +59,7 @@ class Tally:
     missing: int = 0
     lost: int = 0
     repeated: int = 0
+    limits: int = 0
     wrong: list[str] = field(default_factory=list)
 
 
@@ -100,7 +103,7 @@ class Campaign:
             scene = Scene(lives, Requests(lives), chance, name)
             hit = self._reach(lives, moment, order, scene)
             self._recover(lives)
-            self._judge(scene, f"{name} {tuple(order[:4])}", tally)
+            self._judge(scene, f"{name} {tuple(order[:4])} {hit}", hit in LIMITS, tally)
             if hit:
                 tally.kills += 1
                 return
@@ -115,8 +118,12 @@ class Campaign:
 
     # --- one kill
 
-    def _reach(self, lives: Lives, moment: str, order: Order, scene: Scene) -> bool:
-        """Orders a kill, brings its moment about, and starts again what was killed; returns whether it was reached."""
+    def _reach(self, lives: Lives, moment: str, order: Order, scene: Scene) -> str:
+        """Orders a kill, brings its moment about, and starts again what was killed.
+
+        Returns:
+            what the planner's outbox did at the kill; "" if the moment was not reached.
+        """
         system, log = lives.system, Log(lives.system.planner.log)
         planner, executor = system.planner, system.executor
         command(system, order)
@@ -150,15 +157,17 @@ class Campaign:
     def _unlock(self, lives: Lives, label: str) -> bool:
         return bool(lives.client.ask("degrade", actuator=label, state=None)["accepted"])
 
-    def _judge(self, scene: Scene, told: str, tally: Tally) -> None:
-        """Counts results of the goals, and checks the arm."""
+    def _judge(self, scene: Scene, told: str, limit: bool, tally: Tally) -> None:
+        """Counts results of the goals, and checks the arm. `limit`: the planner was killed at a known limit."""
         lives, goals = scene.lives, scene.requests.goals()
         for goal in (goal for goal, accepted in goals.items() if accepted):
             try:
                 eventually(lambda goal=goal: lives.client.results(goal), patience=RESULT_TIMEOUT)
             except AssertionError:
                 tally.missing += 1
-                tally.wrong.append(f"{told}: {goal} has no result; in the ledger: {rows(lives.system, goal)}")
+                tally.limits += limit
+                if not limit:
+                    tally.wrong.append(f"{told}: {goal} has no result; in the ledger: {rows(lives.system, goal)}")
         lives.move(f"{scene.name} check", LEFT, RIGHT)
         lives.motions.agree(lives.system.boards)
         with Operator(lives.system.socket) as operator:
@@ -178,7 +187,9 @@ class Campaign:
                 tally.repeated += 1
             elif len(results) > 1:
                 tally.doubled += 1
-                tally.wrong.append(f"{told}: {goal} has the results {results}, in the ledger: {entries}")
+                tally.limits += limit
+                if not limit:
+                    tally.wrong.append(f"{told}: {goal} has the results {results}, in the ledger: {entries}")
             elif accepted and len(entries) != 1:
                 tally.wrong.append(f"{told}: {goal} has the entries {entries} in the ledger")
 
@@ -229,11 +240,12 @@ class Log:
         self._path = path
         self._begin = path.stat().st_size if path.exists() else 0
 
-    def killed(self) -> bool:
-        """Whether an order was carried out."""
+    def killed(self) -> str:
+        """Returns what the outbox did when an order was carried out, "" if none was."""
         with self._path.open("rb") as file:
             file.seek(self._begin)
-            return MARK in file.read()
+            lines = [line for line in file.read().decode(errors="replace").splitlines(keepends=True) if MARK in line]
+        return lines[-1].partition(MARK)[2].strip() if lines and lines[-1].endswith("\n") else ""
 
 
 def command(system: System, order: Order) -> None:
