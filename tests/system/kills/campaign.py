@@ -94,6 +94,7 @@ class Campaign:
             self.close()
 
     def _kill(self, moment: str, victim: str, seed: str, tally: Tally) -> None:
+        refusals: list[str] = []
         for attempt in range(ATTEMPTS):
             lives = self._lives or self._begin()
             lives.ready()
@@ -107,7 +108,8 @@ class Campaign:
             if hit:
                 tally.kills += 1
                 return
-        raise AssertionError("the moment was not reached")
+            refusals += scene.requests.refusals
+        raise AssertionError(f"the moment was not reached; refused was: {refusals}")
 
     def _begin(self) -> Lives:
         system = self._stack.enter_context(closing(self._make()))
