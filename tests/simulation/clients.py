@@ -68,7 +68,10 @@ class Clients:
             asked.payload = dict(refused(refusal.code, str(refusal)))
             return
         history.posted(asked)
-        process.request(key, asked.message, asked.reply)
+        number = process.request(key, asked.message, asked.reply)
+        if key in ("goal", "jog"):
+            given = f"p{process.number}-{number:x}"
+            history.named(asked, f"jog-{given}" if key == "jog" else asked.message.id or given)
 
     def setpoint(self) -> bytes | None:
         """Returns the latest set-point once."""
@@ -214,10 +217,9 @@ class Clients:
             self.ask("cancel")
         elif state["mode"] == "ready" and free:
             self.ask("degrade", {"actuator": self._labels[(free & -free).bit_length() - 1], "state": None})
-        elif state["mode"] == "ready" and unpack(snapshot.measured) not in daemon.space.index:
-            if not daemon.history.waits("jog"):
-                locked = unpack(snapshot.locked)
-                labels = [label for k, label in enumerate(self._labels) if not locked >> k & 1]
-                code = daemon.space.nearest(unpack(snapshot.measured), locked)
-                states = {label: STATES[code >> self._labels.index(label) & 1] for label in labels}
-                self.ask("jog", {"actuators": states})
+        elif unpack(snapshot.measured) not in daemon.space.index and not daemon.history.waits("jog"):
+            locked = unpack(snapshot.locked)
+            labels = [label for k, label in enumerate(self._labels) if not locked >> k & 1]
+            code = daemon.space.nearest(unpack(snapshot.measured), locked)
+            states = {label: STATES[code >> self._labels.index(label) & 1] for label in labels}
+            self.ask("jog", {"actuators": states})

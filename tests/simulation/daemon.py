@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from random import Random
+
+import numpy as np
 
 from controller.config import Arm
 from controller.executor.arm import ExecutedArm
 from controller.executor.events import Quit
+from controller.motion.goal import schedule
 from controller.motion.pacing import pace_of
-from controller.program import Snapshot
+from controller.program import Snapshot, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.clients import Clients
 from tests.simulation.configurations import Configurations
 from tests.simulation.exact_search import ExactSearch
-from tests.simulation.history import History
+from tests.simulation.history import Beginning, History
 from tests.simulation.network import Network
 from tests.simulation.planner_process import UNIX, PlannerProcess
 from tests.simulation.planner_storage import Storage
@@ -118,6 +122,7 @@ class Daemon:
     def end_in_order(self) -> None:
         """Asks the process to end."""
         if self.process is not None:
+            self.history.quits_at = self.agenda.now
             self.process.quit()
 
     def set_clock(self) -> None:
@@ -136,6 +141,28 @@ class Daemon:
         """Makes the clients calm."""
         self.clients.calm, self.wanted = calm, False
 
+    # --- for the invariants
+
+    @property
+    def number(self) -> int:
+        """Number of the present process; 0 between two."""
+        return 0 if self.process is None else self.process.number
+
+    def unsure(self, lying: int) -> bool:
+        """Returns whether planner and executor may know another state of an actuator than the real one."""
+        snapshot = self.snapshot
+        return bool(lying) or snapshot is None or (not snapshot.moving and snapshot.measured != snapshot.outputs)
+
+    def least_cost(self, beginning: Beginning, bias: Sequence[float] | None) -> float:
+        """Returns the least cost of a goal from where the arm was; infinite if there is none."""
+        message, manipulator = beginning.message, self.arm.manipulator
+        arguments = manipulator.dimension, self.arm.tolerance, self.arm.angle_tolerance, self.pace
+        trajectory = schedule(message, *arguments, message.stamp or self.wall(), manipulator)
+        wanted = self.search.wanted(trajectory.corrected(None if bias is None else np.array(bias)))
+        graph = self.space.graph(beginning.locked, beginning.states, beginning.cubes)
+        start = self.space.index.get(beginning.states)
+        return math.inf if start is None else self.space.optimum(graph, start, wanted)
+
     # --- as the planner of a world
 
     @property
@@ -148,5 +175,6 @@ class Daemon:
         """Whether the planner says that the arm is ready, and everybody has an answer."""
         history = self.history
         ready = history.state is not None and history.state["mode"] == "ready" and self.snapshot is not None
+        ready = ready and self.snapshot is not None and unpack(self.snapshot.measured) in self.space.index
         process = self.process
         return ready and process is not None and not process.loop.unanswered and not history.cubes

@@ -14,6 +14,8 @@ from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.goal import schedule
 from controller.motion.pacing import pace_of
+from controller.motion.program import unpack_states
+from controller.motion.restaging import restage
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.tasks import (
     Answer,
@@ -44,6 +46,7 @@ from controller.planning.core.tasks import (
 )
 from controller.program import pack, unpack
 from tests.simulation.configurations import Configurations, Costs, Graph, cubes_of, first_touched
+from tests.simulation.planned_arms import integer
 
 
 class FoundPlan(NamedTuple):
@@ -156,8 +159,10 @@ class ExactSearch:
         goals = self._choose(graph, layers) if self._random.random() < 0.5 else self._greedy(graph, start, wanted)
         goals = goals or self._choose(graph, layers)
         points = self._points(task.start, graph, start, goals)
-        if points and not self._fits(task.start, points[0], task.scene):
+        first = self._from_commanded(task.start, points[0], task.scene)
+        if first is None:
             raise Refusal(codes.INVALID_GOAL, "the motion from the arm's present state would collide")
+        points[0] = first
         plan = FoundPlan(task.start, trajectory, goals, bound)
         return Planned(trajectory, tuple(points), self._proof(graph, start, goals, bound), plan)
 
@@ -206,16 +211,24 @@ class ExactSearch:
         locked = unpack(start.locked)
         return pack(stage & ~locked | unpack(start.outputs) & locked, self._size)
 
-    def _fits(self, start: ArmStart, point: PlannedPoint, scene: Scene) -> bool:
-        """Returns whether the first stages fit from the commanded states."""
-        before, locked = unpack(start.commanded), unpack(start.locked)
-        most = self._pace.inrush or self._size
-        for stage in map(unpack, point.stages):
-            real = stage & ~locked | unpack(start.commanded) & locked
-            if (real ^ before).bit_count() > most or first_touched(scene.keep_out or (), before, [real]) is not None:
-                return False
-            before = real
-        return True
+    def _from_commanded(self, start: ArmStart, point: PlannedPoint, scene: Scene) -> PlannedPoint | None:
+        """Returns the first point with stages that begin in the commanded states; None if they touch an obstacle."""
+        cubes, commanded, locked = scene.keep_out or (), unpack(start.commanded), unpack(start.locked)
+        stages = [stage & ~locked | commanded & locked for stage in map(unpack, point.stages)]
+        most, steps = self._pace.inrush or self._size, zip([commanded, *stages], stages, strict=False)
+        if start.commanded != start.states and (
+            scene.free
+            or first_touched(cubes, commanded, stages) is not None
+            or max((before ^ after).bit_count() for before, after in steps) > most
+        ):
+            rows = np.array([unpack_states(pack(stage, self._size), self._size) for stage in stages])
+            before = unpack_states(start.commanded, self._size)
+            stages = [integer(row) for row in restage(self._arm.manipulator, before, rows, most)]
+        if first_touched(cubes, commanded, stages) is not None:
+            return None
+        steps = zip([commanded, *stages], stages, strict=False)
+        switches = sum((before ^ after).bit_count() for before, after in steps)
+        return point._replace(stages=tuple(self._packed(start, stage) for stage in stages), switches=switches)
 
     def _proof(self, graph: Graph, start: int, goals: Sequence[int], bound: float) -> Proof:
         cost, here = 0.0, start
@@ -237,8 +250,11 @@ class ExactSearch:
             wanted = self.wanted(plan.trajectory)[first:]
             better = [*goals[:first], *self._choose(graph, self._space.layers(graph, before, wanted))]
             points = self._points(plan.start, graph, start, better)
-            if first == 0 and not self._fits(plan.start, points[0], task.scene):
-                continue
+            if first == 0:
+                point = self._from_commanded(plan.start, points[0], task.scene)
+                if point is None:
+                    continue
+                points[0] = point
             goals = better
             yield Improved(first, tuple(points[first:]), self._proof(graph, start, goals, plan.bound))
         yield Done()
@@ -254,6 +270,7 @@ class ExactSearch:
         if goals == [start]:
             return Followed((), "", True, 0.01)
         (point,) = self._points(task.start, graph, start, goals)
-        if not self._fits(task.start, point, task.scene):
+        first = self._from_commanded(task.start, point, task.scene)
+        if first is None:
             return Followed((), ", but the transition to it is blocked", True, 0.01)
-        return Followed(point.stages, "", True, 0.01)
+        return Followed(first.stages, "", True, 0.01)

@@ -6,8 +6,9 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from controller.motion.goal import GoalMessage
 from controller.planning.core.events import (
     Action,
     Answered,
@@ -21,17 +22,17 @@ from controller.planning.core.events import (
     Payload,
     PublishResult,
     Record,
-    Reply,
     Start,
     ToExecutor,
 )
 from controller.planning.core.tasks import Failed
-from controller.program import Alive, Snapshot, Welcome
+from controller.program import Alive, Ended, Snapshot, Welcome
 from tests.simulation.agenda import Agenda
 from tests.simulation.configurations import Cube, cubes_of
 
 if TYPE_CHECKING:
     from tests.simulation.planner_process import PlannerProcess
+    from tests.simulation.record import Record as ExecutorRecord
 
 BARS = ("cancel", "stop", "reset", "degrade")  # keys of requests that may begin a new epoch
 
@@ -69,6 +70,22 @@ class Asked:
     def accepted(self) -> bool:
         """Whether it was carried out."""
         return self.payload is not None and bool(self.payload.get("accepted"))
+
+
+class Beginning(NamedTuple):
+    """The begin of a goal's program.
+
+    Attributes:
+        message: the goal.
+        states: of the actuators.
+        locked: mask of the locked actuators.
+        cubes: all obstacles that may have been known.
+    """
+
+    message: GoalMessage
+    states: int
+    locked: int
+    cubes: tuple[Cube, ...]
 
 
 class History:
@@ -110,10 +127,17 @@ class History:
         self.pending_cubes: list[tuple[Asked, tuple[Cube, ...]]] = []
         self.cubes_at = 0.0
         self.barred_at = self.setpoint_at = self.link_down_at = self.failed_at = self.quits_at = -math.inf
-        self.epoch_at = self.mode_at = self.moved_at = self.tables_at = -math.inf
-        self.connected = False
-        self.stopped: Asked | None = None
-        self.errors: list[str] = []
+        self.epoch_at = self.mode_at = self.moved_at = self.locks_at = self.silent_at = -math.inf
+        self.connected_to = 0
+        self.stop: tuple[float, float, int] | None = None
+        self.reset_at = -math.inf
+        self.barred_before = 0
+        self.running: set[str] = set()
+        self.ends: dict[Identity, Ended] = {}
+        self.by_result: dict[tuple[int, int], Identity] = {}
+        self.bus_switches: Counter[Identity] = Counter()
+        self.disturbed: set[Identity] = set()
+        self.beginnings: dict[Identity, Beginning] = {}
         self._agenda, self._note, self._numbers = agenda, note, 0
         self._dirty = False
 
@@ -135,14 +159,16 @@ class History:
         """Records a request that the loop gets."""
         self._note(("client asks", asked.number, asked.key, asked.message))
         self.open[asked.number] = asked
-        if asked.key in ("goal", "jog"):
-            name = getattr(asked.message, "id", None)
-            if name is not None:
-                self.by_id.setdefault(name, []).append(asked)
         if asked.key in BARS:
             self.barred_at = self._agenda.now
+        if asked.key == "reset":
+            self.reset_at = self._agenda.now
         if isinstance(asked.message, ObstaclesMessage):
             self.pending_cubes.append((asked, cubes_of(asked.message.obstacles)))
+
+    def named(self, asked: Asked, name: str) -> None:
+        """Records the id of a goal or jog."""
+        self.by_id.setdefault(name, []).append(asked)
 
     def waits(self, *keys: Key) -> bool:
         """Returns whether a request of a key is not answered."""
@@ -183,7 +209,6 @@ class History:
         self.counts["planners that ended"] += 1
         self.open.clear()
         self.cubes, self.pending_cubes, self.state, self.snapshot = (), [], None, None
-        self.connected = False
 
     def quits(self, process: PlannerProcess) -> None:
         """Records that a process ends in order."""
@@ -203,17 +228,19 @@ class History:
                     self.epoch_at = now
                 if before is None or before.mode != snapshot.mode:
                     self.mode_at = now
+                if before is None or before.locks != snapshot.locks:
+                    self.locks_at = now
                 if before is None or (before.outputs, before.moving) != (snapshot.outputs, snapshot.moving):
                     self.moved_at = now
                 return
             case FromExecutor(message):
                 if isinstance(message, Welcome):
-                    self.connected = True
+                    self.connected_to = message.instance
                 self._note(("planner hears", message))
             case LinkDown(reason):
-                self.link_down_at, self.connected, self.snapshot = now, False, None
+                self.link_down_at, self.snapshot = now, None
                 self._note(("link down", reason))
-            case Answered(number, answer, last):
+            case Answered(number, answer, _):
                 if isinstance(answer, Failed):
                     self.failed_at = now
                 self._note(("worker answers", number, answer))
@@ -232,12 +259,39 @@ class History:
                 self._note(("task", number, type(task).__name__))
             case Log(_, text):
                 self._note(("planner logs", text))
-            case Reply() | PublishResult() | Record():
-                pass
             case _:
                 pass
 
-    # --- results
+    # --- programs and results
+
+    def observe(self, record: ExecutorRecord) -> None:
+        """Records the programs that the executor has accepted and ended in this step."""
+        for program, _ in record.step.accepted:
+            self.running.add(program.name.split(" ", 1)[1])
+        for ended, _ in record.step.ended:
+            identity = Identity(record.instance, ended.program)
+            self.ends[identity] = ended
+            self.by_result[record.instance, ended.result] = identity
+
+    def newest(self, name: str) -> Asked | None:
+        """Returns the newest request for a goal or jog of an id."""
+        return self.by_id[name][-1] if name in self.by_id else None
+
+    def note_beginning(self, identity: Identity, name: str, states: int, locked: int) -> None:
+        """Records where the arm is when a program begins.
+
+        Args:
+            identity: of the program.
+            name: id of the goal.
+            states: to which the boards drive the actuators, and the states of locked ones.
+            locked: mask of the locked actuators.
+        """
+        asked, snapshot = self.newest(name), self.snapshot
+        if asked is None or asked.key != "goal" or snapshot is None:
+            return
+        if snapshot.moving or snapshot.measured == snapshot.outputs:
+            cubes = {cube for _, pending in self.pending_cubes for cube in pending} | set(self.cubes)
+            self.beginnings[identity] = Beginning(asked.message, states, locked, tuple(sorted(cubes)))
 
     def published(self, result: PublishResult) -> None:
         """Records a result that is published now."""
