@@ -90,7 +90,9 @@ class Clients:
             self._make_ready()
             self._agenda.after(0.2, self._act)
             return
-        act = self._random.choices(list(ACTS), list(ACTS.values()))[0]
+        act, state = self._random.choices(list(ACTS), list(ACTS.values()))[0], self._daemon.history.state
+        if state is not None and state["mode"] in ("fault", "stopped") and self._random.random() < 0.3:
+            act = "reset"
         match act:
             case "goal":
                 self.ask("goal", self.goal())

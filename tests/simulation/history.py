@@ -22,6 +22,7 @@ from controller.planning.core.events import (
     Payload,
     PublishResult,
     Record,
+    Reply,
     Start,
     ToExecutor,
 )
@@ -48,7 +49,6 @@ class Asked:
         at: time of arrival [s].
         message: content.
         payload: of the answer; None before.
-        answers: number of answers.
     """
 
     process: int
@@ -57,13 +57,11 @@ class Asked:
     at: float
     message: Any = None
     payload: dict[str, Any] | None = None
-    answers: int = 0
     heard: Callable[[Asked], None] = field(default=lambda asked: None)
 
     def reply(self, payload: Payload) -> None:
         """Takes the answer."""
         self.payload = dict(payload)
-        self.answers += 1
         self.heard(self)
 
     @property
@@ -118,6 +116,7 @@ class History:
         self.by_id: dict[str, list[Asked]] = {}
         self.results: dict[Identity, PublishResult] = {}
         self.twice: list[Identity] = []
+        self.strays: list[tuple[int, Payload]] = []
         self.told: list[PublishResult] = []
         self.recorded_results: set[Identity] = set()
         self.sent: list[Any] = []
@@ -259,6 +258,8 @@ class History:
                 self._note(("task", number, type(task).__name__))
             case Log(_, text):
                 self._note(("planner logs", text))
+            case Reply(number, payload) if number not in process.loop._replies:
+                self.strays.append((number, payload))
             case _:
                 pass
 

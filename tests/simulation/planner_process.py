@@ -16,7 +16,6 @@ from controller.planning.core.events import (
     Action,
     CancelMessage,
     Event,
-    FromExecutor,
     Key,
     Message,
     Quit,
@@ -31,7 +30,8 @@ from controller.planning.shell import loop as loop_module
 from controller.planning.shell.loop import Loop, OnReply, PlannerFailed
 from controller.planning.shell.planner import CANCELED
 from controller.planning.shell.services import Services
-from controller.program import Cancel, Halt, Snapshot
+from controller.program import Cancel, Halt
+from tests.simulation.invariants import require
 from tests.simulation.network import SimulatedLink
 from tests.simulation.planner_storage import SimulatedLedger, SimulatedOut
 from tests.simulation.searcher import Searcher
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 WAKE_UP = 0.0005  # [s], longest
 QUIT_WITHIN = 1.5  # [s], after which the process ends without its last results
+SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of those in a row
 UNIX = 1.7e9  # [s] between the two clocks
 
 loop_module.log.setLevel(logging.CRITICAL + 1)  # defects are found by `Complaints`
@@ -108,6 +109,7 @@ class PlannerProcess:
         self.alive, self.number, self.quits_at = True, number, math.inf
         self._daemon, self._agenda, self._random = daemon, daemon.agenda, random
         self._next = math.inf  # time of the next round [s]
+        self._idle_rounds, self._rang_at = 0, -math.inf
         self._actions_left: int | None = None
         self._numbers = itertools.count(1)
         arm, storage, post = daemon.arm, daemon.storage, self.post
@@ -181,6 +183,10 @@ class PlannerProcess:
         if self._agenda.now < self._daemon.awake_since:
             self._wake_at(self._daemon.awake_since)
             return
+        if self.inbox.events or self.link.ready or self._agenda.now > self._rang_at + SPIN:
+            self._idle_rounds = 0
+        self._idle_rounds, self._rang_at = self._idle_rounds + 1, self._agenda.now
+        require(self._idle_rounds < MOST_IDLE, "the loop spins: the core wants to be woken again and again")
         try:
             self.loop._round()
         except Killed:
@@ -237,6 +243,3 @@ class PlannerProcess:
 
     def _never(self, reason: str) -> None:
         raise AssertionError(reason)
-
-
-__all__ = ["FromExecutor", "PlannerProcess", "Snapshot"]

@@ -49,7 +49,8 @@ def _unknown(asked: Asked, world: World, daemon: Daemon, now: float, waited: flo
         return False
     measured = int.from_bytes(snapshot.measured, "little")
     outputs = int.from_bytes(snapshot.outputs, "little")
-    return measured not in daemon.space.index or outputs not in daemon.space.index
+    changed = max(daemon.history.moved_at, daemon.history.mode_at) >= now - SOON
+    return changed or measured not in daemon.space.index or outputs not in daemon.space.index
 
 
 def _silent(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
