@@ -20,7 +20,7 @@ from controller.strict import InputFaults
 SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
 KIND = "Kind of the simulated boards; see `simulate --help`."
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
-POLL = 0.2  # [s] between two checks that the executor still runs
+POLL = 0.2  # [s] between two checks that executor and planner still run
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 M_MMAP_THRESHOLD = -3  # of glibc's malloc.h
 LARGE = 1 << 17  # [bytes]
@@ -49,7 +49,7 @@ def run(
     return_large_blocks()
 
     from controller.actuators import ending_time, read_wired
-    from controller.gateway.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
+    from controller.commands.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
     from controller.journal import start_logging
     from controller.scheduling import shorten_slice
     from controller.sockets import socket_path
@@ -106,7 +106,7 @@ def serve(
         ledger: path of the ledger; None: the default path.
 
     Raises:
-        Failed: the executor ended, there is no Zenoh session, or another daemon serves the arm.
+        Failed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
         InputFaults: the arm's file or the Zenoh configuration is wrong.
     """
     import zenoh
@@ -128,8 +128,10 @@ def serve(
     try:
         for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
             signal.signal(number, lambda *_: ending.set())
-        with running(arm, densities, config, book, path, digest):
+        with running(arm, densities, config, book, path, digest) as daemon:
             while not ending.wait(POLL):
+                if daemon.failure is not None:
+                    raise Failed(f"{daemon.failure}: the log has details")
                 if (code := ended()) is not None:
                     raise Failed(f"the executor ended with code {code}: its messages are above")
     except (AlreadyRunning, LedgerInUse) as error:

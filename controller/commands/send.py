@@ -87,13 +87,13 @@ def send(
 
 
 def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
-    """Cancels the goal of an interrupted command and prints the daemon's answer.
+    """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer.
 
     Raises:
         Unanswered: the daemon did not answer; `connected` makes this a Failed.
     """
     common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
-    answer = client.request("cancel")
+    answer = client.request("cancel", {"id": goal})
     if as_json:
         print_json(answer)
     else:

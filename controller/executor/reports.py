@@ -42,10 +42,6 @@ class Reports:
         self._next_snapshot = self._next_diagnostics = 0.0
         self._shown: tuple[int, ...] = ()
 
-    def __getstate__(self) -> dict[str, object]:
-        """Returns the state for a pickle of the core, without the functions of the event loop."""
-        return vars(self) | {"loop_status": dict, "dropped": int}
-
     def snapshot_due(self, now: float) -> bool:
         """Returns whether a snapshot is due at this tick: by time, or because the state has changed."""
         motion = self._motion

@@ -171,11 +171,6 @@ class FileJournal(MemoryJournal):
         except OSError as error:
             self._note(f"the process that copies them cannot be started: {error}")
 
-    def __reduce__(self) -> tuple[type[MemoryJournal], tuple[int], dict[str, object]]:
-        """A pickle has the counts only: it is a journal in memory."""
-        state = {name: getattr(self, name) for name in ("counts", "_intended", "_after")}
-        return MemoryJournal, (len(self.counts),), state
-
     def close(self) -> None:
         """Copies the newest record to the disk and closes the files. Does not write beside a copier that hangs."""
         if self._map.closed:

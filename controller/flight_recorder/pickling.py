@@ -23,6 +23,8 @@ PURE = re.compile(
     r"|motion_supervision|program_execution|reports|requests|results|setpoint_stream|travel_times)"
     r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
 )
+CORE = "controller.planning.core."  # its functions are pure, too
+LEFT_OUT = "left out"  # stands for an opaque value that is not None
 OTHERS = {
     ("controller.flight_recorder.pickling", "method_of"),
     ("controller.executor.switch_journal", "MemoryJournal"),
@@ -31,6 +33,8 @@ OTHERS = {
     ("collections", "defaultdict"),
     ("collections", "deque"),
     ("functools", "partial"),
+    ("filterpy.kalman.kalman_filter", "KalmanFilter"),
+    ("numpy.linalg", "inv"),  # attribute of the filter
     *(
         ("builtins", name)
         for name in ("bytearray", "complex", "dict", "frozenset", "int", "list", "range", "set", "slice")
@@ -46,7 +50,13 @@ def reducers(opaque: Mapping[type, str], outside: Mapping[str, object]) -> dict[
     names = {id(it): name for name, it in outside.items()}
 
     def without(field: str) -> Callable[[Any], Any]:
-        return lambda it: (type(it), tuple(it._replace(**{field: None})))
+        def reduced(it: Any) -> Any:
+            stands = None if getattr(it, field) is None else LEFT_OUT
+            if isinstance(it, tuple):  # a NamedTuple
+                return type(it), tuple(it._replace(**{field: stands}))  # type: ignore[attr-defined]
+            return copyreg.__newobj__, (type(it),), vars(it) | {field: stands}  # type: ignore[attr-defined]
+
+        return reduced
 
     def by_name(it: object) -> Any:
         if id(it) not in names:
@@ -72,7 +82,8 @@ class _Unpickler(pickle.Unpickler):
             return getattr(importlib.import_module(module), name)
         if PURE.fullmatch(module):
             found = getattr(importlib.import_module(module), name, None)
-            if isinstance(found, type) and found.__module__ == module:
+            pure = isinstance(found, type) or (isinstance(found, FunctionType) and module.startswith(CORE))
+            if pure and found.__module__ == module:
                 return found
         raise Refused(f"the file contains {module}.{name}, which no file of events may contain: it is not loaded")
 

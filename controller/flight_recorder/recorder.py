@@ -59,7 +59,7 @@ class FlightRecorder:
     Args:
         label: what is recorded.
         folder: of saved files; None: nothing is saved by itself.
-        opaque: field of NamedTuples that is recorded as None, because the core does not look inside.
+        opaque: field of a class that is left out, because the core only asks whether it is None.
         outside: constant objects that are recorded by name, such as the manipulator; the only ones of their types.
         batch: number of entries after which they are written; a caller with a larger one calls `flush`.
     """
@@ -81,6 +81,7 @@ class FlightRecorder:
         self._file: IO[bytes] | None = None
         self._number = self._count = 0
         self._tried = 0  # number of events at the last attempt to take a checkpoint
+        self._unpicklable = False
         self._keeper: subprocess.Popen[bytes] | None = None
         try:
             _remove_left(label)
@@ -170,7 +171,9 @@ class FlightRecorder:
         try:
             return self._pickled(self._core)
         except Exception as error:
-            log.warning("no checkpoint of the %s can be taken for the recorded events: %s", self._label.kind, error)
+            level = logging.DEBUG if self._unpicklable else logging.WARNING  # once, not every few seconds
+            self._unpicklable = True
+            log.log(level, "no checkpoint of the %s for the recorded events: %s", self._label.kind, error)
             return b""
 
     def _pickled(self, content: Any) -> bytes:

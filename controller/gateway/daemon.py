@@ -1,10 +1,9 @@
-"""The planner's process: builds session, ledger, link, planning and server, and closes them in order."""
+"""The planner's process: builds its parts from the Zenoh session to the server, and closes them in order."""
 
 import contextlib
 import gc
 import logging
 import os
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,19 +11,21 @@ from pathlib import Path
 import zenoh
 
 from controller.config import Arm
-from controller.gateway.one_daemon import require_no_other
-from controller.gateway.outbox import Outbox
-from controller.gateway.repeated_goals import RepeatedGoals
+from controller.flight_recorder import FlightRecorder, Label
+from controller.gateway.arrivals import RepeatedGoals
+from controller.gateway.one_daemon import Claim
+from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
-from controller.gateway.session import connects, lease, reachable
-from controller.gateway.status_reporter import StatusReporter
+from controller.gateway.session import lease, reachable
 from controller.gateway.warnings import Warnings
-from controller.journal import fields_of_result
 from controller.notify import Notifier
+from controller.planning.core.core import OPAQUE
+from controller.planning.core.events import Recorded
+from controller.planning.inbox import Inbox
 from controller.planning.ledger import Ledger
 from controller.planning.link import ExecutorLink
-from controller.planning.messages import Payload
-from controller.planning.planning import Planning
+from controller.planning.planner import Outside, planning
+from controller.planning.published import PublishedResults, published_path
 from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
@@ -32,6 +33,22 @@ log = logging.getLogger(__name__)
 # Number of Zenoh's receiving threads. A flood on one key blocks the thread of each connection that it uses. With
 # Zenoh's default of two, all would soon be blocked, and a `stop` from another client would wait.
 RECEIVERS = "(rx: (worker_threads: 16))"
+
+
+class Daemon:
+    """A daemon that serves an arm.
+
+    Attributes:
+        failure: why the process must end, so that the service manager starts it again; None while all is well.
+    """
+
+    def __init__(self) -> None:
+        self.failure: str | None = None
+
+    def fail(self, message: str) -> None:
+        """Notes that the process must end. For any thread."""
+        log.critical("the daemon must end: %s", message)
+        self.failure = self.failure or message
 
 
 @contextlib.contextmanager
@@ -42,7 +59,7 @@ def running(
     ledger: Path,
     socket: Path | Callable[[], Path],
     digest: str,
-) -> Iterator[Planning]:
+) -> Iterator[Daemon]:
     """Serves an arm while the context lasts.
 
     At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and
@@ -61,43 +78,30 @@ def running(
         AlreadyRunning: another daemon of this arm is in the network.
         LedgerInUse: another process writes the ledger.
     """
-    name = arm.settings.name
+    name, daemon, inbox = arm.settings.name, Daemon(), Inbox()
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)
         session = closing.enter_context(zenoh.open(config))
-        require_no_other(session, name, connects=connects(config))
-        book = Ledger(ledger, arm.manipulator.actuators)
+        claim = Claim(session, name)
+        closing.callback(claim.close)
+        book = Ledger(ledger, arm.manipulator.actuators, lambda entry: inbox.post(Recorded(entry)), daemon.fail)
         closing.callback(book.close)
-        outbox = Outbox(session, f"hyperbit/{name}", lease(config))
+        published = PublishedResults(published_path(name, socket() if callable(socket) else socket))
+        goals, notifier = RepeatedGoals(), Notifier()
+        hooks = ResultHooks(goals.ended, published.add, inbox.post)
+        outbox = Outbox(session, f"hyperbit/{name}", hooks, daemon.fail, lease(config))
         closing.callback(outbox.close)
-        goals, changed, notifier = RepeatedGoals(), threading.Event(), Notifier()
-
-        def publish(key: str, payload: Payload) -> None:
-            if key != "feedback":
-                goals.ended(payload.get("id"))
-            outbox.publish(key, payload)
-            if key != "feedback":  # after the publication, because writing the log may block
-                fields, message = fields_of_result(payload), payload.get("message")
-                log.info("goal %s %s: %s", payload.get("id"), payload.get("status"), message, extra={"journal": fields})
-
-        link = ExecutorLink(socket, name, digest, 2.0 * arm.settings.planner_timeout)
-        planning = Planning(arm, densities, link, book, publish, changed.set)
         warnings = Warnings(reachable(session, config), book.faults)
-        planning.start()
-        closing.callback(planning.close)
-        reporter = StatusReporter(
-            session,
-            f"hyperbit/{name}",
-            planning.state,
-            planning.diagnostics,
-            changed,
-            warnings.active,
-            outbox.waiting,
-            notifier,
-        )
-        closing.callback(reporter.close)  # its end is no fault while the executor is connected
-        closing.callback(planning.end_goals)
-        server = Server(session, name, planning, outbox, goals, tracker=arm.settings.tracker is not None)
+        outside = Outside(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
+        label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
+        constant = {"manipulator": arm.manipulator}
+        recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant))
+        link = ExecutorLink(socket, name, digest)
+        planner = closing.enter_context(planning(arm, densities, link, outside, recorder))
+        claim.confirm()
+        planner.start()
+        server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
+        closing.callback(planner.end_goals)
         closing.callback(server.close)
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
@@ -105,4 +109,4 @@ def running(
         notifier.send("READY=1")
         closing.callback(notifier.send, "STOPPING=1")
         log.info("serving the arm %s", name)
-        yield planning
+        yield daemon

@@ -1,17 +1,21 @@
-"""Sends answers, feedback and results: any thread puts them in, one thread sends them."""
+"""Sends answers, feedback, results and states: any thread queues them, one thread sends them."""
 
 import logging
+import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
+import msgspec
+import numpy as np
 import zenoh
 
-from controller.gateway.encoding import JSON, encode
 from controller.gateway.session import LEASE
 from controller.motion import codes
-from controller.planning.messages import Payload, Reply, refused
+from controller.planning.core.events import Identity, Payload, Published, PublishResult
+from controller.planning.core.messages import refused
 
 log = logging.getLogger(__name__)
 
@@ -19,17 +23,37 @@ MOST_WAITING = 1_000  # messages in each lane
 POLL = 0.2  # [s] between two readings of the clock
 RECONNECTED = 5.0  # [s] after a standstill, or after the start; clients reconnect at least every 4 s
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
+PUBLISHED = {"result": zenoh.CongestionControl.BLOCK} | dict.fromkeys(
+    ("feedback", "state", "diagnostics", "@request"), zenoh.CongestionControl.DROP
+)
+JSON = zenoh.Encoding.APPLICATION_JSON
 
-Item = tuple[zenoh.Query | str, str, Payload]
+# What is sent: by a query's reply, or published; then its key and payload.
+Item = tuple[zenoh.Query | PublishResult | None, str, Payload]
+
+
+class ResultHooks(NamedTuple):
+    """What the outbox calls for each result; no function waits.
+
+    Attributes:
+        ended: takes the id of the goal, before its result is published.
+        published: notes durably that the result of a program was published; takes what clients receive.
+        posted: takes the event for the planner's core, after that.
+    """
+
+    ended: Callable[[str | None], None]
+    published: Callable[[Identity, Payload], None]
+    posted: Callable[[Published], None]
 
 
 class Outbox:
-    """A thread for the Zenoh calls that may wait for a slow peer.
+    """A thread for the Zenoh calls that may wait for a slow peer. No method waits, except `close`.
 
     Messages wait in two lanes. The first has results, feedback and answers to accepted commands, in order. The second
     has refusals and other answers, so that a flood of bad requests delays no result. Results of accepted goals are
     never dropped here. Other messages are dropped while MOST_WAITING are in their lane, because requests could
-    otherwise fill the memory. A peer without an answer sees its request end.
+    otherwise fill the memory. A peer without an answer sees its request end. Between the lanes come the latest `state`
+    and `diagnostics`; a slow peer misses some of them.
 
     A process that stood still for about its session's lease loses its peers as soon as it continues. Results published
     at that moment would reach no client. Results, and the messages after them in their lane, therefore wait until
@@ -38,6 +62,8 @@ class Outbox:
     Args:
         session: open session.
         prefix: of all keys, "hyperbit/<arm>".
+        hooks: called for each result.
+        fatal: takes a message when the thread dies.
         lease: of the session [s].
         clock: a clock that continues while the process stands still [s].
     """
@@ -46,114 +72,168 @@ class Outbox:
         self,
         session: zenoh.Session,
         prefix: str,
+        hooks: ResultHooks,
+        fatal: Callable[[str], None],
         lease: float = LEASE,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
+        self._hooks, self._fatal = hooks, fatal
         self._last_reading, self._wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
-        self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
         self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
-        self._news = threading.Condition()
+        # Any thread appends, only the thread of the outbox takes. Both are atomic.
+        self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
+        self._latest = dict[str, Payload]()
+        self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
         self._publishers = {
-            "result": session.declare_publisher(
-                f"{prefix}/result", encoding=JSON, congestion_control=zenoh.CongestionControl.BLOCK
-            ),
-            "feedback": session.declare_publisher(
-                f"{prefix}/feedback", encoding=JSON, congestion_control=zenoh.CongestionControl.DROP
-            ),
-            "@request": session.declare_publisher(
-                f"{prefix}/@request", encoding=JSON, congestion_control=zenoh.CongestionControl.DROP
-            ),
+            key: session.declare_publisher(f"{prefix}/{key}", encoding=JSON, congestion_control=control)
+            for key, control in PUBLISHED.items()
         }
         self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
         self._thread.start()
 
-    def publish(self, key: str, payload: Payload) -> None:
-        """Publishes on `key`: "result", "feedback", "@request", or "inherited".
+    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: Payload) -> None:
+        """Publishes on a key. A `state` or `diagnostics` replaces the one that still waits."""
+        if key == "feedback":
+            self._put(self._first, (None, key, payload))
+        else:
+            self._latest[key] = payload
+            self._wake_up()
 
-        "inherited" is for the result of a goal of an earlier planner process.
-        """
-        if key == "inherited":
-            self._put(self._inherited, ("result", "result", payload), needed=True)
-            return
-        refusal = key == "result" and payload["status"] == "refused"
-        lane = self._second if refusal or key == "@request" else self._first
-        self._put(lane, (key, key, payload), needed=key == "result" and not refusal)
+    def publish_result(self, result: PublishResult) -> None:
+        """Publishes the result of an accepted goal, notes it as published, and then posts `Published`."""
+        self._hooks.ended(result.payload.get("id"))
+        self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
 
-    def has_subscriber(self, key: str) -> bool:
-        """Returns whether a peer subscribes to a key."""
-        return bool(self._publishers[key].matching_status.matching)  # type: ignore[attr-defined]  # a struct, not bool
+    def publish_refusal(self, payload: Payload) -> None:
+        """Publishes the refusal of a put on `result`."""
+        self._put(self._second, (None, "result", payload))
 
-    def answer(self, query: zenoh.Query, key: str) -> Reply:
-        """Returns a function that answers a query on `key` and ends it."""
+    def publish_note(self, payload: Payload) -> None:
+        """Publishes a note on a request and its answer."""
+        self._put(self._second, (None, "@request", payload))
 
-        def reply(payload: Payload) -> None:
-            carried_out = key in COMMANDS and payload.get("accepted") is True
-            self._put(self._first if carried_out else self._second, (query, key, payload), needed=False)
+    def recorded(self) -> bool:
+        """Returns whether a peer receives the notes on requests."""
+        try:
+            return bool(self._publishers["@request"].matching_status.matching)  # type: ignore[attr-defined]  # no bool
+        except zenoh.ZError:  # the session is closed
+            return False
 
-        return reply
-
-    def close(self, timeout: float = 2.0) -> None:
-        """Sends the rest, for at most `timeout` seconds."""
-        with self._news:
-            self._closing = True
-            self._news.notify()
-        self._thread.join(timeout)
+    def answer(self, query: zenoh.Query, key: str, payload: Payload) -> None:
+        """Answers a query on `key` and ends it."""
+        carried_out = key in COMMANDS and payload.get("accepted") is True
+        self._put(self._first if carried_out else self._second, (query, key, payload))
 
     def waiting(self) -> int:
         """Returns the number of messages that wait."""
         return len(self._first) + len(self._second) + len(self._inherited)
 
-    def _put(self, lane: deque[Item], item: Item, *, needed: bool) -> None:
-        with self._news:
-            full = len(lane) >= MOST_WAITING
-            if full and not self._full:
-                log.warning("peers do not read their answers: answers are dropped")
-            self._full = full
-            if needed or not full:
-                lane.append(item)
-                self._news.notify()
+    def close(self, timeout: float = 2.0) -> None:
+        """Sends the rest, for at most `timeout` seconds."""
+        self._closing = True
+        self._wake_up()
+        self._thread.join(timeout)
+
+    def _put(self, lane: deque[Item], item: Item, *, needed: bool = False) -> None:
+        full = len(lane) >= MOST_WAITING
+        if full and not self._full:
+            log.warning("peers do not read their answers: answers are dropped")
+        self._full = full
+        if needed or not full:
+            lane.append(item)
+            self._wake_up()
+
+    def _wake_up(self) -> None:
+        """Makes the thread look at the lanes; one waiting call is enough, because it looks afterwards."""
+        if self._wake.empty():
+            self._wake.put(None)
+
+    # --- the thread
+
+    def _run(self) -> None:
+        try:
+            while (item := self._next()) is not None:
+                self._send(*item)
+                self._last_reading = self._clock()  # waiting for a slow peer is no standstill
+        except BaseException as error:
+            log.exception("the outbox failed")
+            self._fatal(f"the thread that publishes results failed: {type(error).__name__}: {error}")
 
     def _next(self) -> Item | None:
-        """Returns the next message, the first lane's before the second's; None at the end."""
-        with self._news:
-            while True:
-                waits = self._must_wait() and not self._closing
-                lane = self._second if waits else self._first or self._second
-                if self._closing or self._clock() >= self._reached_from:
-                    lane = self._inherited or lane
-                if lane or self._closing:
-                    return lane.popleft() if lane else None
-                self._news.wait(POLL)
+        """Waits for the next message; None at the end."""
+        while True:
+            results_wait = self._stood_still() and not self._closing
+            inherited_wait = results_wait or (self._clock() < self._reached_from and not self._closing)
+            if self._inherited and not inherited_wait:
+                return self._inherited.popleft()
+            if self._first and not (results_wait and self._first[0][1] == "result"):
+                return self._first.popleft()
+            for key in ("state", "diagnostics"):
+                if (latest := self._latest.pop(key, None)) is not None:
+                    return None, key, latest
+            if self._second:
+                return self._second.popleft()
+            if self._closing:
+                return None
+            try:
+                self._wake.get(timeout=POLL)
+            except queue.Empty:
+                continue
 
-    def _must_wait(self) -> bool:
-        """Returns whether a result is next and must wait for clients to reconnect after a standstill."""
+    def _stood_still(self) -> bool:
+        """Returns whether clients may not have reconnected yet after a standstill."""
         now = self._clock()
         if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
             self._wait_until = now + RECONNECTED
             standstill = now - self._last_reading
             log.warning("the process stood still for %.1f s: results wait for %g s", standstill, RECONNECTED)
         self._last_reading = now
-        return now < self._wait_until and bool(self._first) and self._first[0][1] == "result"
+        return now < self._wait_until
 
-    def _run(self) -> None:
-        while (item := self._next()) is not None:
-            target, key, payload = item
-            try:
-                data = encode(payload)
-            except Exception:
-                log.exception("a payload cannot be encoded as JSON: %r", payload)
-                data = encode(without_json(payload))
-            try:
-                if isinstance(target, str):
-                    self._publishers[target].put(data)
-                else:
-                    with target:
-                        target.reply(f"{self._prefix}/{key}", data, encoding=JSON)
-            except Exception as error:  # an error of one peer must not stop the service of the others
-                log.warning("not sent on %s: %s", key, error)
-            self._last_reading = self._clock()  # waiting for a slow peer is no standstill
+    def _send(self, target: zenoh.Query | PublishResult | None, key: str, payload: Payload) -> None:
+        if key == "diagnostics":
+            payload = {**payload, "queues": {**payload.get("queues", {}), "outbox": self.waiting()}}
+        data = encoded(payload)
+        try:
+            if target is None or isinstance(target, PublishResult):
+                self._publishers[key].put(data)
+            else:
+                with target:
+                    target.reply(f"{self._prefix}/{key}", data, encoding=JSON)
+        except Exception as error:  # an error of one peer must not stop the service of the others
+            log.warning("not sent on %s: %s", key, error)  # the executor keeps a result, for the next planner
+            return
+        if isinstance(target, PublishResult):
+            self._hooks.published(target.identity, msgspec.json.decode(data))
+            self._hooks.posted(Published(target.number))
+
+
+def encoded(payload: Payload) -> bytes:
+    """Returns a payload as JSON, or a substitute for a payload that has no JSON form."""
+    try:
+        return encode(payload)
+    except Exception:
+        log.exception("a payload cannot be encoded as JSON: %r", payload)
+        return encode(without_json(payload))
+
+
+def encode(payload: Payload) -> bytes:
+    """Returns a payload as JSON; numbers that are not finite become null.
+
+    Raises:
+        TypeError: a value has no JSON form.
+        UnicodeEncodeError: a text contains a lone surrogate.
+    """
+    return msgspec.json.encode(payload, enc_hook=plain)
+
+
+def plain(value: object) -> Any:
+    """Converts NumPy's numbers and arrays to Python's."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be encoded as JSON")
 
 
 def without_json(payload: Payload) -> Payload:

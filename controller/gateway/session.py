@@ -6,7 +6,6 @@ from pathlib import Path
 
 import zenoh
 
-ENDPOINT = "tcp/127.0.0.1:7447"
 LEASE = 10.0  # [s] of silence after which a peer counts as lost; long, because busy machines stand still for seconds
 MOST_BLOCKED = 1.0  # [s] that a message waits for a peer that does not read, before the peer is disconnected
 TLS = "transport/link/tls"

@@ -11,7 +11,7 @@ import numpy as np
 
 from controller.config import Arm
 from controller.manipulator.notation import format_configuration
-from controller.planning.messages import Payload
+from controller.planning.core.events import Payload
 from controller.settings import TransformsSettings
 from controller.workspace.densities import Densities
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from controller.planning.core.events import Accepted, Ended, Identity, OpenGoal, Record
+from controller.planning.core.events import OpenGoal, Record
 from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed
 from controller.program import Fault
 
@@ -54,8 +54,6 @@ class Ledger:
     Raises:
         LedgerInUse: another process writes this ledger.
     """
-
-    instance = 0  # of the executor, for `accepted` and `ended`
 
     def __init__(
         self,
@@ -106,24 +104,6 @@ class Ledger:
         self._queue.put(None)
         self._thread.join(timeout)
         self._lock_file.close()
-
-    def accepted(self, number: int, goal: str, waypoints: int) -> None:
-        """Records an accepted goal of a program's number."""
-        self.record(Record(0, Identity(self.instance, number), Accepted(goal, time.time(), waypoints), None))
-
-    def ended(
-        self,
-        number: int,
-        status: str,
-        code: int,
-        message: str,
-        switches: int,
-        accepted: tuple[str, float, int] | None = None,
-    ) -> None:
-        """Records the result of a goal; `accepted` has id, time [UNIX s] and waypoints."""
-        before = None if accepted is None else Accepted(*accepted)
-        result = Ended(time.time(), status, code, message, switches)
-        self.record(Record(0, Identity(self.instance, number), before, result))
 
     def _run(self) -> None:
         try:

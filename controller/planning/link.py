@@ -1,246 +1,223 @@
-"""The planner's side of the executor's socket: connects, sends messages and keep-alives, dispatches what arrives."""
+"""The connection to the executor for a poll loop, without threads and locks."""
 
 import contextlib
 import logging
-import threading
-from collections.abc import Callable, Sequence
+import select
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol, TypeVar
 
-from controller.planning.answers import Answers, OnAnswer
-from controller.planning.connection import Connection, NotConnected
-from controller.program import (
-    ALIVE_EVERY,
-    VERSION,
-    Alive,
-    Answer,
-    Diagnostics,
-    Down,
-    Goodbye,
-    Hello,
-    Malformed,
-    Snapshot,
-    Up,
-    Welcome,
-    decode_up,
-    encode,
-)
+from controller.planning.core.events import FromExecutor, LinkDown
+from controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hello, Malformed, Welcome, decode_up, encode
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T")
+RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
+SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read
+MOST_BEHIND = 1.0  # [s] that a message waits in the queue
+MOST_QUEUED = 1_000  # messages in the queue
+MOST_RECEIVED = 256  # packets in one call, so that a flood of them does not block the loop
+UNREAD = "the executor does not read its messages"
 
-RETRY = 0.5  # [s] between two attempts to connect
 
+class Connection:
+    """A connected socket. `shut` ends the connection at once; the socket is closed with the last reference.
 
-class Listener(Protocol):
-    """Receives the link's messages, in the link's thread; must not wait."""
+    A thread that sends holds a reference. Therefore the kernel cannot give the number of the socket to another file
+    while a thread is about to send to this number.
+    """
 
-    def welcomed(self, welcome: Welcome) -> None:
-        """The executor accepts this planner."""
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
-    def heard(self, message: Up) -> None:
-        """A message arrived."""
+    def send(self, data: bytes) -> None:
+        """Sends one packet, which is atomic. For any thread.
 
-    def lost(self, reason: str) -> None:
-        """The connection ended; called once for each `welcomed`."""
+        Raises:
+            BlockingIOError: the socket is full.
+            OSError: the connection has ended.
+        """
+        self.socket.send(data, socket.MSG_NOSIGNAL)
+
+    def shut(self) -> None:
+        """Ends the connection."""
+        with contextlib.suppress(OSError):
+            self.socket.shutdown(socket.SHUT_RDWR)
+
+    def __del__(self) -> None:
+        if hasattr(self, "socket"):  # else there were too many open files
+            self.socket.close()
 
 
 class ExecutorLink:
-    """The connection to one executor. For any thread.
+    """The connection to one executor. Belongs to the loop's thread; only `send_now` is for any thread.
 
     Attributes:
-        snapshot: the latest; None while not connected.
-        diagnostics: the latest; None while not connected.
-        welcome: of this connection; None while not connected.
-        problem: why there is no connection; None while there is one.
-        patience: as given [s].
+        retry_at: time of the next attempt to connect, while there is no connection [s].
 
     Args:
         path: of the socket, or a function that returns it for each attempt.
         arm: name of the arm.
         digest: SHA-256 of the arm's file, in hexadecimal.
-        patience: longest time for an answer, and longest silence, before the connection counts as lost [s].
+        clock: of the loop [s].
     """
 
-    def __init__(self, path: Path | Callable[[], Path], arm: str, digest: str, patience: float = 2.0) -> None:
-        self._path = path if callable(path) else lambda: path
-        self._arm, self._digest = arm, digest
-        self.patience = patience
-        self._most_silent = round(patience / ALIVE_EVERY)  # iterations of the thread that sends Alive
-        self.snapshot: Snapshot | None = None
-        self.diagnostics: Diagnostics | None = None
-        self.welcome: Welcome | None = None
-        self.problem: str | None = "waiting for the executor"
-        self._listener: Listener
+    def __init__(
+        self,
+        path: Path | Callable[[], Path],
+        arm: str,
+        digest: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.retry_at = 0.0
+        self._path, self._arm, self._digest, self._clock = path, arm, digest, clock
         self._connection: Connection | None = None
-        self._answers = Answers(patience)
-        self._silent, self._closing = 0, threading.Event()
-        self._threads: Sequence[threading.Thread] = ()
+        self._welcomed: Connection | None = None  # the same, after its Welcome
+        self._reason = "waiting for the executor"  # of the last LinkDown
+        self._received: list[FromExecutor | LinkDown] = []
+        self._queue: deque[tuple[float, bytes]] = deque()  # time and data of each message
+
+    def fileno(self) -> int:
+        """Returns the file descriptor to wait on; -1 without a connection."""
+        return -1 if self._connection is None else self._connection.socket.fileno()
 
     @property
-    def connected(self) -> bool:
-        """Whether the executor accepts messages."""
-        return self.welcome is not None
+    def sending(self) -> bool:
+        """Whether messages wait until the socket can be written; then call `flush`."""
+        return bool(self._queue)
 
     @property
-    def waiting(self) -> int:
-        """Number of requests that wait for the executor's answer."""
-        return len(self._answers)
+    def pending(self) -> bool:
+        """Whether `receive` returns events even if the socket cannot be read."""
+        return bool(self._received)
 
-    def start(self, listener: Listener) -> None:
-        """Starts the threads that connect and listen, and that send keep-alives."""
-        self._listener = listener
-        self._threads = (
-            threading.Thread(target=self._run, name="executor-link", daemon=True),
-            threading.Thread(target=self._stay_alive, name="executor-alive", daemon=True),
-        )
-        for thread in self._threads:
-            thread.start()
+    def connect(self, now: float) -> None:
+        """Connects and sends Hello, at most every RETRY seconds; does nothing while there is a connection."""
+        if self._connection is not None or now < self.retry_at:
+            return
+        self.retry_at = now + RETRY
+        try:
+            connection = Connection()
+            connection.socket.connect(str(self._path() if callable(self._path) else self._path))
+            connection.send(encode(Hello(VERSION, "planner", self._arm)))
+        except OSError as error:
+            self._report(f"waiting for the executor at its socket: {error.strerror or error}")
+        except Exception:
+            if self._report("internal error, see the journal"):
+                log.exception("the link to the executor failed")
+        else:
+            self._connection = connection
 
-    def close(self, timeout: float = 2.0) -> None:
-        """Ends the connection and the threads."""
-        self._closing.set()
-        self._drop()
-        for thread in self._threads:
-            thread.join(timeout)
+    def close(self) -> None:
+        """Ends the connection without an event; messages that were sent can still be read."""
+        if self._connection is not None:
+            self._connection.shut()
+        self._connection = self._welcomed = None
+        self._queue.clear()
+
+    def drop(self, reason: str) -> None:
+        """Ends the connection, if there is one; `receive` returns the LinkDown."""
+        if self._connection is not None:
+            self._report(reason)
+            self.close()
+            self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
+
+    # --- from the executor
+
+    def receive(self) -> list[FromExecutor | LinkDown]:
+        """Returns what has happened since the last call; never waits."""
+        for _ in range(MOST_RECEIVED):
+            if self._connection is None:
+                break
+            try:
+                data = self._connection.socket.recv(MOST_BYTES + 1)
+            except BlockingIOError:
+                break
+            except ConnectionResetError:  # the executor closed its end without reading all; its last messages follow
+                continue
+            except OSError as error:
+                self.drop(f"the connection to the executor is broken: {error}")
+                break
+            if (reason := self._accept(data)) is not None:
+                self.drop(reason)
+        received, self._received = self._received, []
+        return received
+
+    def _accept(self, data: bytes) -> str | None:
+        """Accepts a packet; returns why the connection must end."""
+        if not data:
+            return "the executor closed the connection"
+        try:
+            message = decode_up(data)
+        except Malformed as error:
+            return f"a message of the executor cannot be decoded, perhaps of another version: {error}"
+        match message:
+            case Goodbye():
+                return f"the executor refused this planner: {message.reason}"
+            case Welcome() if message.arm != self._arm:
+                return f"the executor drives the arm {message.arm!r}, not {self._arm!r}"
+            case Welcome() if message.digest != self._digest:
+                return "the executor was started with another version of the arm's file: restart it"
+            case Welcome():
+                self._welcomed = self._connection
+            case _:
+                pass
+        if self._welcomed is not None:
+            self._received.append(FromExecutor(message))
+        return None
+
+    def _report(self, reason: str) -> bool:
+        """Reports that there is no connection, if that is new; returns whether it is."""
+        new = self._welcomed is not None or reason != self._reason
+        if new:
+            self._received.append(LinkDown(reason))
+        self._reason = reason
+        return new
 
     # --- to the executor
 
     def send(self, message: Down) -> None:
-        """Sends a message at once.
+        """Sends a message, or queues it while the socket is full. Without a Welcome the message is dropped."""
+        if self._welcomed is not None:
+            self._queue.append((self._clock(), encode(message)))
+            self.flush()
 
-        Raises:
-            NotConnected: there is no connection, or the executor does not read.
-        """
-        connection = self._connection
-        if connection is None or not self.connected:
-            raise NotConnected(self.problem or "the executor is not connected")
-        connection.send(encode(message))
-
-    def ask(self, make: Callable[[int], Down], on_answer: OnAnswer) -> None:
-        """Sends a request; `on_answer` gets the executor's answer once, or None if the connection ends before.
-
-        Args:
-            make: returns the message, given the request's number.
-            on_answer: called from another thread; must not wait.
-
-        Raises:
-            NotConnected: as `send`; `on_answer` is not called then.
-        """
-        number = self._answers.expect(on_answer)
-        try:
-            self.send(make(number))
-        except NotConnected:
-            if self._answers.withdraw(number):
-                raise
-
-    def _stay_alive(self) -> None:
-        """Sends keep-alives, and drops the connection if the executor is silent.
-
-        Silence is counted in iterations of this thread, so that a stop of the whole process does not count as silence.
-        """
-        while not self._closing.wait(ALIVE_EVERY):
-            with contextlib.suppress(NotConnected):
-                self.send(Alive())
-            self._silent += 1
-            if self.connected and (self._silent > self._most_silent or self._answers.overdue()):
-                log.warning("the executor is silent: reconnecting")
-                self._drop()
-
-    # --- from the executor
-
-    def _run(self) -> None:
-        while not self._closing.is_set():
-            reason = self._serve()
-            if self._closing.is_set():
-                break
-            if reason != self.problem:
-                log.info("no connection to the executor: %s", reason)
-            self.problem = reason
-            self._closing.wait(RETRY)
-
-    def _serve(self) -> str:
-        """Connects and dispatches messages until the connection ends; returns why it ended."""
-        try:
-            connection = Connection(self._path())
-        except (NotConnected, OSError) as error:
-            return str(error)
-        self._connection, self._silent = connection, 0
-        try:
-            connection.send(encode(Hello(VERSION, "planner", self._arm)))
-            reason = self._listen(connection)
-        except NotConnected as error:
-            reason = str(error)
-        except Exception:
-            log.exception("the link to the executor failed")
-            reason = "internal error, see the journal"
-        finally:
-            self._connection = None
-            connection.close()
-        self._ended(reason)
-        return reason
-
-    def _listen(self, connection: Connection) -> str:
-        """Dispatches messages; returns why the connection ended.
-
-        Raises:
-            NotConnected: the connection is broken.
-        """
-        while data := connection.receive():
-            self._silent = 0
+    def flush(self) -> None:
+        """Sends queued messages; drops the connection if the executor does not read."""
+        while self._queue and self._connection is not None:
             try:
-                message = decode_up(data)
-            except Malformed as error:
-                return f"a message of the executor cannot be decoded, perhaps of another version: {error}"
-            match message:
-                case Goodbye():
-                    return f"the executor refused this planner: {message.reason}"
-                case Welcome():
-                    if (mismatch := self._mismatch(message)) is not None:
-                        return mismatch
-                    self.welcome, self.problem = message, None
-                    self._notify(self._listener.welcomed, message)
-                case Answer() if self.connected:
-                    self._answers.answer(message)
-                case _ if self.connected:
-                    self._store(message)
-                    self._notify(self._listener.heard, message)
-                case _:
-                    pass
-        return "the executor closed the connection"
+                self._connection.send(self._queue[0][1])
+            except BlockingIOError:
+                if len(self._queue) > MOST_QUEUED or self._clock() - self._queue[0][0] > MOST_BEHIND:
+                    self.drop(UNREAD)
+                return
+            except OSError:  # `receive` finds the end, after the last messages
+                self._queue.clear()
+                return
+            self._queue.popleft()
 
-    def _mismatch(self, welcome: Welcome) -> str | None:
-        """Returns why this planner must not use the executor; None if it may."""
-        if welcome.arm != self._arm:
-            return f"the executor drives the arm {welcome.arm!r}, not {self._arm!r}"
-        if welcome.digest != self._digest:
-            return "the executor was started with another version of the arm's file: restart it"
-        return None
+    def send_now(self, message: Down) -> str | None:
+        """Sends a message before all queued ones. For any thread; waits up to SEND_TIMEOUT for a full socket.
 
-    def _store(self, message: Up) -> None:
-        match message:
-            case Snapshot():
-                self.snapshot = message
-            case Diagnostics():
-                self.diagnostics = message
-            case _:
-                pass
-
-    def _ended(self, reason: str) -> None:
-        was, self.problem = self.connected, reason
-        self.welcome = self.snapshot = self.diagnostics = None
-        if was:
-            self._notify(self._listener.lost, reason)
-        self._answers.fail_all()
-
-    def _notify(self, to: Callable[[T], None], what: T) -> None:
-        """Calls the listener; its exceptions are logged, so that they do not end the connection."""
+        Returns:
+            why the message was not sent, None if it was.
+        """
+        connection = self._welcomed
+        if connection is None:
+            return self._reason
+        data = encode(message)
         try:
-            to(what)
-        except Exception:
-            log.exception("a message of the executor was not handled")
-
-    def _drop(self) -> None:
-        if (connection := self._connection) is not None:
-            connection.shut()
+            with contextlib.suppress(BlockingIOError):
+                connection.send(data)
+                return None
+            writable = select.poll()
+            writable.register(connection.socket, select.POLLOUT)
+            writable.poll(SEND_TIMEOUT * 1000)
+            connection.send(data)
+        except BlockingIOError:
+            return UNREAD
+        except OSError as error:
+            return f"the connection to the executor is broken: {error}"
+        return None

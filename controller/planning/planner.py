@@ -1,182 +1,185 @@
-"""Runs goals and jogs in order of arrival, and improves the plans of running goals."""
+"""The planner as the gateway uses it."""
 
-import logging
+import contextlib
+import itertools
 import time
 import uuid
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple
 
-from controller.motion import codes
-from controller.motion.codes import Refusal
-from controller.motion.goal import GoalMessage
-from controller.planning.admission import Admission, Ticket
-from controller.planning.goal_planning import GoalPlanning, Planned, stages_of
-from controller.planning.goal_programs import GoalPrograms
-from controller.planning.goals import RunningGoals
-from controller.planning.jogging import Jogging, Switches
-from controller.planning.keep_out import CollisionError
-from controller.planning.messages import BARRED, CLOSING, Payload, Reply
-from controller.planning.monitor import ArmMonitor
-from controller.planning.request_queue import RequestQueue
-from controller.planning.running_goal import RunningGoal
-from controller.planning.sending import ProgramSender
-from controller.planning.workers.improvement import Improvement
+import numpy as np
 
-log = logging.getLogger(__name__)
+from controller.config import Arm
+from controller.flight_recorder import FlightRecorder
+from controller.motion.pacing import pace_of
+from controller.notify import Notifier
+from controller.obstacles.obstacles import NONE
+from controller.planning.core.core import Beginning, Core
+from controller.planning.core.events import (
+    CancelMessage,
+    Ended,
+    Key,
+    Message,
+    OpenGoal,
+    Payload,
+    Quit,
+    Record,
+    Request,
+    SetpointArrived,
+    TipArrived,
+    Unsent,
+)
+from controller.planning.core.tasks import BuildScene, BuildTables
+from controller.planning.description import density, description, drawing, file
+from controller.planning.inbox import Inbox
+from controller.planning.ledger import Ledger
+from controller.planning.link import ExecutorLink
+from controller.planning.loop import Loop, OnReply
+from controller.planning.mailboxes import Receive
+from controller.planning.published import PublishedResults
+from controller.planning.requests import RequestDecoder
+from controller.planning.services import Out, Services
+from controller.planning.workers.arm_model import build_tables
+from controller.planning.workers.keep_out import build_scene
+from controller.planning.workers.pool import Workers
+from controller.program import Cancel, Fault, Halt
+from controller.workspace.densities import Densities
 
-MOST_WAITING = 16
-REPLANS = 3  # most plans of a goal whose first stages collide because the arm has moved meanwhile
+CANCELED = "canceled; the arm holds"
+LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
 
-@dataclass(frozen=True, eq=False)
-class GoalRequest:
-    """A goal to plan and run, or new states of single actuators.
+class Outside(NamedTuple):
+    """What the planner needs from its process.
 
     Attributes:
-        ticket: its place among all requests.
-        reply: takes the answer.
-        wanted: goal or states.
-        received: time of arrival [UNIX s].
-        goal: id; None for states.
+        inbox: of the loop; the others post their events there.
+        ledger: of goals and switches.
+        published: marks of published results.
+        out: sends publications.
+        notifier: notifies systemd.
+        warnings: returns the active warnings of the clock, the network and the ledger.
+        fatal: ends the process with a message.
     """
 
-    ticket: Ticket
-    reply: Reply
-    wanted: GoalMessage | Switches
-    received: float
-    goal: str | None
+    inbox: Inbox
+    ledger: Ledger
+    published: PublishedResults
+    out: Out
+    notifier: Notifier
+    warnings: Callable[[], tuple[Fault, ...]]
+    fatal: Callable[[str], None]
 
 
 class Planner:
-    """Answers each request once: refuses it, or sends it to the executor.
-
-    Attributes:
-        requests: the waiting requests.
+    """Passes requests to the core. For any thread; all methods but `end_goals` and `close` return at once.
 
     Args:
-        planning: makes the plans; not shared.
-        monitor: of the arm.
-        admission: decides which requests are barred.
-        goals: the running goals.
-        sender: of programs.
-        jogging: makes programs of single actuators.
+        arm: with wiring.
+        densities: of the arm reduced by the actuators that its file declares stuck.
+        loop: around the core; started and closed with this object.
+        link: of the loop.
     """
 
-    def __init__(
-        self,
-        planning: GoalPlanning,
-        monitor: ArmMonitor,
-        admission: Admission,
-        goals: RunningGoals,
-        sender: ProgramSender,
-        jogging: Jogging,
-    ) -> None:
-        self._planning, self._monitor, self._admission = planning, monitor, admission
-        self._goals, self._sender, self._jogging = goals, sender, jogging
-        self._arm, self._pace = planning.arm, planning.pace
-        self._programs = GoalPrograms(planning, monitor, goals)
-        self._expected: tuple[object, bytes] | None = None  # for which the search is prepared
-        self.requests = RequestQueue("goals", MOST_WAITING, self._serve, self._expect)
+    def __init__(self, arm: Arm, densities: Densities, loop: Loop, link: ExecutorLink) -> None:
+        self._arm, self._densities, self._loop, self._link = arm, densities, loop, link
+        self._decoder, self._description = RequestDecoder(arm), description(arm)
+        self._numbers = itertools.count(1)
 
-    def submit(self, payload: bytes, reply: Reply, jog: bool = False) -> None:
-        """Queues a request, or refuses it at once. Never waits."""
-        self.requests.submit(lambda: self._request(payload, reply, jog), reply)
+    def start(self) -> None:
+        """Starts the loop, which connects to the executor."""
+        self._loop.start()
 
-    def _request(self, payload: bytes, reply: Reply, jog: bool) -> GoalRequest:
-        """Decodes a request.
+    def end_goals(self) -> None:
+        """Ends the running goal, and waits for its result; the executor stays connected."""
+        self._loop.post(Quit())
+        self._loop.ended.wait(LAST_RESULTS)
 
-        Raises:
-            Refusal: the request is malformed, or far out of reach.
-        """
-        wanted = self._jogging.decode(payload) if jog else self._planning.read(payload)
-        goal = (wanted.id or uuid.uuid4().hex[:12]) if isinstance(wanted, GoalMessage) else None
-        return GoalRequest(self._admission.arrive(), reply, wanted, time.time(), goal)
+    def close(self) -> None:
+        """Ends goals, the loop, and the connection to the executor."""
+        self.end_goals()
+        self._loop.close()
+        self._link.close()
 
-    # --- the thread
+    # --- requests
 
-    def _expect(self) -> None:
-        """Prepares the next search while no request waits; stops as soon as one does."""
-        state, (solver, _) = self._monitor.state, self._planning.now()
-        if state is None or self._arm.settings.method != "minimum-switch":
-            return
-        try:
-            previous = self._monitor.start(state, solver.manipulator)
-        except Refusal:
-            return
-        if self._expected == (solver, previous.tobytes()):
-            return
-        for _ in solver.expect(previous, self._arm.tolerance):
-            if self.requests.waiting():
-                return
-        self._expected = solver, previous.tobytes()
-
-    def _proceed(self, request: GoalRequest) -> None:
-        """Checks that a request is still wanted.
+    def decode(self, key: Key, payload: bytes) -> Message:
+        """Returns the content of a request; see `RequestDecoder.decode`.
 
         Raises:
-            Refusal: the daemon shuts down, or the request is barred.
+            Refusal: the payload is invalid.
         """
-        if self.requests.closing:
-            raise Refusal(codes.INVALID_GOAL, CLOSING)
-        if self._admission.barred(request.ticket):
-            raise Refusal(codes.INVALID_GOAL, BARRED)
+        return self._decoder.decode(key, payload)
 
-    def _serve(self, request: GoalRequest) -> None:
-        self._proceed(request)
-        self._expected = None
-        if isinstance(request.wanted, GoalMessage):
-            self._run(request, request.wanted, request.goal or "")
+    def request(self, key: Key, message: Message, reply: OnReply) -> None:
+        """Posts a request. A stop, or a cancel without an id, goes to the executor before this method returns.
+
+        Simultaneous requests of several threads may reach the core in another order than their numbers.
+
+        Args:
+            key: of the interface.
+            message: of `decode`.
+            reply: takes the answer, once, in the loop's thread; must not wait.
+        """
+        number = next(self._numbers)
+        self._loop.request(Request(number, key, message, time.time()), reply)
+        if key == "stop":
+            reason = self._link.send_now(Halt(number))
+        elif key == "cancel" and message == CancelMessage():
+            reason = self._link.send_now(Cancel(number, None, CANCELED))
         else:
-            self._sender.send(request.ticket, self._jogging.maker(request.wanted, self._accepting(request)))
+            return
+        if reason is not None:
+            self._loop.post(Unsent(number, reason))
 
-    def _run(self, request: GoalRequest, message: GoalMessage, goal: str) -> None:
-        """Plans a goal, sends it to the executor, and improves its plan.
+    def read_setpoints(self, receive: Receive) -> None:
+        """Sets the mailbox of set-points: `receive` returns the latest, or None, and never waits."""
+        self._loop.read(SetpointArrived, receive)
 
-        Raises:
-            Refusal: the goal is not run.
+    def read_measured_tips(self, receive: Receive) -> None:
+        """Sets the mailbox of measured tips; see `read_setpoints`."""
+        self._loop.read(TipArrived, receive)
+
+    def description(self, wanted: Collection[str] = ()) -> Payload:
+        """Returns the parts of the payload of `arm` that do not change.
+
+        Args:
+            wanted: parts to include besides: "drawing", "file", "density".
         """
-        trajectory = self._planning.trajectory(message, request.received)
-        for last in (*[False] * (REPLANS - 1), True):
-            found = self._planning.plan(trajectory, lambda: self._proceed(request), run=True)
-            try:
-                maker = self._programs.maker(goal, found, self._accepting(request), lambda: self._proceed(request))
-                run = self._sender.send(request.ticket, maker)
-                break
-            except CollisionError as error:
-                if last:
-                    raise Refusal(
-                        codes.INVALID_GOAL, f"the motion from the arm's present state would collide: {error}"
-                    ) from None
-        if self._arm.settings.method == "minimum-switch":
-            self._improve(request, run, found)
+        made: dict[str, Callable[[], Payload | None]] = {
+            "drawing": lambda: drawing(self._arm),
+            "file": lambda: file(self._arm),
+            "density": lambda: density(self._densities, planar=self._arm.manipulator.planar),
+        }
+        return {**self._description, **{name: make() for name, make in made.items() if name in wanted}}
 
-    def _accepting(self, request: GoalRequest) -> Reply:
-        """Returns a function that answers an accepted request; the link's thread calls it."""
 
-        def reply(payload: Payload) -> None:
-            self._admission.end_streams(request.ticket)
-            request.reply(payload)
+@contextlib.contextmanager
+def planning(
+    arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: FlightRecorder | None = None
+) -> Iterator[Planner]:
+    """A planner with its core and workers; at the end all are closed. `recorder` takes each step of the core."""
+    known = outside.ledger.known()
+    weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
+    tables = build_tables(arm, densities, weights, BuildTables(0, arm.locked.astype(np.uint8).tobytes())).tables
+    built, published = build_scene(arm, BuildScene(0, NONE)), outside.published.known()
+    owed = tuple(goal for goal in outside.ledger.owed() if not recorded(goal, outside))
+    beginning = Beginning(uuid.uuid4().hex[:8], tables, built.scene, built.total, known, published, owed)
+    workers = Workers(arm, densities, weights, outside.inbox.post, outside.fatal)
+    with contextlib.closing(workers):
+        services = Services(workers, outside.ledger, outside.out, outside.notifier, outside.warnings, outside.fatal)
+        core = Core(arm, pace_of(arm.settings), beginning)
+        if recorder is not None:
+            recorder.begin(core, lambda count: True)
+        loop = Loop(core, outside.inbox, link, services, recorder)
+        with contextlib.closing(Planner(arm, densities, loop, link)) as planner:
+            yield planner
 
-        return reply
 
-    # --- while the goal runs
-
-    def _improve(self, request: GoalRequest, run: RunningGoal, found: Planned) -> None:
-        """Improves the plan of a running goal until it is complete, the goal ends, or a request waits."""
-        plan = run.plan
-        if plan is None:
-            return
-        before, sent = found.solver.manipulator.actuator_states(found.previous), plan
-        start = run.begin + run.delay
-        try:
-            for better in Improvement(found.solver, plan, self._pace, start).plans():
-                current = self._planning.now()[1]
-                if self.requests.waiting() or not self._goals.runs(run) or current is not found.keep_out:
-                    return
-                self._proceed(request)
-                if better is not sent and current.first_collision(before, stages_of(better)) is None:
-                    self._goals.improve(run, better)
-                    sent = better
-        except Refusal:  # canceled or stopped: the goal has been answered already
-            return
-        except Exception:
-            log.exception("look-ahead failed; the goal continues as first planned")
+def recorded(goal: OpenGoal, outside: Outside) -> bool:
+    """Records a result that an earlier process published and did not record; returns whether there is one."""
+    mark = outside.published.find(goal.identity)
+    if mark is not None:
+        ended = Ended(time.time(), mark.status, mark.code, mark.message, mark.switches)
+        outside.ledger.record(Record(0, goal.identity, None, ended))
+    return mark is not None

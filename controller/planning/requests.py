@@ -1,103 +1,85 @@
-"""Requests that go straight to the executor: cancel, stop, reset, and locks. None of them waits."""
+"""Decodes the payloads of requests. Nothing else decodes them."""
 
-from collections.abc import Callable
+import json
+import math
 
-from controller.motion.codes import INVALID_GOAL
-from controller.motion.requests import DegradeMessage
-from controller.planning.admission import Admission
-from controller.planning.connection import NotConnected
-from controller.planning.goals import RunningGoals
-from controller.planning.link import ExecutorLink
-from controller.planning.locked import LockedActuators
-from controller.planning.messages import Reply, done, refused
-from controller.planning.monitor import ArmMonitor
-from controller.program import Answer, Cancel, Down, Halt, Lock, Reset
+import msgspec
 
-CANCELED = "canceled; the arm holds"
+from controller.config import Arm
+from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, Refusal
+from controller.motion.goal import GoalMessage, Id, parse
+from controller.motion.requests import decode_degrade, decode_jog, decode_obstacles
+from controller.planning.core.events import CancelMessage, Key, LockMessage, Message, ObstaclesMessage
 
 
-class Requests:
-    """Sends requests to the executor, and replies with its answers. For any thread.
+class _NamedGoal(msgspec.Struct):
+    """The payload of a `cancel` of one goal; other fields are ignored."""
+
+    id: Id
+
+
+class RequestDecoder:
+    """Decodes requests. For any thread.
 
     Args:
-        link: to the executor.
-        monitor: of the arm.
-        admission: bars the requests before a cancel, stop or reset.
-        goals: the running goals.
-        locked: locked actuators.
+        arm: that the requests are for.
     """
 
-    def __init__(
-        self,
-        link: ExecutorLink,
-        monitor: ArmMonitor,
-        admission: Admission,
-        goals: RunningGoals,
-        locked: LockedActuators,
-    ) -> None:
-        self._link, self._monitor, self._admission = link, monitor, admission
-        self._goals, self._locked = goals, locked
+    def __init__(self, arm: Arm) -> None:
+        manipulator, tracker = arm.manipulator, arm.settings.tracker
+        self._actuators, self._dimension = manipulator.actuators, manipulator.dimension
+        self._base = manipulator.base[: manipulator.dimension, 3].tolist()
+        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # of a tip from the base
+        self._tolerance = arm.tolerance
 
-    def cancel(self, reply: Reply) -> None:
-        """Makes the arm hold now, and bars all earlier requests."""
-        self._bar(lambda request: Cancel(request, None, CANCELED), reply)
+    def decode(self, key: Key, payload: bytes) -> Message:
+        """Returns the content of a request, in microseconds; None for keys without a content.
 
-    def stop(self, reply: Reply) -> None:
-        """Stops the arm until a reset."""
-        self._bar(Halt, reply)
+        Args:
+            key: of the interface.
+            payload: as it came, any bytes.
 
-    def reset(self, reply: Reply) -> None:
-        """Leaves a fault or a stop; starts another attempt to rebuild tables that could not be rebuilt."""
-        if self._locked.problem is not None:
-            self._locked.retry()
-        if self._monitor.mode()[0] in ("fault", "stopped"):
-            self._bar(Reset, reply)
-        else:  # nothing to reset: earlier requests may continue
-            self._ask(Reset, reply)
+        Raises:
+            Refusal: the payload is invalid; the message names the field. No other exception is raised.
+        """
+        match key:
+            case "goal" | "plan":
+                return self._goal(payload)
+            case "jog":
+                return decode_jog(payload, self._actuators)
+            case "cancel":
+                return decode_cancel(payload)
+            case "degrade":
+                lock = decode_degrade(payload)
+                return LockMessage(lock.actuator, lock.state)
+            case "obstacles":
+                obstacles = decode_obstacles(payload, self._dimension)
+                return ObstaclesMessage(obstacles, json.loads(payload)["regions"])
+            case "stop" | "reset" | "arm":
+                return None
 
-    def lock(self, request: DegradeMessage, reply: Reply) -> None:
-        """Locks an actuator in a state, or unlocks it; the executor refuses this while the arm moves."""
-        state = self._monitor.state
-        if state is None:
-            mode, reason = self._monitor.mode()
-            reply(refused(INVALID_GOAL, f"the arm is {mode}: {reason}"))
-            return
-        refusal = self._locked.refusal(request, state.measured, state.sensed)
-        if refusal is not None:
-            reply(refused(INVALID_GOAL, refusal))
-            return
-        actuator = self._monitor.manipulator.actuators.index(request.actuator)
-        to = -1 if request.state is None else request.state
-        self._admission.fence()
-        self._ask_for_epoch(lambda request: Lock(request, actuator, to), reply)
+    def _goal(self, payload: bytes) -> GoalMessage:
+        """Returns a goal; positions beyond the arm's length are refused here, without a search."""
+        message = parse(payload)
+        farthest = self._farthest + (message.tolerance.position or self._tolerance)
+        for k, waypoint in enumerate(message.waypoints):
+            position = waypoint.position
+            if position is None or len(position) != self._dimension:
+                continue
+            away = math.dist(position, self._base)
+            if away > farthest:
+                where = f"waypoints[{k}].position: ({', '.join(f'{x:g}' for x in position)}) is out of reach"
+                words = f"{where}: {away:g} from the base, and no tip is farther from it than {self._farthest:g}"
+                raise Refusal(GOAL_TOLERANCE_VIOLATED, words, message.id)
+        return message
 
-    def _bar(self, make: Callable[[int], Down], reply: Reply) -> None:
-        """Bars all earlier requests, and sends a request that begins a new epoch."""
-        self._admission.bar()
-        self._ask_for_epoch(make, reply)
 
-    def _ask_for_epoch(self, make: Callable[[int], Down], reply: Reply) -> None:
-        if not self._ask(make, reply, self._admission.answered):
-            self._admission.unsent()
+def decode_cancel(payload: bytes) -> CancelMessage:
+    """Returns the content of a `cancel`: the goal that {"id": ...} names.
 
-    def _ask(self, make: Callable[[int], Down], reply: Reply, heard: Callable[[], None] = lambda: None) -> bool:
-        """Sends a request and replies with the answer; returns whether the request was sent."""
-
-        def on_answer(answer: Answer | None) -> None:
-            if answer is None:
-                reply(
-                    refused(
-                        INVALID_GOAL,
-                        f"the connection to the executor was lost before it answered: {self._link.problem}",
-                    )
-                )
-                return
-            heard()
-            reply(done(answer.message) if answer.accepted else refused(INVALID_GOAL, answer.message))
-
-        try:
-            self._link.ask(make, on_answer)
-        except NotConnected as error:
-            reply(refused(INVALID_GOAL, f"the executor is not connected: {error}"))
-            return False
-        return True
+    Any other payload cancels whatever runs, because a cancel must not fail for its form.
+    """
+    try:
+        return CancelMessage(msgspec.json.decode(payload, type=_NamedGoal).id)
+    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        return CancelMessage()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from controller.commands import record_events
 from controller.commands.record import parse_size
 from controller.strict import InputFaults
 from tests.keys import DEPLOY
@@ -63,3 +64,17 @@ def test_the_daemon_needs_nothing_of_the_recorder() -> None:
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "False"
+
+
+def test_events_of_another_user_need_sudo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def deny(path: Path) -> bytes:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    (tmp_path / "hyperbit-1001-planar16-executor-7.0.events").touch()
+    (tmp_path / "hyperbit-1001-other-planar16-planner-7.0.events").touch()
+    monkeypatch.setattr(record_events, "SHARED", tmp_path)
+    assert record_events.record_events("planar16", tmp_path)[0] == []
+    monkeypatch.setattr(record_events, "read_generation", deny)
+    saved, missing = record_events.record_events("planar16", tmp_path)
+    assert saved == []
+    assert "the executor runs as another user: use sudo" in missing[0]

@@ -13,6 +13,7 @@ import pytest
 
 from controller.commands import demo
 from controller.commands.connection import connected
+from controller.commands.send import cancel_goal
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 
@@ -105,6 +106,18 @@ def test_an_interrupt_cancels_the_goal_that_was_sent(endpoint, tmp_path):
     assert out.endswith("goal long: canceled\n")
     with connected("planar16", endpoint, None) as client:
         demo.wait_until_ready(client)
+
+
+def test_an_interrupt_cancels_no_goal_of_others(capsys):
+    class Answering:
+        def request(self, key, payload):
+            self.asked = (key, payload)
+            return {"accepted": False, "message": "goal long has ended"}
+
+    client = Answering()
+    cancel_goal(client, "long", False)
+    assert client.asked == ("cancel", {"id": "long"})
+    assert capsys.readouterr().out == "goal long: goal long has ended\n"
 
 
 def test_a_second_daemon_at_the_same_endpoint_fails_with_a_message(hyperbit, endpoint, tmp_path):

@@ -1,6 +1,5 @@
 """A server with a planner that only remembers requests, on real Zenoh sessions over loopback TCP."""
 
-import json
 import socket
 import threading
 from collections.abc import Callable, Collection, Iterator
@@ -11,79 +10,83 @@ import pytest
 import zenoh
 
 from controller.gateway import session
+from controller.gateway.arrivals import RepeatedGoals, Reply
 from controller.gateway.client import Client
-from controller.gateway.outbox import Outbox
-from controller.gateway.repeated_goals import RepeatedGoals
+from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
-from controller.planning.messages import Payload, Reply, done, refused
+from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.motion.goal import GoalMessage, parse
+from controller.planning.core.events import Message, Payload
+from controller.planning.core.messages import done, refused
+from controller.planning.requests import decode_cancel
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"
 
 
-class FakePlanning:
+class FakePlanner:
     """Remembers requests and answers them at once, or on demand while `holding`.
 
     Attributes:
-        heard: key and payload of each request.
+        heard: key and message of each request.
+        decoded: keys of the payloads that were decoded.
         waiting: answers that wait.
+        receive: mailboxes.
     """
 
     def __init__(self) -> None:
-        self.heard: list[tuple[str, bytes]] = []
+        self.heard: list[tuple[str, Message]] = []
+        self.decoded: list[str] = []
         self.holding = threading.Event()
         self.waiting: list[tuple[Reply, Payload]] = []
         self.receive: dict[str, Callable[[], bytes | None]] = {}
 
-    def _take(self, key: str, payload: bytes, reply: Reply, answer: Payload) -> None:
-        self.heard.append((key, payload))
+    def decode(self, key: str, payload: bytes) -> Message:
+        self.decoded.append(key)
+        match key:
+            case "goal" | "plan":
+                return parse(payload)
+            case "cancel":
+                return decode_cancel(payload)
+            case "jog" if payload == b'"a defect"':
+                raise RuntimeError("a defect")
+            case "degrade" if payload == b"":
+                raise Refusal(INVALID_GOAL, "degrade is not JSON")
+            case _:
+                return None
+
+    def request(self, key: str, message: Message, reply: Reply) -> None:
+        self.heard.append((key, message))
+        answer = self._answer(key, message)
         if self.holding.is_set():
             self.waiting.append((reply, answer))
         else:
             reply(answer)
 
-    def goal(self, payload: bytes, reply: Reply) -> None:
-        try:
-            goal = json.loads(payload)
-            known = goal.get("id") if isinstance(goal, dict) else None
-            answer: Payload = {**done("accepted"), "id": known or "made-up"}
-            if known == "far":
-                answer = refused(-5, "out of reach", known)
-        except ValueError as error:
-            answer = refused(-1, f"goal is not JSON: {error}")
-        self._take("goal", payload, reply, answer)
+    def _answer(self, key: str, message: Message) -> Payload:
+        match key, message:
+            case "arm", _:
+                return {"limits": [], "running": None}
+            case "goal", GoalMessage(id="far"):
+                return refused(-5, "out of reach", "far")
+            case "goal", GoalMessage(id=known):
+                return {**done("accepted"), "id": known or "made-up"}
+            case "degrade", _:
+                return refused(INVALID_GOAL, "no such actuator")
+            case _:
+                return done(key)
 
-    def plan(self, payload: bytes, reply: Reply) -> None:
-        self._take("plan", payload, reply, done("planned"))
+    def keys(self) -> list[str]:
+        return [key for key, _ in self.heard if key != "arm"]
 
-    def jog(self, payload: bytes, reply: Reply) -> None:
-        if payload == b'"a defect"':
-            raise RuntimeError("a defect")
-        self._take("jog", payload, reply, done("switched"))
-
-    def cancel(self, reply: Reply) -> None:
-        self._take("cancel", b"", reply, done("canceled"))
-
-    def stop(self, reply: Reply) -> None:
-        self._take("stop", b"", reply, done("stopped"))
-
-    def reset(self, reply: Reply) -> None:
-        self._take("reset", b"", reply, done("reset"))
-
-    def degrade(self, payload: bytes, reply: Reply) -> None:
-        self._take("degrade", payload, reply, refused(-1, "no such actuator"))
-
-    def obstacles(self, payload: bytes, reply: Reply) -> None:
-        self._take("obstacles", payload, reply, done("kept out of"))
-
-    def setpoints(self, receive: Callable[[], bytes | None]) -> None:
+    def read_setpoints(self, receive: Callable[[], bytes | None]) -> None:
         self.receive["setpoint"] = receive
 
-    def measured_tips(self, receive: Callable[[], bytes | None]) -> None:
+    def read_measured_tips(self, receive: Callable[[], bytes | None]) -> None:
         self.receive["measured_tip"] = receive
 
     def description(self, wanted: Collection[str] = ()) -> Payload:
-        return {"name": ARM, "dimension": 2, **{key: {} for key in wanted}}
+        return {"name": ARM, "dimension": 2, **{key: {} for key in wanted if key != "running"}}
 
 
 class Gateway:
@@ -91,15 +94,16 @@ class Gateway:
 
     def __init__(self, stack: ExitStack, endpoint: str) -> None:
         self._stack, self.endpoint = stack, endpoint
-        self.planning, self.goals = FakePlanning(), RepeatedGoals()
+        self.planner, self.goals, self.published = FakePlanner(), RepeatedGoals(), list[Any]()
         self.session = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
-        self.outbox = Outbox(self.session, f"hyperbit/{ARM}")
+        hooks = ResultHooks(self.goals.ended, lambda *result: None, self.published.append)
+        self.outbox = Outbox(self.session, f"hyperbit/{ARM}", hooks, lambda message: None)
         stack.callback(self.outbox.close)
         self.server = self.serve()
         stack.callback(lambda: self.server.close())
 
     def serve(self, *, tracker: bool = True) -> Server:
-        return Server(self.session, ARM, self.planning, self.outbox, self.goals, tracker=tracker)
+        return Server(self.session, ARM, self.planner, self.outbox, self.goals, tracker=tracker)  # type: ignore[arg-type]
 
     def other(self) -> zenoh.Session:
         """A session of a client."""

@@ -1,6 +1,5 @@
 """Clients repeat a request without an answer, and the goal still runs once."""
 
-import json
 import threading
 import time
 from collections.abc import Iterator
@@ -9,6 +8,8 @@ from typing import Any
 import pytest
 
 from controller.gateway.client import TRIES, Client, Unanswered
+from controller.motion.goal import GoalMessage
+from controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 
@@ -59,25 +60,26 @@ def test_a_name_that_nobody_serves_is_said_to_be_so(gateway: Gateway) -> None:
 
 
 def test_a_request_that_takes_too_long_is_not_asked_again(gateway: Gateway) -> None:
-    gateway.planning.holding.set()
+    gateway.planner.holding.set()
     with pytest.raises(Unanswered):
         gateway.client().request("plan", {"waypoints": []}, timeout=0.5)
-    assert [key for key, _ in gateway.planning.heard] == ["plan"]
+    assert gateway.planner.keys() == ["plan"]
 
 
 @pytest.mark.parametrize("deaf", [0, 1, 1000])
 def test_a_goal_that_is_asked_again_runs_once_and_is_heard_to_its_end(gateway: Gateway, deaf: int) -> None:
     client = Client(Deaf(gateway.other(), deaf), ARM, gateway.other)
-    gateway.planning.holding.set()
+    gateway.planner.holding.set()
     told: list[Any] = []
 
     def plan() -> None:
-        reply, answer = eventually(lambda: gateway.planning.waiting)[0]
+        reply, answer = eventually(lambda: gateway.planner.waiting)[0]
         reply(answer)
         eventually(lambda: told)
         gateway.outbox.publish("feedback", {"id": answer["id"], "waypoint": 0})
-        gateway.outbox.publish("result", {"id": "another", "status": "succeeded"})
-        gateway.outbox.publish("result", {"id": answer["id"], "status": "succeeded"})
+        for number, goal in enumerate(("another", answer["id"])):
+            payload = {"id": goal, "status": "succeeded"}
+            gateway.outbox.publish_result(PublishResult(number, Identity(1, number), False, payload))
 
     planner = threading.Thread(target=plan)
     planner.start()
@@ -86,8 +88,10 @@ def test_a_goal_that_is_asked_again_runs_once_and_is_heard_to_its_end(gateway: G
     client.close()
     assert result["status"] == "succeeded"
     assert [message.get("waypoint") for message in told] == [None, 0]
-    assert [key for key, _ in gateway.planning.heard] == ["goal"]
-    assert json.loads(gateway.planning.heard[0][1])["id"] == result["id"] == told[0]["id"]
+    assert gateway.planner.keys() == ["goal"]
+    (_, goal) = gateway.planner.heard[0]
+    assert isinstance(goal, GoalMessage)
+    assert goal.id == result["id"] == told[0]["id"]
 
 
 def test_a_goal_without_a_word_is_given_up(gateway: Gateway) -> None:

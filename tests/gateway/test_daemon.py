@@ -54,9 +54,10 @@ class Process:
 
     @property
     def executors(self) -> list[int]:
-        """Ids of its child processes."""
+        """Ids of its child processes, but the keeper of its events."""
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [int(number) for number in children.read_text().split()]
+        others = (int(number) for number in children.read_text().split())
+        return [pid for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
     def failure(self) -> str:
         """Its output when it ends by itself."""

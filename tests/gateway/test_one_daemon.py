@@ -1,47 +1,96 @@
-"""A second daemon of the same arm does not start."""
+"""A second daemon of the same arm does not serve it, even if both start together."""
 
 import os
 import threading
+from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
 import zenoh
 
 from controller.gateway import session
-from controller.gateway.one_daemon import AlreadyRunning, require_no_other
+from controller.gateway.one_daemon import AlreadyRunning, Claim
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 
-
-def test_a_second_daemon_of_the_name_hears_where_the_first_one_runs(gateway: Gateway) -> None:
-    with pytest.raises(AlreadyRunning, match=f"another daemon drives the arm 'a': process {os.getpid()} on "):
-        require_no_other(gateway.other(), ARM, connects=True)
+HERE = f"another daemon drives the arm 'a': process {os.getpid()} on "
 
 
-def test_a_daemon_of_another_name_may_start(gateway: Gateway) -> None:
-    require_no_other(gateway.other(), "b", connects=True)
+def confirmed(claim: Claim, patience: float = PATIENCE) -> bool:
+    try:
+        claim.confirm(patience)
+    except AlreadyRunning:
+        return False
+    return True
+
+
+@pytest.fixture
+def two(endpoint: str) -> Iterator[list[zenoh.Session]]:
+    """Two sessions; the second one connects to the first one."""
+    with ExitStack() as stack:
+        yield [
+            stack.enter_context(zenoh.open(session.configuration("peer", **{how: endpoint})))
+            for how in ("listen", "connect")
+        ]
+
+
+def test_of_two_that_start_together_the_one_with_the_lower_id_serves(two: list[zenoh.Session]) -> None:
+    claims, serving = [Claim(it, ARM) for it in two], dict[str, bool]()
+
+    def confirm(it: zenoh.Session, claim: Claim) -> None:
+        serving[str(it.zid())] = confirmed(claim)
+
+    threads = [threading.Thread(target=confirm, args=both) for both in zip(two, claims, strict=True)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    lower, higher = sorted(str(it.zid()) for it in two)
+    assert serving == {lower: True, higher: False}
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_who_has_confirmed_its_claim_keeps_the_arm(two: list[zenoh.Session], first: int) -> None:
+    Claim(two[first], ARM).confirm()
+    with pytest.raises(AlreadyRunning, match=HERE):
+        Claim(two[1 - first], ARM).confirm()
+
+
+def test_a_claim_that_was_given_up_bars_nobody(two: list[zenoh.Session]) -> None:
+    for it in two:
+        claim = Claim(it, ARM)
+        claim.confirm()
+        claim.close()
+
+
+def test_a_daemon_of_another_name_may_start(two: list[zenoh.Session]) -> None:
+    for it, name in zip(two, ("a", "b"), strict=True):
+        Claim(it, name).confirm()
+
+
+def test_a_daemon_of_an_earlier_version_bars_others_by_its_token(gateway: Gateway) -> None:
+    with pytest.raises(AlreadyRunning, match=HERE):
+        Claim(gateway.other(), ARM).confirm()
 
 
 def test_a_peer_that_connects_hears_of_the_first_one_though_a_moment_later(gateway: Gateway) -> None:
-    with (
-        zenoh.open(session.configuration("peer", connect=gateway.endpoint)) as peer,
-        pytest.raises(AlreadyRunning),
-    ):
-        require_no_other(peer, ARM, connects=True)
+    with zenoh.open(session.configuration("peer", connect=gateway.endpoint)) as peer, pytest.raises(AlreadyRunning):
+        Claim(peer, ARM).confirm()
 
 
-def test_through_a_router_two_clients_of_one_name_hear_of_each_other(endpoint: str) -> None:
+def test_through_a_router_the_token_of_a_killed_daemon_is_waited_for(endpoint: str) -> None:
     with ExitStack() as stack:
         stack.enter_context(zenoh.open(session.configuration("router", listen=endpoint)))
         first, second = (
             stack.enter_context(zenoh.open(session.configuration("client", connect=endpoint))) for _ in range(2)
         )
-        require_no_other(first, ARM, connects=True)
-        token = first.liveliness().declare_token(f"hyperbit/{ARM}/alive")
-        eventually(lambda: any(reply.ok for reply in second.liveliness().get(f"hyperbit/{ARM}/alive", timeout=1.0)))
-        with pytest.raises(AlreadyRunning, match="does not say where it runs"):
-            require_no_other(second, ARM, connects=True, patience=0.5)
+        key = f"hyperbit/{ARM}/@claim/0"  # lower than each id, and nobody answers on it
+        token = first.liveliness().declare_token(key)
+        eventually(lambda: any(reply.ok for reply in second.liveliness().get(key, timeout=1.0)))
+        claim = Claim(second, ARM)
+        with pytest.raises(AlreadyRunning, match="does not say where"):
+            claim.confirm(patience=0.5)
         timer = threading.Timer(0.3, token.undeclare)
         timer.start()
-        require_no_other(second, ARM, connects=True, patience=PATIENCE)  # of a daemon that was killed a moment ago
+        claim.confirm(patience=PATIENCE)
         timer.join()

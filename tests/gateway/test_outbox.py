@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.gateway.encoding import encode
-from controller.gateway.outbox import MOST_WAITING, RECONNECTED, Outbox
+from controller.gateway.outbox import MOST_WAITING, RECONNECTED, Outbox, ResultHooks, encode
+from controller.planning.core.events import Identity, Published, PublishResult
 from tests.waiting import PATIENCE, eventually
 
 
@@ -25,6 +25,9 @@ class FakeSession:
     def declare_publisher(self, key: str, **_: Any) -> "FakePublisher":
         return FakePublisher(self, key)
 
+    def on(self, key: str) -> list[Any]:
+        return [payload for name, payload in self.sent if name == f"p/{key}"]
+
     def send(self, key: str, data: bytes) -> None:
         self.waiting.set()
         assert self.taking.wait(PATIENCE)
@@ -37,6 +40,35 @@ class FakePublisher:
 
     def put(self, data: bytes) -> None:
         self.session.send(self.key, data)
+
+
+class Results:
+    """What an outbox tells of results, in order, with the number of messages that were sent before.
+
+    Attributes:
+        told: goals that ended, programs that were noted, and numbers that were posted.
+        fatal: messages of a thread that died.
+        fail: whether noting fails.
+    """
+
+    def __init__(self, session: FakeSession) -> None:
+        self.session, self.told, self.fatal, self.fail = session, list[tuple[Any, int]](), list[str](), False
+
+    def tell(self, what: Any) -> None:
+        self.told.append((what, len(self.session.sent)))
+
+    def note(self, identity: Identity, payload: Any) -> None:
+        if self.fail:
+            raise RuntimeError("a defect")
+        self.tell((identity, payload["status"]))
+
+    def outbox(self, **named: Any) -> Outbox:
+        hooks = ResultHooks(self.tell, self.note, self.tell)
+        return Outbox(self.session, "p", hooks, self.fatal.append, **named)  # type: ignore[arg-type]
+
+
+def result(goal: str = "a", status: str = "succeeded", inherited: bool = False, **fields: Any) -> PublishResult:
+    return PublishResult(7, Identity(1, 2), inherited, {"id": goal, "status": status, **fields})
 
 
 class FakeQuery:
@@ -60,75 +92,141 @@ def session() -> Iterator[FakeSession]:
     session.taking.set()
 
 
+@pytest.fixture
+def results(session: FakeSession) -> Results:
+    return Results(session)
+
+
 def stall(session: FakeSession, outbox: Outbox) -> None:
     session.taking.clear()
     outbox.publish("feedback", {})
     assert session.waiting.wait(PATIENCE)
 
 
-def test_result_of_the_planner_before_waits_for_clients_to_connect_and_delays_nothing(session: FakeSession) -> None:
+def test_a_result_is_published_then_noted_then_posted(session: FakeSession, results: Results) -> None:
+    outbox = results.outbox()
+    outbox.publish_result(result("a", error=np.float64("nan")))
+    outbox.close(PATIENCE)
+    assert session.sent == [("p/result", {"id": "a", "status": "succeeded", "error": None})]
+    assert results.told == [("a", 0), ((Identity(1, 2), "succeeded"), 1), (Published(7), 1)]
+
+
+def test_a_result_that_was_not_sent_is_not_noted(session: FakeSession, results: Results) -> None:
+    outbox = results.outbox()
+    outbox._publishers["result"].put = lambda data: 1 / 0  # type: ignore[method-assign]
+    outbox.publish_result(result())
+    outbox.publish("feedback", {"n": 1})
+    outbox.close(PATIENCE)
+    assert (session.sent, results.told, results.fatal) == ([("p/feedback", {"n": 1})], [("a", 0)], [])
+
+
+def test_a_thread_that_dies_says_so(session: FakeSession, results: Results) -> None:
+    outbox, results.fail = results.outbox(), True
+    outbox.publish_result(result())
+    (message,) = eventually(lambda: results.fatal)
+    assert "a defect" in message
+
+
+def test_result_of_the_planner_before_waits_for_clients_to_connect_and_delays_nothing(
+    session: FakeSession, results: Results
+) -> None:
     now = 100.0
-    outbox = Outbox(session, "p", clock=lambda: now)
-    outbox.publish("inherited", {"n": 1, "status": "aborted"})
-    outbox.publish("result", {"n": 2, "status": "succeeded"})
+    outbox = results.outbox(clock=lambda: now)
+    outbox.publish_result(result("1", "aborted", inherited=True))
+    outbox.publish_result(result("2"))
     eventually(lambda: session.sent)
-    assert (session.sent, outbox.waiting()) == ([("p/result", {"n": 2, "status": "succeeded"})], 1)
+    assert (session.sent, outbox.waiting()) == ([("p/result", {"id": "2", "status": "succeeded"})], 1)
     now += RECONNECTED
     eventually(lambda: len(session.sent) == 2)
-    assert session.sent[1] == ("p/result", {"n": 1, "status": "aborted"})
+    assert session.sent[1] == ("p/result", {"id": "1", "status": "aborted"})
     outbox.close(PATIENCE)
 
 
-def test_answer_feedback_and_result_of_a_goal_leave_in_order(session: FakeSession) -> None:
-    outbox, query = Outbox(session, "p"), FakeQuery(session)
+def test_answer_feedback_and_result_of_a_goal_leave_in_order(session: FakeSession, results: Results) -> None:
+    outbox, query = results.outbox(), FakeQuery(session)
     stall(session, outbox)
-    outbox.answer(query, "goal")({"accepted": True})
+    outbox.answer(query, "goal", {"accepted": True})
     outbox.publish("feedback", {"n": 1})
-    outbox.publish("result", {"n": 2, "status": "succeeded"})
+    outbox.publish_result(result())
     session.taking.set()
     outbox.close(PATIENCE)
     assert session.sent[1:] == [
         ("p/goal", {"accepted": True}),
         ("p/feedback", {"n": 1}),
-        ("p/result", {"n": 2, "status": "succeeded"}),
+        ("p/result", {"id": "a", "status": "succeeded"}),
     ]
     assert query.ended == 1
 
 
-def test_a_result_overtakes_refusals_and_other_answers(session: FakeSession) -> None:
-    outbox = Outbox(session, "p")
+def test_a_result_overtakes_states_refusals_and_other_answers(session: FakeSession, results: Results) -> None:
+    outbox = results.outbox()
     stall(session, outbox)
-    outbox.answer(FakeQuery(session), "goal")({"accepted": False})
-    outbox.answer(FakeQuery(session), "plan")({"accepted": True})
-    outbox.answer(FakeQuery(session), "arm")({"name": "a"})
-    outbox.publish("result", {"status": "refused"})
-    outbox.publish("result", {"status": "succeeded"})
-    outbox.answer(FakeQuery(session), "stop")({"accepted": True})
+    outbox.answer(FakeQuery(session), "goal", {"accepted": False})
+    outbox.answer(FakeQuery(session), "plan", {"accepted": True})
+    outbox.answer(FakeQuery(session), "arm", {"name": "a"})
+    outbox.publish_refusal({"status": "refused"})
+    outbox.publish("state", {})
+    outbox.publish_result(result())
+    outbox.answer(FakeQuery(session), "stop", {"accepted": True})
     session.taking.set()
     outbox.close(PATIENCE)
-    assert [key for key, _ in session.sent[1:]] == ["p/result", "p/stop", "p/goal", "p/plan", "p/arm", "p/result"]
+    keys = ["p/result", "p/stop", "p/state", "p/goal", "p/plan", "p/arm", "p/result"]
+    assert [key for key, _ in session.sent[1:]] == keys
 
 
-def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession) -> None:
-    outbox = Outbox(session, "p")
+def test_for_a_slow_peer_only_the_latest_state_and_diagnostics_wait(session: FakeSession, results: Results) -> None:
+    outbox = results.outbox()
+    stall(session, outbox)
+    for k in range(100):
+        outbox.publish("state", {"k": k})
+        outbox.publish("diagnostics", {"k": k, "queues": {"planning": 2}})
+        outbox.publish_note({})
+    session.taking.set()
+    outbox.close(PATIENCE)
+    assert session.on("state") == [{"k": 99}]
+    (diagnostics,) = session.on("diagnostics")
+    assert diagnostics == {"k": 99, "queues": {"planning": 2, "outbox": 100}}
+
+
+def test_the_last_state_is_published_at_the_end(session: FakeSession, results: Results) -> None:
+    outbox = results.outbox()
+    for k in range(10):
+        outbox.publish("state", {"k": k})
+    outbox.close(PATIENCE)
+    assert session.on("state")[-1] == {"k": 9}
+
+
+def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession, results: Results) -> None:
+    outbox = results.outbox()
     stall(session, outbox)
     for _ in range(2 * MOST_WAITING):
-        outbox.answer(FakeQuery(session), "arm")({})
-        outbox.publish("result", {"status": "refused"})
+        outbox.answer(FakeQuery(session), "arm", {})
+        outbox.publish_refusal({"status": "refused"})
         outbox.publish("feedback", {})
     assert outbox.waiting() == 2 * MOST_WAITING
-    outbox.publish("result", {"status": "succeeded"})
+    outbox.publish_result(result())
     assert outbox.waiting() == 2 * MOST_WAITING + 1
     session.taking.set()
     outbox.close(PATIENCE)
-    assert ("p/result", {"status": "succeeded"}) in session.sent
+    assert ("p/result", {"id": "a", "status": "succeeded"}) in session.sent
+
+
+def test_messages_of_many_threads_are_all_sent(session: FakeSession, results: Results) -> None:
+    outbox, number = results.outbox(), MOST_WAITING // 5
+    queue = [threading.Thread(target=lambda: [outbox.publish_note({}) for _ in range(number)]) for _ in range(4)]
+    for thread in queue:
+        thread.start()
+    for thread in queue:
+        thread.join()
+    outbox.close(PATIENCE)
+    assert len(session.on("@request")) == 4 * number
 
 
 @pytest.mark.parametrize("value", [object(), "\udc80", {1: object()}])
-def test_a_payload_without_json_is_still_answered(session: FakeSession, value: object) -> None:
-    outbox, query = Outbox(session, "p"), FakeQuery(session)
-    outbox.answer(query, "plan")({"value": value})
-    outbox.answer(query, "plan")({"value": 1})
+def test_a_payload_without_json_is_still_answered(session: FakeSession, results: Results, value: object) -> None:
+    outbox, query = results.outbox(), FakeQuery(session)
+    outbox.answer(query, "plan", {"value": value})
+    outbox.answer(query, "plan", {"value": 1})
     outbox.close(PATIENCE)
     assert session.sent[0][1]["message"] == "internal error, see the journal"
     assert session.sent[1] == ("p/plan", {"value": 1})
@@ -136,18 +234,21 @@ def test_a_payload_without_json_is_still_answered(session: FakeSession, value: o
 
 
 @pytest.mark.parametrize(("goal", "told"), [("a", "a"), ("\udc80", "\\udc80")])
-def test_a_result_without_json_still_names_its_goal_and_status(session: FakeSession, goal: str, told: str) -> None:
-    outbox = Outbox(session, "p")
-    outbox.publish("result", {"id": goal, "status": "aborted", "code": -4, "value": object()})
+def test_a_result_without_json_still_names_its_goal_and_status(
+    session: FakeSession, results: Results, goal: str, told: str
+) -> None:
+    outbox = results.outbox()
+    outbox.publish_result(result(goal, "aborted", code=-4, value=object()))
     outbox.close(PATIENCE)
-    ((_, result),) = session.sent
-    assert (result["id"], result["status"], result["message"]) == (told, "aborted", "internal error, see the journal")
+    ((_, sent),) = session.sent
+    assert (sent["id"], sent["status"], sent["message"]) == (told, "aborted", "internal error, see the journal")
+    assert results.told[-1] == (Published(7), 1)
 
 
-def test_a_peer_that_is_gone_ends_nothing(session: FakeSession) -> None:
-    outbox, query = Outbox(session, "p"), FakeQuery(session)
+def test_a_peer_that_is_gone_ends_nothing(session: FakeSession, results: Results) -> None:
+    outbox, query = results.outbox(), FakeQuery(session)
     query.reply = lambda *_, **__: 1 / 0  # type: ignore[method-assign]
-    outbox.answer(query, "goal")({})
+    outbox.answer(query, "goal", {})
     outbox.publish("feedback", {})
     outbox.close(PATIENCE)
     assert session.sent == [("p/feedback", {})]
@@ -162,29 +263,32 @@ def test_numpy_is_written_as_numbers_and_nan_as_null() -> None:
     assert json.loads(encode(payload)) == expected
 
 
-def test_after_a_standstill_results_wait_for_peers_and_answers_do_not(session: FakeSession) -> None:
+def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: FakeSession, results: Results) -> None:
     now = [100.0]
-    outbox = Outbox(session, "hyperbit/arm", lease=2.0, clock=lambda: now[0])  # type: ignore[arg-type]
+    outbox = results.outbox(lease=2.0, clock=lambda: now[0])
     now[0] += 1.1  # as after SIGSTOP and SIGCONT
     eventually(lambda: outbox._wait_until > now[0])
-    outbox.publish("result", {"id": "a", "status": "succeeded"})
+    outbox.publish_result(result())
+    outbox.publish_result(result("of the planner before", inherited=True))
     outbox.publish("feedback", {"id": "b"})
-    outbox.answer(FakeQuery(session), "arm")({"name": "arm"})  # type: ignore[arg-type]
+    outbox.publish("state", {})
     eventually(lambda: session.sent)
-    assert session.sent == [("hyperbit/arm/arm", {"name": "arm"})]
+    outbox.answer(FakeQuery(session), "arm", {"name": "arm"})
+    eventually(lambda: len(session.sent) == 2)
+    assert session.sent == [("p/state", {}), ("p/arm", {"name": "arm"})]
     for _ in range(int(RECONNECTED / 0.9) + 1):
         turned = now[0] = now[0] + 0.9
         eventually(lambda turned=turned: outbox._last_reading == turned)
-    eventually(lambda: len(session.sent) == 3)
-    assert [payload["id"] for _, payload in session.sent[1:]] == ["a", "b"]
+    eventually(lambda: len(session.sent) == 5)
+    assert {payload["id"] for _, payload in session.sent[2:]} == {"a", "b", "of the planner before"}
     outbox.close()
 
 
-def test_at_the_end_results_wait_no_longer(session: FakeSession) -> None:
+def test_at_the_end_results_wait_no_longer(session: FakeSession, results: Results) -> None:
     now = [100.0]
-    outbox = Outbox(session, "hyperbit/arm", lease=2.0, clock=lambda: now[0])  # type: ignore[arg-type]
+    outbox = results.outbox(lease=2.0, clock=lambda: now[0])
     now[0] += 10.0
     eventually(lambda: outbox._wait_until > now[0])
-    outbox.publish("result", {"id": "a", "status": "succeeded"})
+    outbox.publish_result(result())
     outbox.close(PATIENCE)
     assert [payload["id"] for _, payload in session.sent] == ["a"]

@@ -1,11 +1,13 @@
 """Repeated goals run once, and all get the same answer."""
 
 import json
+import threading
 
 import pytest
 
-from controller.gateway.repeated_goals import MOST, REMEMBERED, RepeatedGoals
-from controller.planning.messages import Payload, Reply, done, refused
+from controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply
+from controller.planning.core.events import Payload
+from controller.planning.core.messages import done, refused
 
 GOAL = b'{"id": "a", "waypoints": []}'
 ANONYMOUS = b'{"waypoints": []}'
@@ -21,7 +23,8 @@ class Bench:
         self.answers: list[Payload] = []
 
     def send(self, payload: bytes = GOAL, number: bytes = b"") -> None:
-        self.goals.take(payload, number, self.answers.append, lambda *goal: self.planned.append(goal))
+        identified = payload if json.loads(payload).get("id") else None
+        self.goals.submit(identified, number, self.answers.append, lambda reply: self.planned.append((payload, reply)))
 
     def accept(self) -> None:
         payload, reply = self.planned[-1]
@@ -91,11 +94,42 @@ def test_old_numbers_are_forgotten_but_not_those_of_running_goals(bench: Bench) 
     bench.now = REMEMBERED + 1
     bench.send(ANONYMOUS, b"1")
     assert len(bench.planned) == 2
+    bench.send(ANONYMOUS, b"3")
+    bench.accept()  # with an answer, old goals are forgotten
     bench.send(ANONYMOUS, b"2")
-    assert len(bench.planned) == 3
+    assert len(bench.planned) == 4
 
 
 def test_memory_is_bounded(bench: Bench) -> None:
     for k in range(3 * MOST):
         bench.send(b'{"id": "%d"}' % k, b"%d" % k)
+        bench.accept()
     assert len(bench.goals._known) <= MOST + 2
+
+
+def test_a_goal_that_could_not_be_requested_may_be_sent_again(bench: Bench) -> None:
+    with pytest.raises(ZeroDivisionError):
+        bench.goals.submit(GOAL, b"7", bench.answers.append, lambda reply: 1 / 0)
+    bench.send(GOAL, b"7")
+    assert len(bench.planned) == 1
+
+
+def test_goals_that_come_in_many_threads_are_planned_once_and_each_is_answered(bench: Bench) -> None:
+    barrier = threading.Barrier(9)
+
+    def send(number: int) -> None:
+        barrier.wait()
+        for k in range(100):
+            bench.send(b'{"id": "%d"}' % k, b"%d-%d" % (k, number % 2))
+
+    threads = [threading.Thread(target=send, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    barrier.wait()
+    answered = 0
+    while any(thread.is_alive() for thread in threads) or answered < len(bench.planned):
+        for payload, reply in bench.planned[answered:]:
+            answered += 1
+            reply({**done("accepted"), "id": json.loads(payload)["id"]})
+    assert len(bench.planned) == 100
+    assert len(bench.answers) == 800

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway import server as module
-from controller.gateway.encoding import content
+from controller.gateway.arrivals import Rate
+from controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, PutRefusals, content
+from controller.planning.core.events import CancelMessage
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 
@@ -29,16 +30,14 @@ def asked(session: zenoh.Session, key: str, payload: bytes = GOAL) -> list[dict[
 def test_a_query_that_names_its_key_is_carried_out(gateway: Gateway, key: str) -> None:
     (answer,) = asked(gateway.other(), f"{PREFIX}/{key}")
     assert answer["accepted"] is (key != "degrade")
-    assert [heard for heard, _ in gateway.planning.heard] == [key]
-    if key not in (*EVERYWHERE, "reset"):
-        assert gateway.planning.heard[0][1] == GOAL
+    assert gateway.planner.keys() == gateway.planner.decoded == [key]
 
 
 @pytest.mark.parametrize("key", [*NAMED_ONLY, *EVERYWHERE])
 def test_a_put_that_names_its_key_is_carried_out_and_only_refusals_are_published(gateway: Gateway, key: str) -> None:
     results = gateway.results()
     gateway.other().put(f"{PREFIX}/{key}", GOAL)
-    eventually(lambda: [heard for heard, _ in gateway.planning.heard] == [key])
+    eventually(lambda: gateway.planner.keys() == [key])
     if key == "degrade":
         eventually(lambda: results)
     gateway.reached()
@@ -55,22 +54,22 @@ def test_a_wildcard_carries_out_nothing_that_can_move_an_arm(gateway: Gateway, k
     assert any(f"{key} must be named, as in {PREFIX}/{key}; {expression} does not" in a["message"] for a in answers)
     session.put(expression, GOAL)
     eventually(lambda: any(f"{key} must be named" in result.get("message", "") for result in results))
-    assert not {heard for heard, _ in gateway.planning.heard} & set(NAMED_ONLY)
+    assert not set(gateway.planner.keys()) & set(NAMED_ONLY)
 
 
 @pytest.mark.parametrize("key", EVERYWHERE)
 @pytest.mark.parametrize("expression", ["hyperbit/*/{}", "hyperbit/**/{}", "**/{}"])
 def test_a_wildcard_stops_and_cancels_every_arm(gateway: Gateway, key: str, expression: str) -> None:
     session = gateway.other()
-    (answer,) = asked(session, expression.format(key))
+    (answer,) = asked(session, expression.format(key), b"")
     assert answer["accepted"]
     session.put(expression.format(key), b"")
-    eventually(lambda: [heard for heard, _ in gateway.planning.heard] == [key, key])
+    eventually(lambda: gateway.planner.keys() == [key, key])
 
 
 def test_a_look_around_stops_nothing(gateway: Gateway) -> None:
     answers = asked(gateway.other(), "hyperbit/**")
-    assert {heard for heard, _ in gateway.planning.heard} == {"plan"}
+    assert set(gateway.planner.keys()) == {"plan"}
     assert any(answer.get("name") == ARM for answer in answers)
 
 
@@ -85,12 +84,14 @@ def test_arm_has_besides_what_its_query_wants(gateway: Gateway) -> None:
     assert "drawing" in described
     for payload in (b"no JSON", b"[]", b'{"with": 1}', b'"drawing"', b"\xff", b"[" * 100_000):
         (described,) = asked(gateway.other(), f"{PREFIX}/arm", payload)
-        assert described.keys() == {"name", "dimension", "daemon"}
+        assert described.keys() == {"name", "dimension", "limits", "daemon"}
+    (described,) = asked(gateway.other(), f"{PREFIX}/arm", b'{"with": ["running"]}')
+    assert described["running"] is None
 
 
 @pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
 def test_only_the_latest_sample_waits_and_wildcards_give_none(gateway: Gateway, key: str) -> None:
-    session, receive = gateway.other(), gateway.planning.receive[key]
+    session, receive = gateway.other(), gateway.planner.receive[key]
     for number in range(10):
         session.put(f"{PREFIX}/{key}", str(number))
     latest = []
@@ -98,15 +99,27 @@ def test_only_the_latest_sample_waits_and_wildcards_give_none(gateway: Gateway, 
     assert receive() is None
     session.put(f"hyperbit/*/{key}", b"x")
     session.put(f"{PREFIX}/cancel", b"")
-    eventually(lambda: gateway.planning.heard)
+    eventually(gateway.planner.keys)
+    assert receive() is None
+
+
+@pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
+def test_a_put_by_a_wildcard_displaces_no_sample(gateway: Gateway, key: str) -> None:
+    session, receive = gateway.other(), gateway.planner.receive[key]
+    session.put(f"{PREFIX}/{key}", "real")
+    for _ in range(5):
+        session.put(f"hyperbit/*/{key}", "x")
+    session.put(f"{PREFIX}/cancel", b"")  # of the same session: it arrives last
+    eventually(gateway.planner.keys)
+    assert eventually(receive) == b"real"
     assert receive() is None
 
 
 def test_without_a_tracker_measured_tips_are_not_declared(gateway: Gateway) -> None:
     gateway.server.close()
-    gateway.planning.receive.clear()
+    gateway.planner.receive.clear()
     gateway.server = gateway.serve(tracker=False)
-    assert list(gateway.planning.receive) == ["setpoint"]
+    assert list(gateway.planner.receive) == ["setpoint"]
 
 
 def test_a_defect_is_answered_in_words_and_the_next_request_is_served(gateway: Gateway) -> None:
@@ -117,12 +130,12 @@ def test_a_defect_is_answered_in_words_and_the_next_request_is_served(gateway: G
 
 def test_a_stop_overtakes_goals_that_wait(gateway: Gateway) -> None:
     client = gateway.client()
-    gateway.planning.holding.set()
+    gateway.planner.holding.set()
     session = gateway.other()
     for number in range(50):
         session.put(f"{PREFIX}/goal", f'{{"id": "{number}", "waypoints": []}}')
-    eventually(lambda: len(gateway.planning.waiting) == 50)
-    gateway.planning.holding.clear()
+    eventually(lambda: len(gateway.planner.waiting) == 50)
+    gateway.planner.holding.clear()
     assert client.request("stop", timeout=PATIENCE)["accepted"]
 
 
@@ -131,22 +144,59 @@ def test_malformed_goals_reach_nobody_and_a_good_one_after_a_flood_does(gateway:
     for _ in range(500):
         session.put(f"{PREFIX}/goal", b'{"waypoints": [{"position": [NaN, 1]}]}', congestion_control=BLOCK)
     session.put(f"{PREFIX}/goal", GOAL)
-    eventually(lambda: gateway.planning.heard)
-    assert gateway.planning.heard == [("goal", GOAL)]
+    eventually(gateway.planner.keys)
+    assert gateway.planner.keys() == ["goal"]
     (answer,) = asked(session, f"{PREFIX}/plan", b"{")
     assert not answer["accepted"]
-    assert gateway.planning.heard == [("goal", GOAL)]
+    assert gateway.planner.keys() == ["goal"]
     gateway.reached()
     assert results[0]["message"] == "waypoints[0].position[0]: nan is not a finite number"
 
 
 def test_a_flood_of_bad_puts_is_not_published_in_full(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
-    published: list[str] = []
-    monkeypatch.setattr(gateway.outbox, "publish", lambda key, payload: published.append(key))
-    monkeypatch.setattr(module, "time", type("Clock", (), {"monotonic": staticmethod(lambda: 1e9)}))
+    published: list[Any] = []
+    monkeypatch.setattr(gateway.outbox, "publish_refusal", published.append)
+    refusals = PutRefusals(gateway.outbox)
+    refusals._published = Rate(MOST_REFUSALS, lambda: 1e9)
     for _ in range(1000):
-        gateway.server._publish_refusal({"accepted": False, "message": "bad"})
-    assert published == ["result"] * module.MOST_REFUSALS
+        refusals.publish({"accepted": False, "message": "bad"})
+    assert len(published) == MOST_REFUSALS
+
+
+def test_a_cancel_of_one_goal_must_name_the_arm(gateway: Gateway) -> None:
+    session, goal = gateway.other(), b'{"id": "x"}'
+    (answer,) = asked(session, "hyperbit/*/cancel", goal)
+    assert "cancel must be named" in answer["message"]
+    assert asked(session, f"{PREFIX}/cancel", goal)[0]["accepted"]
+    assert asked(session, "hyperbit/*/cancel", b"[]")[0]["accepted"]
+    assert gateway.planner.heard == [("cancel", CancelMessage("x")), ("cancel", CancelMessage())]
+
+
+def test_a_slow_planner_gets_no_more_requests_than_it_may_hold_but_each_stop(gateway: Gateway) -> None:
+    session = gateway.other()
+    gateway.planner.holding.set()
+    for number in range(2 * MOST_UNANSWERED):
+        session.put(f"{PREFIX}/jog", b"{}", congestion_control=BLOCK)
+        session.put(f"{PREFIX}/stop", b"%d" % number, congestion_control=BLOCK)
+    eventually(lambda: gateway.planner.keys().count("stop") == 2 * MOST_UNANSWERED)
+    (answer,) = asked(session, f"{PREFIX}/jog", b"{}")
+    assert "busy" in answer["message"]
+    assert gateway.planner.keys().count("jog") == MOST_UNANSWERED
+    for reply, answer in gateway.planner.waiting:
+        reply(answer)
+    gateway.planner.holding.clear()
+    assert asked(session, f"{PREFIX}/jog", b"{}")[0]["accepted"]
+
+
+def test_a_second_answer_is_dropped(gateway: Gateway) -> None:
+    gateway.planner.holding.set()
+    session, answers = gateway.other(), list[Any]()
+    replies = session.get(f"{PREFIX}/reset", timeout=PATIENCE)
+    (reply, answer) = eventually(lambda: gateway.planner.waiting)[0]
+    reply(answer)
+    reply({"accepted": False})
+    answers = [json.loads(content(it.ok.payload)) for it in replies if it.ok is not None]
+    assert answers == [answer]
 
 
 def test_after_close_nobody_is_served_and_the_token_is_gone(gateway: Gateway) -> None:
@@ -159,4 +209,4 @@ def test_after_close_nobody_is_served_and_the_token_is_gone(gateway: Gateway) ->
 
 def test_after_the_end_no_setpoint_comes(gateway: Gateway) -> None:
     gateway.server.close()
-    assert [receive() for receive in gateway.planning.receive.values()] == [None, None]
+    assert [receive() for receive in gateway.planner.receive.values()] == [None, None]

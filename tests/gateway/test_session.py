@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 
 from controller.gateway import session
+from controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.keys import DEPLOY
 
 HEAR = """
 import sys, zenoh
 from controller.gateway import session
+from controller.planning.core.events import Identity, PublishResult
 
 with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:
     it.declare_subscriber(sys.argv[2], lambda sample: print(sample.payload.to_string(), flush=True))
@@ -84,7 +86,8 @@ def test_a_client_that_stood_still_hears_the_results_of_that_time(gateway: Gatew
             began = time.monotonic()
             client.send_signal(signal.SIGSTOP)
             time.sleep(STANDSTILL)
-            gateway.outbox.publish("result", {"status": "succeeded", "attempt": attempt})
+            payload = {"status": "succeeded", "attempt": attempt}
+            gateway.outbox.publish_result(PublishResult(attempt, Identity(1, attempt), False, payload))
             client.send_signal(signal.SIGCONT)
             if time.monotonic() - began < session.LEASE / 2:  # a busy machine may make it longer than sessions last
                 break

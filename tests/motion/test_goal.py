@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
+from controller.motion import goal as module
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.goal import LONGEST_SENTENCE, parse, parse_quickly, parse_strictly, schedule
 from controller.motion.pacing import Pace
@@ -247,3 +248,16 @@ def test_names_that_stand_twice_are_not_read_quickly() -> None:
     assert parse_quickly(b'{"waypoints": [{"position": [1, 2]}]}') is not None
     for twice in (b'{"waypoints": [], "waypoints": []}', b'{"waypoints": [], "\\u0077aypoints": []}'):
         assert parse_quickly(twice) is None
+
+
+@pytest.mark.parametrize("payload", [b"{", b"\xff", b'{"waypoints": [{"position": [NaN, 1]}]}', b'{"id": "\\ud800"}'])
+def test_the_reason_of_a_refusal_is_not_looked_for_until_it_is_read(
+    payload: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sought: list[bytes] = []
+    monkeypatch.setattr(module, "parse_strictly", lambda payload: sought.append(payload) or parse_strictly(payload))
+    with pytest.raises(Refusal) as refused:
+        parse(payload)
+    assert sought == []
+    assert str(refused.value)
+    assert sought == [payload]

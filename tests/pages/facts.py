@@ -10,6 +10,7 @@ import msgspec
 
 import hyperbit
 from controller import cli, settings
+from controller.gateway import outbox
 from controller.motion import bias, codes, goal, requests, setpoint
 from controller.program.parts import Mode
 from drivers.simulation.variants import VARIANTS
@@ -39,10 +40,8 @@ def sources(*folders: str) -> Iterator[str]:
 
 def keys() -> set[str]:
     """Returns the keys below hyperbit/<arm>/ that a daemon declares or publishes on."""
-    declared = re.compile(
-        r'(?:_command|_query|_latest|declare_publisher|declare_token)\(\s*f?"(?:{[a-z._]+}/)?(@?[a-z_]+)"'
-    )
-    return {key for text in sources("controller/gateway") for key in declared.findall(text)}
+    declared = re.compile(r'(?:_command|_query|_mailbox|declare_token)\(\s*f?"(?:{[a-z._]+}/)?(@?[a-z_]+)"')
+    return {key for text in sources("controller/gateway") for key in declared.findall(text)} | outbox.PUBLISHED.keys()
 
 
 def faults() -> set[str]:

@@ -51,7 +51,7 @@ from controller.planning.core.tasks import (
     PrepareSearch,
     Task,
 )
-from controller.planning.shell.requests import RequestDecoder
+from controller.planning.requests import RequestDecoder
 from controller.planning.workers.arm_model import ArmModel, build_tables
 from controller.planning.workers.descriptions import describe
 from controller.planning.workers.goal_plans import plan_goal

@@ -1,17 +1,18 @@
 """A planner in threads of this process: its loop, workers, ledger and link, with an inbox in place of Zenoh."""
 
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from controller.config import Arm
 from controller.notify import Notifier
 from controller.planning.core.events import Published, PublishResult, Recorded
+from controller.planning.inbox import Inbox as Events
 from controller.planning.ledger import Ledger
+from controller.planning.link import ExecutorLink
+from controller.planning.planner import Outside, planning
 from controller.planning.published import PublishedResults
-from controller.planning.shell.inbox import Inbox as Events
-from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.planner import Outside, Planner
 from controller.workspace.densities import Densities
 from tests.planning.executor import DIGEST, Inbox
 
@@ -40,11 +41,12 @@ class RunningPlanner:
         outside = Outside(
             self._events, self.ledger, self._published, self, Notifier(), lambda: (), self.failures.append
         )
-        self.planner = Planner(arm, densities, self.link, outside)
+        self._end = ExitStack()
+        self.planner = self._end.enter_context(planning(arm, densities, self.link, outside))
         self.planner.start()
 
     def close(self) -> None:
-        self.planner.close()
+        self._end.close()
         self.ledger.close()
         assert not self.failures
 
@@ -52,7 +54,6 @@ class RunningPlanner:
         """Ends like a process that is killed: it says nothing more."""
         self.planner._loop.close()
         self.planner._link.close()
-        self.planner._workers.close()
         self.ledger.close()
 
     def ask(self, key: Any, payload: Any = None, name: str = "reply") -> None:

@@ -8,6 +8,8 @@ import pytest
 from controller.motion import codes, whole
 from controller.motion.pacing import pace_of
 from controller.planning.core.admission import BARRED
+from controller.planning.core.events import Answered
+from controller.planning.core.tasks import PlanGoal
 from controller.program import Acknowledge, Cancel, Halt, Program, Replacement, Reset, unpack
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
@@ -291,3 +293,24 @@ def test_closing_ends_the_running_goal_with_a_result(desk: Desk) -> None:
     result = desk.inbox.next("result")
     assert desk.core.ended
     assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
+
+
+def test_the_numbers_of_a_proof_are_pythons(desk: Desk) -> None:
+    desk.held.add(PlanGoal)
+    desk.goal(A)
+    (task,) = [task for task in desk._queued.values() if isinstance(task, PlanGoal)]
+    (planned,) = desk.perform(task)
+    assert [type(value) for value in planned.proof] == [int, float, float, str]
+
+
+def test_a_plan_that_cannot_be_offered_is_an_internal_error_and_ends_nothing(desk: Desk) -> None:
+    desk.held.add(PlanGoal)
+    desk.goal(A)
+    ((number, task),) = [(n, task) for n, task in desk._queued.items() if isinstance(task, PlanGoal)]
+    (planned,) = desk.perform(task)
+    desk.post(Answered(number, planned._replace(proof=object()), True))
+    assert desk.inbox.next("reply")["message"] == "internal error, see the journal"
+    assert "Traceback" in desk.logs[-2]
+    desk.held.clear()
+    desk.goal(B, name="b")
+    assert desk.executor.expect(Program).name == "goal b"

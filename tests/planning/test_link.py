@@ -1,44 +1,59 @@
-"""The connection to the executor: established, refused, lost, and established again."""
+"""The connection to the executor: established, refused, lost, full, and established again."""
 
 import os
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from controller.planning.connection import NotConnected
-from controller.planning.link import ExecutorLink
+from controller.planning.core.events import FromExecutor, LinkDown
+from controller.planning.link import MOST_BEHIND, MOST_QUEUED, RETRY, UNREAD, ExecutorLink
 from controller.program import Alive, Answer, Goodbye, Halt, Hello, Program, Snapshot, Welcome, encode
 from tests.planning.executor import DIGEST, ScriptedExecutor
-from tests.waiting import PATIENCE, eventually
+from tests.waiting import eventually
 
-
-class Heard:
-    """Remembers the link's messages."""
-
-    def __init__(self) -> None:
-        self.told: list[Any] = []
-
-    def welcomed(self, welcome: Welcome) -> None:
-        self.told.append(welcome)
-
-    def heard(self, message: Any) -> None:
-        if not isinstance(message, Snapshot):
-            self.told.append(message)
-
-    def lost(self, reason: str) -> None:
-        self.told.append(reason)
+PROGRAM = Program(1, 1, b"", 0.0, (), True, False, "x", os.urandom(8_000))
 
 
 class Line:
-    def __init__(self, path: Path) -> None:
-        self.path, self.heard = path, Heard()
-        self.link = ExecutorLink(lambda: path, "small", DIGEST)
+    """A link, its clock, and its events but snapshots."""
 
-    def start(self) -> None:
-        self.link.start(self.heard)
+    def __init__(self, path: Path, digest: str = DIGEST) -> None:
+        self.path, self.now = path, 0.0
+        self.link = ExecutorLink(lambda: path, "small", digest, lambda: self.now)
+        self.events: list[FromExecutor | LinkDown] = []
+
+    def poll(self) -> None:
+        """Lets time pass, connects and receives."""
+        self.now += RETRY
+        self.link.connect(self.now)
+        self.events += [
+            event
+            for event in self.link.receive()
+            if not (isinstance(event, FromExecutor) and isinstance(event.message, Snapshot))
+        ]
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        def met() -> Any:
+            self.poll()
+            return condition()
+
+        eventually(met)
+
+    def welcome(self, count: int = 1) -> None:
+        """Waits for a number of Welcomes."""
+        self.until(lambda: sum(isinstance(message, Welcome) for message in self.messages) == count)
+
+    @property
+    def messages(self) -> list[Any]:
+        return [event.message for event in self.events if isinstance(event, FromExecutor)]
+
+    @property
+    def reasons(self) -> list[str]:
+        return [event.reason for event in self.events if isinstance(event, LinkDown)]
 
 
 @pytest.fixture
@@ -48,119 +63,249 @@ def line(tmp_path: Path) -> Iterator[Line]:
     line.link.close()
 
 
-def test_it_waits_for_an_executor_and_is_welcomed(line: Line) -> None:
-    line.start()
-    eventually(lambda: "waiting for the executor at its socket" in (line.link.problem or ""))
-    with pytest.raises(NotConnected):
-        line.link.send(Alive())
+@pytest.fixture
+def executor(line: Line) -> Iterator[ScriptedExecutor]:
     executor = ScriptedExecutor(line.path, 12)
+    yield executor
+    executor.close()
+
+
+class Deaf:
+    """An executor that greets and does not read."""
+
+    def __init__(self, line: Line) -> None:
+        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._server.bind(str(line.path))
+        self._server.listen()
+        line.poll()
+        self.client, _ = self._server.accept()
+        self.client.send(encode(Welcome(1, "small", DIGEST, 1, (), 0)))
+        line.welcome()
+
+    def read(self) -> list[bytes]:
+        """Returns what waits to be read."""
+        read = []
+        while True:
+            try:
+                read.append(self.client.recv(70_000, socket.MSG_DONTWAIT))
+            except BlockingIOError:
+                return read
+
+    def close(self) -> None:
+        self.client.close()
+        self._server.close()
+
+
+@pytest.fixture
+def deaf(line: Line) -> Iterator[Deaf]:
+    deaf = Deaf(line)
+    yield deaf
+    deaf.close()
+
+
+def test_it_waits_for_an_executor_and_tells_the_reason_once(line: Line) -> None:
+    assert line.link.send_now(Halt(1)) == "waiting for the executor"
+    for _ in range(3):
+        line.poll()
+    assert line.reasons == ["waiting for the executor at its socket: No such file or directory"]
+    assert line.link.send_now(Halt(1)) == line.reasons[0]
+    executor = ScriptedExecutor(line.path, 12)
+    line.welcome()
     hello = executor.expect(Hello)
     assert (hello.role, hello.arm) == ("planner", "small")
-    eventually(lambda: line.link.snapshot)
-    assert (line.link.connected, line.link.problem) == (True, None)
     executor.close()
 
 
-def test_it_connects_anew_when_the_executor_is_lost(line: Line) -> None:
+def test_it_tries_again_only_after_a_while(line: Line) -> None:
+    line.link.connect(10.0)
+    line.link.connect(10.0 + RETRY / 2)
     executor = ScriptedExecutor(line.path, 12)
-    line.start()
-    executor.expect(Hello)
-    eventually(lambda: line.link.snapshot)
+    line.link.connect(10.0 + RETRY / 2)
+    assert (line.link.fileno(), line.link.retry_at) == (-1, 10.0 + RETRY)
+    line.link.connect(line.link.retry_at)
+    assert line.link.fileno() >= 0
+    executor.close()
+
+
+def test_a_path_that_cannot_be_found_is_told(line: Line) -> None:
+    def path() -> Path:
+        raise PermissionError(13, "Permission denied")
+
+    line.link = ExecutorLink(path, "small", DIGEST)
+    line.poll()
+    assert line.reasons == ["waiting for the executor at its socket: Permission denied"]
+
+
+def test_an_error_of_the_path_does_not_end_the_loop(line: Line, caplog: pytest.LogCaptureFixture) -> None:
+    def path() -> Path:
+        raise KeyError("path")
+
+    line.link = ExecutorLink(path, "small", DIGEST)
+    line.poll()
+    line.poll()
+    assert line.reasons == ["internal error, see the journal"]
+    assert len(caplog.records) == 1
+
+
+def test_it_connects_anew_when_the_executor_is_lost(line: Line, executor: ScriptedExecutor) -> None:
+    line.welcome()
     executor.instance = 2
     executor.drop()
-    executor.expect(Hello)
-    eventually(lambda: len(line.heard.told) == 3)
-    first, lost, second = line.heard.told
-    assert (first.instance, lost, second.instance) == (1, "the executor closed the connection", 2)
-    executor.close()
+    line.welcome(2)
+    assert [message.instance for message in line.messages] == [1, 2]
+    assert line.events[1] == LinkDown("the executor closed the connection")
+
+
+def test_what_an_executor_sent_before_its_end_is_received(line: Line, deaf: Deaf) -> None:
+    line.link.send(Alive())  # which the executor does not read before it ends
+    deaf.client.send(encode(Answer(1, True, "stopped")))
+    deaf.close()
+    line.link.send(Alive())
+    assert line.link.send_now(Halt(2)) is not None
+    line.poll()
+    assert line.messages[1:] == [Answer(1, True, "stopped")]
+    assert line.reasons == ["the executor closed the connection"]
 
 
 @pytest.mark.parametrize(
     ("name", "digest", "words"),
     [("other", DIGEST, "drives the arm 'other'"), ("small", "e" * 64, "another version of the arm's file")],
 )
-def test_an_executor_of_another_arm_or_file_is_not_driven(line: Line, name: str, digest: str, words: str) -> None:
+def test_an_executor_of_another_arm_or_file_is_not_driven(tmp_path: Path, name: str, digest: str, words: str) -> None:
+    line = Line(tmp_path / "small.sock", digest)
     executor = ScriptedExecutor(line.path, 12, name)
-    line.link._digest = digest
-    line.start()
-    eventually(lambda: words in (line.link.problem or ""))
-    assert not line.link.connected
-    assert line.heard.told == []
+    line.until(lambda: line.reasons)
+    assert words in line.reasons[0]
+    for _ in range(2):
+        executor.expect(Hello)
+        line.until(lambda: line.link.fileno() >= 0)
+    assert len(line.events) == 1
+    assert words in (line.link.send_now(Halt(1)) or "")
+    line.link.close()
     executor.close()
 
 
-def test_what_the_executor_says_when_it_does_not_serve_is_told(line: Line) -> None:
-    executor = ScriptedExecutor(line.path, 12)
+def test_what_the_executor_says_when_it_does_not_serve_is_told(line: Line, executor: ScriptedExecutor) -> None:
     executor.greets = False
-    line.start()
+    line.poll()
     executor.expect(Hello)
+    executor.send(Answer(1, True, "before the Welcome"))
     executor.send(Goodbye("a planner is connected already"))
-    eventually(lambda: "a planner is connected already" in (line.link.problem or ""))
     executor.greets = True
-    eventually(lambda: line.link.connected)
-    executor.close()
+    line.welcome()
+    assert line.events[:-1] == [LinkDown("the executor refused this planner: a planner is connected already")]
 
 
-def test_a_packet_that_is_no_message_ends_the_connection(line: Line) -> None:
-    executor = ScriptedExecutor(line.path, 12)
-    line.start()
-    executor.expect(Hello)
-    eventually(lambda: line.link.snapshot)
+def test_a_packet_that_is_no_message_ends_the_connection(line: Line, executor: ScriptedExecutor) -> None:
+    line.welcome()
     assert executor._client is not None
     executor._client.send(b"\xff\xff")
-    eventually(lambda: any("cannot be decoded" in str(told) for told in line.heard.told))
-    eventually(lambda: line.link.connected)
-    executor.close()
+    line.until(lambda: line.reasons)
+    assert "cannot be decoded, perhaps of another version" in line.reasons[0]
+    line.welcome(2)
 
 
-def test_each_request_gets_its_answer_and_none_when_the_executor_dies(line: Line) -> None:
-    executor = ScriptedExecutor(line.path, 12)
-    line.start()
+def test_messages_arrive_in_both_directions(line: Line, executor: ScriptedExecutor) -> None:
+    line.link.send(Halt(1))  # dropped
+    line.welcome()
     executor.expect(Hello)
-    eventually(lambda: line.link.snapshot)
-    answers: list[tuple[str, Answer | None]] = []
-    for name in ("a", "b", "c"):
-        line.link.ask(Halt, lambda answer, name=name: answers.append((name, answer)))  # type: ignore[misc]
-    first, second, _ = (executor.expect(Halt) for _ in range(3))
-    executor.send(Answer(second.request, True, "second"))
-    executor.send(Answer(first.request, True, "first"))
-    executor.send(Answer(99, True, "nobody's"))
-    eventually(lambda: len(answers) == 2)
-    assert [(name, answer and answer.message) for name, answer in answers] == [("b", "second"), ("a", "first")]
-    assert line.link.waiting == 1
-    executor.drop()
-    eventually(lambda: len(answers) == 3)
-    assert answers[2] == ("c", None)
-    executor.close()
+    line.link.send(Halt(2))
+    assert line.link.send_now(Halt(3)) is None
+    assert [executor.expect(Halt).request for _ in range(2)] == [2, 3]
+    executor.send(Answer(3, True, "third"))
+    executor.send(Answer(2, True, "second"))
+    line.until(lambda: len(line.messages) == 3)
+    assert [message.request for message in line.messages[1:]] == [3, 2]
 
 
-def test_an_executor_that_does_not_read_is_dropped(tmp_path: Path) -> None:
-    line = Line(tmp_path / "small.sock")
-    server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    server.bind(str(line.path))
-    server.listen()
-    line.start()
-    client, _ = server.accept()
-    client.send(encode(Welcome(1, "small", DIGEST, 1, (), 0)))
-    eventually(lambda: line.link.connected)
-    program = Program(1, 1, b"", 0.0, (), True, False, "x", os.urandom(8_000))
-
-    def flood() -> None:
-        while True:
-            line.link.send(program)
-
-    with pytest.raises(NotConnected, match="does not read"):
-        flood()
-    eventually(lambda: len(line.heard.told) == 2)
-    line.link.close()
-    server.close()
-    client.close()
+def test_a_dropped_connection_is_told_and_made_again(line: Line, executor: ScriptedExecutor) -> None:
+    line.link.drop("nothing to drop")
+    line.welcome()
+    line.link.drop("silent")
+    assert (line.link.pending, line.link.fileno()) == (True, -1)
+    assert line.link.send_now(Halt(1)) == "silent"
+    line.welcome(2)
+    assert line.reasons == ["silent"]
 
 
-def test_closing_ends_the_threads(line: Line) -> None:
-    executor = ScriptedExecutor(line.path, 12)
-    line.start()
-    executor.expect(Hello)
-    line.link.close(PATIENCE)
-    assert not any(thread.is_alive() for thread in line.link._threads)
-    executor.close()
+def fill(line: Line) -> None:
+    """Sends until a message waits."""
+    while not line.link.sending:
+        line.link.send(PROGRAM)
+
+
+def test_messages_wait_while_the_socket_is_full(line: Line, deaf: Deaf) -> None:
+    fill(line)
+    line.link.send(Halt(7))
+    deaf.read()
+    line.link.flush()
+    assert not line.link.sending
+    assert deaf.read() == [encode(PROGRAM), encode(Halt(7))]
+
+
+def test_a_stop_that_cannot_be_sent_says_so(line: Line, deaf: Deaf) -> None:
+    fill(line)
+    assert line.link.send_now(Halt(1)) == UNREAD
+    assert line.events[1:] == []  # the queue decides on the connection
+
+
+def test_an_executor_that_reads_late_is_dropped(line: Line, deaf: Deaf) -> None:
+    fill(line)
+    line.now += MOST_BEHIND
+    line.link.flush()
+    assert not line.link.pending
+    line.now += 0.1
+    line.link.flush()
+    assert line.link.receive() == [LinkDown(UNREAD)]
+    assert not line.link.sending
+
+
+def test_an_executor_that_does_not_read_is_dropped(line: Line, deaf: Deaf) -> None:
+    fill(line)
+    for _ in range(MOST_QUEUED):
+        assert not line.link.pending
+        line.link.send(Alive())
+    assert line.link.receive() == [LinkDown(UNREAD)]
+
+
+def test_a_flood_is_received_in_parts(line: Line, deaf: Deaf, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("controller.planning.link.MOST_RECEIVED", 2)
+    for k in range(5):
+        deaf.client.send(encode(Answer(k, True, "")))
+    assert [len(line.link.receive()) for _ in range(4)] == [2, 2, 1, 0]
+
+
+def test_a_thread_that_sends_keeps_the_number_of_the_socket_in_use(line: Line, deaf: Deaf) -> None:
+    sending = line.link._welcomed  # as in send_now
+    assert sending is not None
+    number = sending.socket.fileno()
+    line.link.drop("silent")
+    with pytest.raises(BrokenPipeError):
+        sending.send(b"x")
+    assert sending.socket.fileno() == number
+    os.fstat(number)
+    del sending
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(number)
+
+
+def test_threads_may_send_while_connections_end(line: Line, executor: ScriptedExecutor) -> None:
+    ends, failures = threading.Event(), []
+
+    def send() -> None:
+        try:
+            while not ends.is_set():
+                line.link.send_now(Alive())
+        except Exception as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=send) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for count in range(1, 6):
+        line.welcome(count)
+        line.link.drop("silent")
+    ends.set()
+    for thread in threads:
+        thread.join()
+    assert failures == []

@@ -67,7 +67,7 @@ def replay(generations: Sequence[Generation]) -> Replayed:
     """Plays the events of a file into its core, until an action differs."""
     core, count, skipped = None, 0, 0
     for generation in generations:
-        core = generation.core or core
+        core = core if generation.core is None else generation.core
         for entry in generation.entries:
             if core is None:
                 skipped += 1

@@ -19,10 +19,11 @@ from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
 from controller.flight_recorder import recorder as recording
 from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save
 from controller.flight_recorder.loading import load
-from controller.flight_recorder.pickling import unpickle
+from controller.flight_recorder.pickling import LEFT_OUT, unpickle
 from controller.obstacles.obstacles import sphere
+from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Answered, Start
-from controller.planning.core.tasks import OPAQUE, BuildScene, Scene, SceneBuilt, Tables
+from controller.planning.core.tasks import BuildScene, Scene, SceneBuilt, Tables
 from tests.keys import DEPLOY
 from tests.simulation.events import arm_objects, main, replay, same
 from tests.simulation.world import World
@@ -125,9 +126,9 @@ def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_fil
         assert load(save(recorder.paths, tmp_path, "other"), arm_objects)[1].core is None, "it is not the one by name"
     manipulator, found = generation.core
     assert (type(manipulator), len(manipulator.actuators)) == (type(arm.manipulator), 48)
-    assert found == Tables(3, b"abc", None)
+    assert found == Tables(3, b"abc", LEFT_OUT)
     (entry,) = generation.entries
-    assert entry[:3] == (Answered(7, SceneBuilt(Scene(4, False), 1, 1), True), 1.0, 2.0)
+    assert entry[:3] == (Answered(7, SceneBuilt(Scene(4, False, LEFT_OUT), 1, 1), True), 1.0, 2.0)
     assert same(entry.actions, [Start(8, BuildScene(5, pillar))])
     with pytest.raises(Refused, match="needs 'manipulator'"):
         load(tmp_path / next(path.name for path in tmp_path.iterdir() if path.name.endswith("request")))

@@ -9,8 +9,9 @@ import zenoh
 
 from controller.gateway import daemon, session
 from controller.gateway.client import Client
-from controller.gateway.server import Receive
-from controller.planning.planning import Planning
+from controller.planning.core.events import Key, Message
+from controller.planning.mailboxes import Receive
+from controller.planning.planner import Planner
 from tests.keys import certificates, openssl
 from tests.system.observer import Observer
 from tests.system.system import System
@@ -46,12 +47,16 @@ class Seen:
         self.all: list[tuple[str, bytes]] = []
         seen = self.all
 
-        class Watched(Planning):
-            def setpoints(self, receive: Receive) -> None:
-                super().setpoints(watched("setpoint", receive))
+        class Watched(Planner):
+            def decode(self, key: Key, payload: bytes) -> Message:
+                seen.append((key, b"" if key in ("cancel", "stop", "reset") else payload))
+                return super().decode(key, payload)
 
-            def measured_tips(self, receive: Receive) -> None:
-                super().measured_tips(watched("measured_tip", receive))
+            def read_setpoints(self, receive: Receive) -> None:
+                super().read_setpoints(watched("setpoint", receive))
+
+            def read_measured_tips(self, receive: Receive) -> None:
+                super().read_measured_tips(watched("measured_tip", receive))
 
         def watched(key: str, receive: Receive) -> Receive:
             def look() -> bytes | None:
@@ -62,20 +67,7 @@ class Seen:
 
             return look
 
-        def watch(key: str, *, payload: bool) -> None:
-            take = getattr(Planning, key)
-
-            def seeing(self: Planning, *given: object) -> None:
-                seen.append((key, given[0] if payload else b""))  # type: ignore[arg-type]
-                take(self, *given)
-
-            setattr(Watched, key, seeing)
-
-        for key in ("goal", "plan", "jog", "degrade", "obstacles"):
-            watch(key, payload=True)
-        for key in ("cancel", "stop", "reset"):
-            watch(key, payload=False)
-        monkeypatch.setattr(daemon, "Planning", Watched)
+        monkeypatch.setattr(daemon, "Planner", Watched)
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:

@@ -20,8 +20,8 @@ from controller.config import Arm, load
 from controller.executor.arm import read_arm
 from controller.gateway import daemon, session
 from controller.gateway.client import Client
+from controller.gateway.daemon import Daemon
 from controller.planning.ledger_file import read
-from controller.planning.planning import Planning
 from controller.workspace.cache import load_or_map
 from drivers.canopen.wiring import BusSettings, Wiring
 from drivers.simulation.simulation import Simulation
@@ -47,7 +47,7 @@ class System:
         boards: the simulated boards, in threads of this process.
         executor: its process, once started.
         planner: its process, if it has one of its own.
-        planning: the planner, if it is in this process.
+        daemon: of the planner, if it is in this process.
         ledger: the planner's.
         config: of the planner's Zenoh session; by default it listens at the endpoint.
         clients: returns the configuration of clients' sessions.
@@ -83,7 +83,7 @@ class System:
         self.clients = lambda: session.configuration("client", connect=self.endpoint)
         self.executor: Process | None = None
         self.planner: Process | None = None
-        self.planning: Planning | None = None
+        self.daemon: Daemon | None = None
         self._planner_end = ExitStack()
         self.boards = self._start_boards()
 
@@ -128,13 +128,13 @@ class System:
         self.executor = self._nurseries["executor"].start(arguments, self.folder / "executor.log", self._environment)
         return self.executor
 
-    def start_planner(self) -> Planning:
+    def start_planner(self) -> Daemon:
         """Starts a planner in threads of this process."""
         config = self.config or session.configuration("peer", listen=self.endpoint)
-        self.planning = self._planner_end.enter_context(self.serving(config, self.ledger))
-        return self.planning
+        self.daemon = self._planner_end.enter_context(self.serving(config, self.ledger))
+        return self.daemon
 
-    def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Planning]:
+    def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Daemon]:
         """A planner in threads of this process, while the context lasts."""
         arm = self.arm
         densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
@@ -157,7 +157,7 @@ class System:
     def end_planner(self) -> None:
         """Ends the planner in order."""
         self._planner_end.close()
-        self._planner_end, self.planning = ExitStack(), None
+        self._planner_end, self.daemon = ExitStack(), None
         if self.planner is not None and self.planner.alive:
             self.planner.thaw()
             self.planner.end(signal.SIGTERM)

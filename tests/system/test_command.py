@@ -71,7 +71,9 @@ def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]
 
 
 def children(process: subprocess.Popen[bytes]) -> list[int]:
-    return [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    """Returns the ids of the child processes of a process, but the keeper of its events."""
+    others = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(pid) for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -11,7 +11,7 @@ import numpy as np
 import zenoh
 
 from controller.config import Arm
-from controller.gateway.floods import BRIEFLY
+from controller.gateway.arrivals import BRIEFLY
 from controller.motion import codes
 from controller.planning.ledger_file import read
 from drivers.simulation.simulation import Simulation

@@ -132,13 +132,12 @@ def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
 
 
 def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
-    client: Observer, publisher: Publisher, motions: Motions, system: System
+    client: Observer, publisher: Publisher, motions: Motions
 ) -> None:
-    assert system.planning is not None
-    began, before = time.time(), system.planning.diagnostics()["setpoint"]["received"]
+    began, before = time.time(), publisher.status()["received"]
     for k in range(1, 4):
         publisher.put({"position": LEFT if k % 2 else RIGHT})
-        eventually(lambda k=k: system.planning.diagnostics()["setpoint"]["received"] >= before + k)
+        time.sleep(0.05 * SLOWNESS)  # it is read, and perhaps searched for
         client.ask("cancel")
         motions.clear()  # a search may still switch before the cancel, but not after it
         eventually(lambda k=k: publisher.status()["received"] >= before + k and not publisher.status()["alive"])

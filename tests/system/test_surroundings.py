@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 import zenoh
+from controller.planning.shell import loop
 
 from controller.gateway import session, warnings
-from controller.planning import follower, status_report
 from controller.planning.ledger_file import read
 from tests.system.motions import Motions
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
@@ -38,10 +38,12 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         return real() + ahead[0]
 
     monkeypatch.setattr(time, "time", wall)
-    for module in (warnings, status_report, follower):
+    for module in (warnings, loop):
         for kind in [it for it in vars(module).values() if isinstance(it, type) and it.__module__ == module.__name__]:
             defaults = kind.__init__.__defaults__ or ()  # type: ignore[misc]
-            taken = tuple(wall if it is real else it for it in defaults)
+            taken = tuple(
+                (it[0], wall) if it == (time.monotonic, real) else wall if it is real else it for it in defaults
+            )
             monkeypatch.setattr(kind.__init__, "__defaults__", taken)  # type: ignore[misc]
 
     def put(seconds: float) -> None:

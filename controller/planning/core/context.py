@@ -65,9 +65,9 @@ def with_target(context: Context, target: Target) -> Context:
     return msgspec.structs.replace(
         context,
         position=target.position.tolist(),
-        tolerance=target.tolerance,
+        tolerance=float(target.tolerance),
         rotation=[] if target.rotation is None else target.rotation.ravel().tolist(),
-        angle_tolerance=target.angle_tolerance if target.rotation is not None else 0.0,
+        angle_tolerance=float(target.angle_tolerance) if target.rotation is not None else 0.0,
         configuration=target.configuration,
     )
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
+import traceback
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
-from controller.motion.codes import PATH_TOLERANCE_VIOLATED
+from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
 from controller.motion.goal_motion import tracking_of
 from controller.planning.core.admission import Admission
 from controller.planning.core.arm import ExecutorView
@@ -18,6 +20,7 @@ from controller.planning.core.events import (
     FromExecutor,
     Identity,
     LinkDown,
+    Log,
     ObstaclesMessage,
     OpenGoal,
     Payload,
@@ -39,17 +42,17 @@ from controller.planning.core.events import (
 from controller.planning.core.goals import Goals
 from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers, Shared
 from controller.planning.core.locks import Locks
-from controller.planning.core.messages import CLOSING
+from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.obstacles import ObstacleOwner
 from controller.planning.core.parts import Parts
-from controller.planning.core.programs import Programs
+from controller.planning.core.programs import InFlight, Programs
 from controller.planning.core.queries import Queries
 from controller.planning.core.reports import Outcome
 from controller.planning.core.requests import ExecutorRequests
 from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream
-from controller.planning.core.tasks import Scene, Tables
+from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
 from controller.planning.core.tip_bias import TipBiasEstimator
 from controller.program import (
     ALIVE_EVERY,
@@ -74,6 +77,15 @@ if TYPE_CHECKING:
     from controller.config import Arm
     from controller.motion.pacing import Pace
 
+# Fields that the core does not look inside: the flight recorder leaves them out.
+OPAQUE: dict[type, str] = {
+    Tables: "solvers",
+    Scene: "keep_out",
+    ImprovePlan: "plan",
+    Planned: "plan",
+    InFlight: "plan",
+}
+CALM = 0.003  # [s] after an action that is not a report, before the next report
 LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
 
@@ -142,7 +154,7 @@ class Core:
         self._requests = ExecutorRequests(parts, self._goals)
         self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, bias)
         self._status = Status(parts, self._stream, self._tip_bias, self._waiting)
-        self._changed = True
+        self._changed, self._report_at = True, 0.0
         self._alive_at = 0.0  # time of the next keep-alive [s]
         self._most_silent = round(2.0 * arm.settings.planner_timeout / ALIVE_EVERY)
         self._silent = 0  # keep-alives since the executor's last message
@@ -169,10 +181,12 @@ class Core:
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
         self._close()
-        if isinstance(event, Tick) or not self._actions:  # otherwise what is urgent does not wait for a report
+        if self._actions and not isinstance(event, Tick):  # what is urgent, and its worker, do not wait for a report
+            self._report_at = now + CALM
+        if now >= self._report_at:
             self._status.report(now, wall, self._changed)
             self._changed = False
-        report_at = now if self._changed else self._status.due(now)
+        report_at = max(self._report_at, now if self._changed else self._status.due(now))
         due = min(self._alive_at, self._goals.due(), self._stream.due(now), report_at)
         if self._quit_at is not None:
             due = math.inf if self.ended else min(due, self._quit_at)
@@ -188,7 +202,7 @@ class Core:
                 self._silent = 0
                 self._hear(message)
             case Request():
-                self._take(event)
+                self._answer(event)
             case Answered(number, answer, last):
                 self._jobs.answered(number, answer, last, moment.now)
             case SetpointArrived(payload):
@@ -213,6 +227,14 @@ class Core:
                 pass
 
     # --- clients
+
+    def _answer(self, request: Request) -> None:
+        """Takes a request; what fails is answered, and does not end the process."""
+        try:
+            self._take(request)
+        except Exception:
+            self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
+            self._act(Reply(request.number, refused(INVALID_GOAL, "internal error, see the journal")))
 
     def _take(self, request: Request) -> None:
         match request.key:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import traceback
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -157,6 +158,10 @@ class Goals:
             except Refusal as refusal:
                 self._parts.jobs.abandon(motion.job, self._moment.now)
                 self._end(motion, refusal)
+            except Exception:
+                self._parts.jobs.abandon(motion.job, self._moment.now)
+                self._act(Log(logging.ERROR, f"{motion.id} failed\n{traceback.format_exc()}"))
+                self._end(motion, Refusal(INVALID_GOAL, "internal error, see the journal"))
 
     def due(self) -> float:
         """Returns when `advance` must be called again, without another event [s]."""

@@ -345,6 +345,3 @@ Answer = (
     | Refused
     | Failed
 )
-
-# Fields that the core does not look inside: the flight recorder records them as None.
-OPAQUE: dict[type, str] = {Tables: "solvers", Scene: "keep_out", ImprovePlan: "plan", Planned: "plan"}

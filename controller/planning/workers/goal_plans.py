@@ -198,8 +198,8 @@ def points_of(
 
 
 def proof_of(found: Plan) -> Proof:
-    """Returns what is proven of a plan, from the configuration of `start.states`."""
-    return Proof(found.switches, found.cost, found.bound, found.certificate)
+    """Returns what is proven of a plan, from the configuration of `start.states`, in Python's own numbers."""
+    return Proof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
 
 
 def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from controller.planning.link import ExecutorLink
 from controller.planning.planner import Planner
-from controller.planning.planning import Planning
+from controller.planning.workers import pool
 from controller.program import Down, Program
 from controller.search.solver import Solver
 from tests.benchmarks.chain.records import Record
@@ -25,12 +25,12 @@ def timed(owner: type, name: str, record: Record, takes: Callable[..., bool] = l
     """Records begin and end of the calls of a method [s]."""
     method = getattr(owner, name)
 
-    def timing(self: object, *arguments: Any, **options: Any) -> Any:
+    def timing(*arguments: Any, **options: Any) -> Any:
         began = time.monotonic()
         try:
-            return method(self, *arguments, **options)
+            return method(*arguments, **options)
         finally:
-            if takes(*arguments):
+            if takes(*arguments[1:]):
                 record.note(began, time.monotonic())
 
     setattr(owner, name, timing)
@@ -47,8 +47,8 @@ if __name__ == "__main__":
             stack.enter_context(Record(folder / f"{name}.npz", "began", "ended"))
             for name in ("goals", "services", "solves", "programs")
         )
-        timed(Planning, "goal", goals)
-        timed(Planner, "_serve", services)
+        timed(Planner, "request", goals)
+        timed(pool, "plan_goal", services)  # type: ignore[arg-type]
         timed(Solver, "solve", solves)
         timed(ExecutorLink, "send", programs, is_program)
         code = 0

@@ -31,12 +31,12 @@ from controller.planning.core.events import (
     Wake,
     Warned,
 )
+from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.tasks import Failed
-from controller.planning.messages import CLOSING, refused
-from controller.planning.shell.inbox import Inbox
-from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.mailboxes import Mailboxes, Receive
-from controller.planning.shell.services import Core, Services
+from controller.planning.inbox import Inbox
+from controller.planning.link import ExecutorLink
+from controller.planning.mailboxes import Mailboxes, Receive
+from controller.planning.services import Core, Services
 from controller.program import Fault
 
 log = logging.getLogger(__name__)

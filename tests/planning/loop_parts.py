@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from controller.planning.core.events import Action, Event
-from controller.planning.shell.services import Services
+from controller.planning.services import Services
 from controller.program import Fault
 from tests.waiting import PATIENCE
 

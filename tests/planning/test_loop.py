@@ -39,15 +39,15 @@ from controller.planning.core.events import (
     Wake,
     Warned,
 )
+from controller.planning.core.messages import CLOSING
 from controller.planning.core.tasks import BuildTables, Done, Failed
-from controller.planning.messages import CLOSING
-from controller.planning.shell.inbox import Inbox
-from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.loop import WARNINGS_EVERY, Loop
-from controller.planning.shell.mailboxes import EVERY, STREAM_ENDS, STREAM_EVERY
+from controller.planning.inbox import Inbox
+from controller.planning.link import ExecutorLink
+from controller.planning.loop import WARNINGS_EVERY, Loop
+from controller.planning.mailboxes import EVERY, STREAM_ENDS, STREAM_EVERY
 from controller.program import Answer, Fault, Halt, Hello, Snapshot
 from tests.planning.executor import DIGEST, ScriptedExecutor
-from tests.planning.shell.parts import Remembering, ScriptedCore
+from tests.planning.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
 
 REQUEST = Request(1, "reset", None, 0.0)

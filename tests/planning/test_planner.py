@@ -22,14 +22,14 @@ from controller.planning.core.events import (
     ToExecutor,
     Unsent,
 )
-from controller.planning.shell.inbox import Inbox
-from controller.planning.shell.link import ExecutorLink
-from controller.planning.shell.loop import Loop
-from controller.planning.shell.planner import CANCELED, Planner
+from controller.planning.inbox import Inbox
+from controller.planning.link import ExecutorLink
+from controller.planning.loop import Loop
+from controller.planning.planner import CANCELED, Planner
 from controller.program import Acknowledge, Cancel, Halt, Hello, Welcome
 from controller.workspace.densities import Densities
 from tests.planning.executor import DIGEST, ScriptedExecutor
-from tests.planning.shell.parts import Remembering, ScriptedCore
+from tests.planning.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
 
 

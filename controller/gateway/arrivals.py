@@ -1,0 +1,199 @@
+"""What a request meets before the planner: the brake for floods, and the memory of goals that come twice.
+
+No lock is needed. Any thread appends to a deque, or adds to a dictionary by `setdefault`; both are atomic. Entries are
+removed by the thread of the planner's core, which gives the answers and the results.
+"""
+
+import hashlib
+import itertools
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+from controller.planning.core.events import Payload
+
+MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
+PAUSE_EVERY, PAUSE = 10, 0.002  # number of further requests for each pause, and its length [s]
+BRIEFLY = "the request is malformed; no details are given while many bad requests arrive"
+REMEMBERED = 60.0  # [s] after the last answer; clients repeat a request for a few seconds
+FORGET_EVERY = 1.0  # [s]
+MOST = 1_000  # keys of goals remembered
+
+Reply = Callable[[Payload], None]  # must not wait
+
+
+class Rate:
+    """Counts events up to a number within the last second. Threads that count together may count a few more.
+
+    Args:
+        most: number of events.
+        clock: [s].
+    """
+
+    def __init__(self, most: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._times = clock, deque[float](maxlen=most)
+
+    def add(self) -> None:
+        """Counts an event."""
+        self._times.append(self._clock())
+
+    def exceeded(self) -> bool:
+        """Returns whether the number was reached within the last second."""
+        return len(self._times) == self._times.maxlen and self._clock() - self._times[0] < 1.0
+
+    def admits(self) -> bool:
+        """Counts an event if the number is not exceeded; returns whether it was counted."""
+        if self.exceeded():
+            return False
+        self.add()
+        return True
+
+
+class FloodBrake:
+    """Slows down Zenoh's callback of a key if many requests on it are refused.
+
+    In a flood the callback pauses. Zenoh then stops reading the connections of the flood, and the interpreter is free
+    for other threads. A goal from another client waits for the 256 messages before it in the callback's queue, about
+    60 ms.
+
+    Args:
+        clock: [s].
+        pause: sleeps for a time [s].
+    """
+
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep
+    ) -> None:
+        self._refused, self._explained = Rate(MOST_AT_ONCE, clock), Rate(MOST_AT_ONCE, clock)
+        self._requests, self._pause = itertools.count(1), pause
+
+    def count_refusal(self) -> None:
+        """Counts a request that was refused; for any thread."""
+        self._refused.add()
+
+    def explains(self) -> bool:
+        """Returns whether another refusal may give its reason."""
+        return self._explained.admits()
+
+    def slow_down(self) -> None:
+        """Pauses now and then while too many requests are refused; called after each request."""
+        if self._refused.exceeded() and next(self._requests) % PAUSE_EVERY == 0:
+            self._pause(PAUSE)
+
+
+@dataclass(eq=False)
+class Known:
+    """A goal that has arrived.
+
+    Attributes:
+        keys: of the table, by which it is recognized.
+        at: time of its last message [s].
+        replies: functions that wait for the answer.
+        answer: None until it is known.
+        ended: whether no result will follow.
+    """
+
+    keys: list[bytes]
+    at: float
+    replies: deque[Reply] = field(default_factory=deque)
+    answer: Payload | None = None
+    ended: bool = False
+
+    def await_answer(self, reply: Reply) -> None:
+        """Replies with the answer, now or when it comes.
+
+        A reply is appended before the answer is looked for, and the answer is stored before replies are taken. So
+        each reply is taken by one of both threads, and by one alone.
+        """
+        self.replies.append(reply)
+        self.reply()
+
+    def give(self, answer: Payload) -> None:
+        """Stores the answer, and replies to all that wait."""
+        self.answer = answer
+        if not answer.get("accepted"):
+            self.ended = True
+        self.reply()
+
+    def reply(self) -> None:
+        """Replies to all that wait, if the answer is known."""
+        while self.answer is not None and self.replies:
+            try:
+                reply = self.replies.popleft()
+            except IndexError:  # another thread took it
+                return
+            reply(self.answer)
+
+
+class RepeatedGoals:
+    """Answers a repeated goal with the answer to the first one: a client without an answer asks again.
+
+    A goal is recognized by the request number that hyperbit's clients attach to it. Goals of other clients are
+    recognized by their payload if it has an id. A number always identifies the same request. A payload identifies its
+    goal only until the goal has ended, because the same file may be sent again later.
+
+    Args:
+        clock: [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._forget_at = clock, -float("inf")
+        self._known: dict[bytes, Known] = {}
+
+    def submit(self, payload: bytes | None, number: bytes, reply: Reply, request: Callable[[Reply], None]) -> None:
+        """Requests a new goal, or repeats the answer to a known one. For any thread.
+
+        Args:
+            payload: of the goal if it has an id, else None.
+            number: of the request, which the client attached; empty if none.
+            reply: takes the answer.
+            request: requests a new goal; is given the function that takes its answer.
+        """
+        keys = [b"number" + number[:64]] if number else []
+        if payload is not None:
+            keys.append(b"payload" + hashlib.blake2b(payload, digest_size=16).digest())
+        goal = Known(keys, self._clock())
+        goal.await_answer(reply)
+        for key in keys:
+            known = self._known.setdefault(key, goal)
+            if known is not goal:  # `goal` may be known by its number already; it gets the same answer
+                known.at = self._clock()
+                known.await_answer(goal.give)
+                return
+        try:
+            request(partial(self._answered, goal))
+        except BaseException:
+            for key in keys:
+                self._known.pop(key, None)
+            raise
+
+    def ended(self, goal: str | None) -> None:
+        """Forgets the payload of a goal that has ended. For the thread that gives the answers."""
+        for known in set(self._known.copy().values()):
+            if known.answer is not None and known.answer.get("id") == goal:
+                known.ended = True
+                self._forget_payload(known)
+
+    def _answered(self, goal: Known, answer: Payload) -> None:
+        goal.at = self._clock()
+        goal.give(answer)
+        if goal.ended:
+            self._forget_payload(goal)
+        self._forget_old()
+
+    def _forget_payload(self, goal: Known) -> None:
+        for key in goal.keys:
+            if key.startswith(b"payload") and self._known.get(key) is goal:
+                self._known.pop(key, None)
+
+    def _forget_old(self) -> None:
+        """Drops goals that ended more than REMEMBERED ago, every FORGET_EVERY, and the oldest ones above MOST."""
+        if (now := self._clock()) >= self._forget_at:
+            self._forget_at = now + FORGET_EVERY
+            for key, known in self._known.copy().items():
+                if known.ended and known.at + REMEMBERED < now:
+                    self._known.pop(key, None)
+        for key in list(self._known)[:-MOST]:
+            self._known.pop(key, None)
