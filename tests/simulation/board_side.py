@@ -150,7 +150,7 @@ class BoardSide:
     def _mute(self, name: str) -> bool:
         """Returns whether a board is stopped and has no heartbeat time: it answers nothing until a power-cycle."""
         board = self._buses.board(name)
-        return board.state == State.STOPPED and not board.objects.number(cia301.HEARTBEAT_PRODUCER, 0)
+        return board.state == State.STOPPED and not board.objects.number(0x1017, 0)
 
     def takes_part(self, name: str) -> bool:
         """Returns whether a board is operational and connected."""

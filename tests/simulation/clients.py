@@ -11,7 +11,7 @@ import numpy as np
 from controller.motion.codes import Refusal
 from controller.planning.core.events import Key
 from controller.planning.core.messages import refused
-from controller.planning.shell.requests import RequestDecoder
+from controller.planning.requests import RequestDecoder
 from controller.program import unpack
 
 if TYPE_CHECKING:

@@ -11,6 +11,8 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from controller.motion.pacing import pace_of
+from controller.planning import link as link_module
+from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import (
     Action,
@@ -24,12 +26,10 @@ from controller.planning.core.events import (
     TipArrived,
     Unsent,
 )
+from controller.planning.core.requests import CANCELED
 from controller.planning.core.tasks import Scene, Tables
-from controller.planning.shell import link as link_module
-from controller.planning.shell import loop as loop_module
-from controller.planning.shell.loop import Loop, OnReply, PlannerFailed
-from controller.planning.shell.planner import CANCELED
-from controller.planning.shell.services import Services
+from controller.planning.loop import Loop, OnReply, PlannerFailed
+from controller.planning.services import Services
 from controller.program import Cancel, Halt
 from tests.simulation.invariants import require
 from tests.simulation.network import SimulatedLink
