@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.gateway import daemon, session
+from controller.gateway import session
 from controller.gateway.client import Client
+from controller.planning import planner
 from controller.planning.core.events import Key, Message
 from controller.planning.mailboxes import Receive
 from controller.planning.planner import Planner
@@ -49,7 +50,7 @@ class Seen:
 
         class Watched(Planner):
             def decode(self, key: Key, payload: bytes) -> Message:
-                seen.append((key, b"" if key in ("cancel", "stop", "reset") else payload))
+                seen.append((key, payload))
                 return super().decode(key, payload)
 
             def read_setpoints(self, receive: Receive) -> None:
@@ -67,7 +68,7 @@ class Seen:
 
             return look
 
-        monkeypatch.setattr(daemon, "Planner", Watched)
+        monkeypatch.setattr(planner, "Planner", Watched)
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:

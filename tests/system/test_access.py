@@ -128,7 +128,7 @@ def test_a_viewer_sees_all_and_moves_nothing(seen: Seen, client: Observer, guard
     assert client.wait_now("executing")["goal"] == "a"
     assert motions.still()
     assert client.ask("cancel")["accepted"]
-    assert seen.all == [("cancel", b"")]
+    assert seen.all == [("cancel", b"{}")]
     assert viewer.result("a")["status"] == "canceled"
 
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from controller.config import Arm
+from controller.gateway.client import Client
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT, tip
 from tests.system.publisher import BAD, FOLLOWING, START, STOPPED, Publisher
 from tests.system.system import System
-from tests.waiting import SLOWNESS, eventually
+from tests.waiting import PATIENCE, SLOWNESS, eventually
 
 
 @pytest.fixture
@@ -132,13 +133,15 @@ def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
 
 
 def test_a_setpoint_that_came_before_a_cancel_is_not_followed_after_it(
-    client: Observer, publisher: Publisher, motions: Motions
+    client: Observer, system: System, motions: Motions, stack: ExitStack
 ) -> None:
+    session = stack.enter_context(system.session())  # of both, so that they come in order
+    publisher, canceling = Publisher(session, client, system.name), Client(session, system.name)
     began, before = time.time(), publisher.status()["received"]
     for k in range(1, 4):
         publisher.put({"position": LEFT if k % 2 else RIGHT})
-        time.sleep(0.05 * SLOWNESS)  # it is read, and perhaps searched for
-        client.ask("cancel")
+        time.sleep(0.01 * (k - 1))  # into the search, on a fast machine
+        canceling.request("cancel", timeout=PATIENCE)
         motions.clear()  # a search may still switch before the cancel, but not after it
         eventually(lambda k=k: publisher.status()["received"] >= before + k and not publisher.status()["alive"])
         assert motions.still()
