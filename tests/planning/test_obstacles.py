@@ -211,3 +211,24 @@ def test_obstacles_that_cannot_be_checked_are_refused_and_change_nothing(desk: D
     desk.failing.clear()
     desk.goal(A)
     assert not desk.executor.expect(Program).strict
+
+
+def test_after_obstacles_that_cannot_be_checked_those_before_can_be_removed(desk: Desk) -> None:
+    obstacles(desk, ([5, 5], 0.1))
+    before = described(desk)["sent_obstacles"]
+    desk.failing.add(BuildScene)
+    assert not obstacles(desk, ([6, 6], 0.1))["accepted"]
+    assert described(desk)["sent_obstacles"] == before
+    desk.failing.clear()
+    assert obstacles(desk)["message"] == "0 obstacles, 0 of them sent"
+    assert described(desk)["sent_obstacles"] == []
+
+
+def test_obstacles_are_confirmed_only_when_they_are_built(desk: Desk) -> None:
+    desk.held.add(BuildScene)
+    send(desk, ([5, 5], 0.1))
+    desk.pass_time(10.0)
+    assert desk.inbox.empty
+    desk.failing.add(BuildScene)
+    desk.release(BuildScene)
+    assert not desk.inbox.next("obstacles")["accepted"]
