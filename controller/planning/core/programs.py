@@ -154,7 +154,7 @@ class Programs:
 
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
-        for program in self._programs.values():
+        for program in list(self._programs.values()):
             self._jobs.abandon(program.improving, self._moment.now)
             self._stop_improving(program)
 
@@ -231,7 +231,7 @@ class Programs:
 
     def park(self, generation: int) -> None:
         """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
-        for program in self._programs.values():
+        for program in list(self._programs.values()):
             if program.feed.checked != generation and not program.unchecked:
                 self._jobs.abandon(program.checking, self._moment.now)
                 self._jobs.abandon(program.improving, self._moment.now)
