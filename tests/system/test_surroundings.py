@@ -11,10 +11,11 @@ from typing import Any
 
 import pytest
 import zenoh
-from controller.planning.shell import loop
 
-from controller.gateway import session, warnings
+from controller.gateway import session
+from controller.gateway.warnings import Warnings
 from controller.planning.ledger_file import read
+from controller.planning.loop import Loop
 from tests.system.motions import Motions
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.system import System
@@ -38,13 +39,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         return real() + ahead[0]
 
     monkeypatch.setattr(time, "time", wall)
-    for module in (warnings, loop):
-        for kind in [it for it in vars(module).values() if isinstance(it, type) and it.__module__ == module.__name__]:
-            defaults = kind.__init__.__defaults__ or ()  # type: ignore[misc]
-            taken = tuple(
-                (it[0], wall) if it == (time.monotonic, real) else wall if it is real else it for it in defaults
-            )
-            monkeypatch.setattr(kind.__init__, "__defaults__", taken)  # type: ignore[misc]
+    monkeypatch.setattr(Loop.__init__, "__defaults__", (None, (time.monotonic, wall)))
+    monkeypatch.setattr(Warnings.__init__, "__defaults__", (wall, time.monotonic))
 
     def put(seconds: float) -> None:
         ahead[0] = seconds
