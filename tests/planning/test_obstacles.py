@@ -156,7 +156,8 @@ def test_stages_come_back_as_their_check_finds_them_clear(desk: Desk) -> None:
     desk.release(CheckStages)
     back = desk.executor.expect(Replacement)
     assert (back.first, len(back.stages), back.final, back.strict) == (parked.first, 2, True, True)
-    assert desk.inbox.next("obstacles")["message"] == "1 obstacle, 1 of them sent"
+    words = "1 obstacle, 1 of them sent; goal a goes on, its stages are clear"
+    assert desk.inbox.next("obstacles")["message"] == words
 
 
 def test_obstacles_that_change_again_begin_the_check_anew(desk: Desk) -> None:
