@@ -224,6 +224,7 @@ class Programs:
             self._tell(program)
             if self._programs.pop(program.program.program, None) is not None:
                 self._stop_tasks(program)
+                self._answer(program.request)
                 message = f"{reason}; the arm holds"
                 outcome = program.outcome or Outcome("aborted", PATH_TOLERANCE_VIOLATED, message)
                 self._results.lost(self._identity(program), program.program.context, outcome)
@@ -314,6 +315,7 @@ class Programs:
             message = program.held.popleft()
             if isinstance(message, Ended):
                 self._stop_tasks(program)
+                self._answer(program.request)
                 del self._programs[message.program]
                 report, feed = program.report, program.feed
                 self._results.ended(message, Known(program.outcome, report.present, feed.proof))
@@ -322,6 +324,12 @@ class Programs:
             deviation = program.feed.deviation(message.mark) if message.planned else None
             if (feedback := program.report.settled(message, measured, deviation)) is not None:
                 self._act(Publish("feedback", feedback))
+
+    def _answer(self, request: int) -> None:
+        """Answers a request before the result of its goal is published, even if the ledger does not have it yet."""
+        for entry, (number, _) in list(self._replies.items()):
+            if number == request:
+                self.recorded(entry)
 
     def _feed(self, program: InFlight) -> None:
         """Sends the next part of a running program."""
