@@ -35,6 +35,9 @@ log = logging.getLogger(__name__)
 RECEIVERS = "(rx: (worker_threads: 16))"
 
 
+RECORDS = 500  # steps of the core that are recorded in one piece at most; the loop writes them when it is calm
+
+
 class Daemon:
     """A daemon that serves an arm.
 
@@ -95,7 +98,7 @@ def running(
         outside = Outside(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
         label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
-        recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant))
+        recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
         link = ExecutorLink(socket, name, digest)
         planner = closing.enter_context(planning(arm, densities, link, outside, recorder))
         claim.confirm()

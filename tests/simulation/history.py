@@ -116,7 +116,7 @@ class History:
         self.by_id: dict[str, list[Asked]] = {}
         self.results: dict[Identity, PublishResult] = {}
         self.twice: list[Identity] = []
-        self.strays: list[tuple[int, Payload]] = []
+        self.strays: list[object] = []
         self.told: list[PublishResult] = []
         self.recorded_results: set[Identity] = set()
         self.sent: list[Any] = []
@@ -258,6 +258,8 @@ class History:
                 self._note(("task", number, type(task).__name__))
             case Log(_, text):
                 self._note(("planner logs", text))
+                if "Traceback" in text:
+                    self.strays.append(text)
             case Reply(number, payload) if number not in process.loop._replies:
                 self.strays.append((number, payload))
             case _:

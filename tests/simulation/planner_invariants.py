@@ -26,7 +26,7 @@ def observe(world: World, daemon: Daemon) -> None:
 def each_request_has_one_answer(world: World, daemon: Daemon) -> None:
     """A request is answered once; an accepted goal runs, or has run, as a program of the executor."""
     history = daemon.history
-    require(not history.strays, f"answers to requests that wait for none: {history.strays}")
+    require(not history.strays, f"answers to requests that wait for none, or internal errors: {history.strays}")
     for asked in history.answered:
         if asked.key in ("goal", "jog") and asked.accepted and asked.payload is not None:
             name = asked.payload["id"]

@@ -54,10 +54,16 @@ class Process:
 
 
 class Nursery:
-    """Forks commands of one kind, "executor" or "planner", in a process that has imported their modules."""
+    """Forks commands of one kind, "executor" or "planner", in a process that has imported their modules.
+
+    Attributes:
+        module: that runs in this process.
+    """
+
+    module = "tests.system.nursery"
 
     def __init__(self, kind: str, environment: dict[str, str], *files: Path) -> None:
-        command = [sys.executable, "-m", "tests.system.nursery", kind, *map(str, files)]
+        command = [sys.executable, "-m", self.module, kind, *map(str, files)]
         self._lock = threading.Lock()
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ | environment

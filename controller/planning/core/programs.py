@@ -9,7 +9,7 @@ from typing import Any
 
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED
 from controller.planning.core.admission import Ticket
-from controller.planning.core.arm import measured_states
+from controller.planning.core.arm import ArmState, measured_states
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
 from controller.planning.core.feed import Feed
@@ -24,6 +24,7 @@ from controller.planning.core.tasks import (
     Deviations,
     Improved,
     ImprovePlan,
+    Scene,
     Tables,
 )
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
@@ -247,17 +248,21 @@ class Programs:
         if scene is None or state is None:
             return
         for program in self._programs.values():
-            if program.checking is None and program.accepted and program.outcome is None:
-                unchecked = program.feed.to_check()
-                if unchecked is None:
-                    continue
-                if scene.free:
-                    program.feed.note_clear(unchecked.until)
-                    self._feed(program)
-                    continue
+            waits = program.feed.waits_for_check and program.checking is None
+            if waits and program.accepted and program.outcome is None:
+                self._check(program, scene, state)
+
+    def _check(self, program: InFlight, scene: Scene, state: ArmState) -> None:
+        """Starts the check of the next stages of a program, or releases them if there is nothing to collide with."""
+        while (unchecked := program.feed.to_check()) is not None:
+            if not scene.free:
                 stages = tuple(map(state.real, unchecked.stages))
                 task = CheckStages(scene, state.real(unchecked.before), stages)
                 program.checking = self._jobs.start(task, partial(self._checked, program, unchecked.until))
+                return
+            program.feed.note_clear(unchecked.until)
+        self._obstacles.note(f"goal {program.report.id} goes on, its stages are clear")
+        self._feed(program)
 
     def _checked(self, program: InFlight, until: int, answer: Answer, last: bool, now: float) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
