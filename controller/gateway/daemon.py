@@ -35,6 +35,9 @@ log = logging.getLogger(__name__)
 RECEIVERS = "(rx: (worker_threads: 16))"
 
 
+RECORDS = 500  # steps of the core that are recorded in one piece at most; the loop writes them when it is calm
+
+
 class Daemon:
     """A daemon that serves an arm.
 
@@ -95,14 +98,14 @@ def running(
         outside = Outside(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
         label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
-        recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant))
+        recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
         link = ExecutorLink(socket, name, digest)
         planner = closing.enter_context(planning(arm, densities, link, outside, recorder))
         claim.confirm()
-        planner.start()
         server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(planner.end_goals)
         closing.callback(server.close)
+        planner.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)

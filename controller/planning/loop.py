@@ -5,6 +5,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from typing import Protocol
 
 from controller.motion.codes import INVALID_GOAL
 from controller.planning.core.events import (
@@ -44,7 +45,16 @@ log = logging.getLogger(__name__)
 WARNINGS_EVERY = 0.25  # [s]
 
 OnReply = Callable[[Payload], None]
-Recorder = Callable[[Event, float, float, Sequence[Action] | None], None]
+
+
+class Recorder(Protocol):
+    """Records the steps of the core; see `controller.flight_recorder`."""
+
+    def __call__(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
+        """Takes a step; `actions` are None after an exception."""
+
+    def flush(self) -> None:
+        """Writes the steps taken so far."""
 
 
 class PlannerFailed(Exception):
@@ -171,6 +181,7 @@ class Loop:
         if now >= self._wake:
             self._wake = math.inf
             self._step(Tick())
+            self._keep_records()
         if now >= self._mailboxes.due:
             self._step_all(self._mailboxes.look(now))
         if now >= self._warnings_at:
@@ -214,6 +225,15 @@ class Loop:
         if self._recorder is not None:
             try:
                 self._recorder(event, now, wall, actions)
+            except Exception:
+                self._recorder = None
+                log.exception("the recording of events has ended")
+
+    def _keep_records(self) -> None:
+        """Writes what the recorder has taken. Not after each step, because a worker may wait for the GIL then."""
+        if self._recorder is not None:
+            try:
+                self._recorder.flush()
             except Exception:
                 self._recorder = None
                 log.exception("the recording of events has ended")

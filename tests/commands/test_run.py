@@ -1,7 +1,17 @@
 """The command `run`: what it sets in its process. What it serves is tested in tests/gateway and tests/system."""
 
+import contextlib
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import controller.commands.run as run_module
+from controller.commands.common import Failed
+from controller.gateway import daemon
 
 MEASURE = """
 import re
@@ -30,3 +40,22 @@ def left(setup: str) -> float:
 def test_large_blocks_are_returned_to_the_system() -> None:
     assert left("return_large_blocks()") < 8
     assert left("") > 30, "what this protects from is gone"
+
+
+def test_a_daemon_whose_thread_has_died_ends_the_process_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextlib.contextmanager
+    def failing(*_: object) -> Iterator[daemon.Daemon]:
+        made = daemon.Daemon()
+        made.fail("the planner's thread for goals has ended: MemoryError()")
+        yield made
+
+    monkeypatch.setattr(daemon, "running", failing)
+    monkeypatch.setattr(run_module, "load_wired", lambda file: SimpleNamespace(settings=SimpleNamespace(name="a")))
+    monkeypatch.setattr(run_module, "densities_of", lambda arm: None)
+    monkeypatch.setattr(run_module, "SIGNALS", ())
+    file = tmp_path / "a.yaml"
+    file.write_text("")
+    with pytest.raises(Failed, match="thread for goals has ended: MemoryError\\(\\): the log has details"):
+        run_module.serve(file, tmp_path / "a.sock", lambda: None, "tcp/127.0.0.1:0", None, tmp_path / "l.sqlite")

@@ -24,6 +24,7 @@ OTHERS = {
     "goal-replaced": "Another goal or a stream of set-points replaced the goal @HYPERBIT_GOAL@.",
     "goal-aborted": "The goal @HYPERBIT_GOAL@ was ended by a fault, a stop or the end of the program, or was missed;"
     " code @HYPERBIT_CODE@. The arm holds.",
+    "goal-lost": "Executor and planner ended while the goal @HYPERBIT_GOAL@ ran. How far it came is not known.",
 }
 
 

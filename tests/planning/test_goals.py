@@ -9,7 +9,7 @@ from controller.motion import codes, whole
 from controller.motion.pacing import pace_of
 from controller.planning.core.admission import BARRED
 from controller.planning.core.events import Answered
-from controller.planning.core.tasks import PlanGoal
+from controller.planning.core.tasks import ImprovePlan, PlanGoal
 from controller.program import Acknowledge, Cancel, Halt, Program, Replacement, Reset, unpack
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
@@ -314,3 +314,20 @@ def test_a_plan_that_cannot_be_offered_is_an_internal_error_and_ends_nothing(des
     desk.held.clear()
     desk.goal(B, name="b")
     assert desk.executor.expect(Program).name == "goal b"
+
+
+@pytest.mark.parametrize("key", ["goal", "obstacles"])
+def test_a_result_that_waits_for_deviations_is_published_when_another_request_ends_the_wait(
+    desk: Desk, key: str
+) -> None:
+    desk.held.add(ImprovePlan)
+    program = taken(desk, A)
+    desk.executor.run(program, 0)
+    desk.executor.end(program)
+    assert desk.inbox.empty
+    if key == "goal":
+        desk.goal(B, name="b")
+    else:
+        desk.ask("obstacles", {"regions": [{"disc": {"centre": [50.0, 50.0], "radius": 0.1}}]}, "obstacles")
+    assert desk.inbox.next("feedback")["waypoint"] == 0
+    assert desk.inbox.next("result")["status"] == "succeeded"

@@ -156,7 +156,8 @@ def test_stages_come_back_as_their_check_finds_them_clear(desk: Desk) -> None:
     desk.release(CheckStages)
     back = desk.executor.expect(Replacement)
     assert (back.first, len(back.stages), back.final, back.strict) == (parked.first, 2, True, True)
-    assert desk.inbox.next("obstacles")["message"] == "1 obstacle, 1 of them sent"
+    words = "1 obstacle, 1 of them sent; goal a goes on, its stages are clear"
+    assert desk.inbox.next("obstacles")["message"] == words
 
 
 def test_obstacles_that_change_again_begin_the_check_anew(desk: Desk) -> None:
@@ -211,3 +212,24 @@ def test_obstacles_that_cannot_be_checked_are_refused_and_change_nothing(desk: D
     desk.failing.clear()
     desk.goal(A)
     assert not desk.executor.expect(Program).strict
+
+
+def test_after_obstacles_that_cannot_be_checked_those_before_can_be_removed(desk: Desk) -> None:
+    obstacles(desk, ([5, 5], 0.1))
+    before = described(desk)["sent_obstacles"]
+    desk.failing.add(BuildScene)
+    assert not obstacles(desk, ([6, 6], 0.1))["accepted"]
+    assert described(desk)["sent_obstacles"] == before
+    desk.failing.clear()
+    assert obstacles(desk)["message"] == "0 obstacles, 0 of them sent"
+    assert described(desk)["sent_obstacles"] == []
+
+
+def test_obstacles_are_confirmed_only_when_they_are_built(desk: Desk) -> None:
+    desk.held.add(BuildScene)
+    send(desk, ([5, 5], 0.1))
+    desk.pass_time(10.0)
+    assert desk.inbox.empty
+    desk.failing.add(BuildScene)
+    desk.release(BuildScene)
+    assert not desk.inbox.next("obstacles")["accepted"]

@@ -33,6 +33,18 @@ def test_a_goal_is_answered_after_the_ledger_has_it(desk: Desk) -> None:
     assert desk.inbox.next("reply")["accepted"]
 
 
+def test_a_goal_that_ends_before_the_ledger_has_it_is_answered_before_its_result(desk: Desk) -> None:
+    desk.storing = False
+    desk.goal(A)
+    desk.executor.accept(program := desk.executor.expect(Program))
+    desk.executor.end(program)
+    assert desk.inbox.next("reply")["accepted"]
+    assert desk.inbox.next("result")["id"] == "a"
+    desk.store()
+    desk.store()
+    assert desk.inbox.empty, "the goal is answered once"
+
+
 def test_a_result_is_acknowledged_after_it_was_published_and_recorded(desk: Desk) -> None:
     program = taken(desk, A)
     desk.storing = False

@@ -136,6 +136,8 @@ class BoardSide:
     def mend(self) -> None:
         """Ends all faults."""
         for board in self.names:
+            if self._mute(board):
+                self.fault("power_cut", board)
             self.fault("power_on", board)
             self.fault("unsilence", board)
         for label in self._buses.labels:
@@ -144,6 +146,11 @@ class BoardSide:
             self.fault("restore_sensor", label)
         for name in self._interlocks:
             self.door(name, is_open=False)
+
+    def _mute(self, name: str) -> bool:
+        """Returns whether a board is stopped and has no heartbeat time: it answers nothing until a power-cycle."""
+        board = self._buses.board(name)
+        return board.state == State.STOPPED and not board.objects.number(0x1017, 0)
 
     def takes_part(self, name: str) -> bool:
         """Returns whether a board is operational and connected."""

@@ -14,6 +14,7 @@ from drivers.canopen.wire.events import Received
 
 if TYPE_CHECKING:
     from tests.simulation.bus_model import BusModel
+    from tests.simulation.daemon import Daemon
     from tests.simulation.world import World
 
 KINDS = {
@@ -29,6 +30,17 @@ KINDS = {
     **{"stop in mid commit": 0.8},
 }
 
+
+DAEMON_KINDS = {
+    **{"planner is restarted": 0.6, "both are killed": 0.6, "planner is slow": 0.8, "planner dies": 1.0},
+    **{
+        "searches are late": 1.0,
+        "searches fail": 0.8,
+        "a search hangs": 0.02,
+        "disk is full": 0.6,
+        "clock is set": 0.3,
+    },
+}
 
 FOREIGN = (Command.PRE_OPERATIONAL, Command.STOP, Command.START, Command.RESET_COMMUNICATION)
 MID_BOOT = 0.3  # [s], longest time from a start of the executor to a fault in its boot
@@ -49,7 +61,8 @@ class Trouble:
         self._world, self._random = world, random
         self._active = False
         self._round = 0
-        self.kinds = {kind: weight for kind, weight in KINDS.items() if random.random() < 0.6} or dict(KINDS)
+        kinds = KINDS if world.daemon is None else KINDS | DAEMON_KINDS
+        self.kinds = {kind: weight for kind, weight in kinds.items() if random.random() < 0.6} or dict(KINDS)
         self._mean = random.choice([0.3, 1.0, 3.0])
 
     def begin(self) -> None:
@@ -146,8 +159,36 @@ class Trouble:
                 self._in_mid_boot(lambda: self._break("board reboots", board, label))
             case "stop in mid commit":
                 bus.at_next_rpdo(lambda: self._stop_in_mid_commit(bus))
+            case _ if kind in DAEMON_KINDS and world.daemon is not None:
+                self._disturb(kind, world.daemon)
             case _:
                 self._break(kind, board, label)
+
+    def _disturb(self, kind: str, daemon: Daemon) -> None:
+        """Causes a fault of the planner's processes, of its workers or its disk."""
+        random, mood = self._random, daemon.mood
+        match kind:
+            case "planner is restarted":
+                daemon.end_in_order()
+            case "both are killed":
+                daemon.die()
+                self._world.executor.kill_after(random.randint(0, 20))
+            case "planner is slow":
+                daemon.slow = random.choice([0.002, 0.02, 0.2])
+                self._later(4.0, daemon.mend)
+            case "searches are late":
+                mood.delay = random.choice([0.1, 0.5, 3.0])
+                self._later(6.0, mood.mend)
+            case "searches fail":
+                mood.fails = random.choice([0.1, 0.5, 1.0])
+                self._later(3.0, mood.mend)
+            case "a search hangs":
+                mood.hangs = True
+            case "disk is full":
+                daemon.storage.full = True
+                self._later(4.0, daemon.mend)
+            case "clock is set":
+                daemon.set_clock()
 
     def _stop_in_mid_commit(self, bus: BusModel) -> None:
         """Keeps the frames of a commit in the controller for a while, and halts the arm."""

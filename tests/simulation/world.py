@@ -14,9 +14,13 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.arms import draw_arm, draw_boards
 from tests.simulation.board_side import BoardSide
 from tests.simulation.bus_model import BusModel, OnItsWay
+from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
+from tests.simulation.daemon import Daemon
 from tests.simulation.facts import Step
 from tests.simulation.invariants import INVARIANTS, Violation, require
+from tests.simulation.planned_arms import draw_planned_arm
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.planner_invariants import PLANNER_INVARIANTS
 from tests.simulation.process import ExecutorProcess
 from tests.simulation.record import Record
 from tests.simulation.trouble import LONGEST_STALL, Trouble
@@ -32,17 +36,26 @@ class World:
         record: history of the world.
         trouble: causes faults.
         kinds: outputs and end-stops of the actuators.
+        planner: the scripted planner, or the daemon.
+        daemon: the whole daemon but its executor; None in a world with a scripted planner.
 
     Args:
         seed: seed of all random numbers.
+        whole: whether the planner's core, its shell and clients are in the world; False: a scripted planner.
         remembered: number of last events for the story.
     """
 
-    def __init__(self, seed: int, remembered: int = 300) -> None:
+    def __init__(self, seed: int, whole: bool = False, remembered: int = 300) -> None:
         def drawn(what: str) -> Random:
             return Random(f"{seed} {what}")
 
-        arm, variants = draw_boards(drawn("boards"), draw_arm(drawn("arm")))
+        random, planned = drawn("arm"), None
+        arm = draw_arm(random)
+        while whole and not 4 <= len(arm.actuators) <= 9:
+            arm = draw_arm(random)
+        if whole:
+            arm, planned = draw_planned_arm(drawn("modules"), arm)
+        arm, variants = draw_boards(drawn("boards"), arm)
         self.arm = arm
         self.most = len(arm.actuators) if arm.inrush is None else arm.inrush
         self.agenda = agenda = Agenda()
@@ -55,8 +68,14 @@ class World:
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, record)
         record.core = lambda: self.executor.core
         self.kinds = Kinds(arm.wiring, arm.timing)
-        self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
-        self.executor.connect(self.planner.connection.deliver, self.planner.cut_off)
+        self.planner: ScriptedPlanner | Daemon
+        self.daemon: Daemon | None = None
+        if planned is None:
+            self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
+        else:
+            self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note)
+        cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
+        self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board)
         self.trouble = Trouble(self, drawn("trouble"))
         self.epoch_before, self.mode_before = 0, "starting"
@@ -73,49 +92,57 @@ class World:
             Violation: an invariant does not hold.
         """
         end = self.agenda.steps + steps
-        self._calm()
+        self.calm()
         while self.agenda.steps < end:
             self.planner.be_calm(False)
             self.trouble.begin()
-            self._pass(self._random.uniform(2.0, 15.0))
-            self._calm()
+            self.pass_time(self._random.uniform(2.0, 15.0))
+            self.calm()
 
-    def _pass(self, seconds: float) -> None:
+    def pass_time(self, seconds: float) -> None:
+        """Runs all steps of a time [s]."""
         until = self.agenda.now + seconds
         while self.agenda.now < until:
             self._step()
 
     def _step(self) -> None:
         self.record.step = Step()
+        if self.daemon is not None:
+            self.daemon.history.begin_step()
         self.epoch_before, self.mode_before = self.record.epoch, self.record.mode
         self.agenda.step()
         self.record.doubt(self.intended)
         for holds in INVARIANTS:
             holds(self)
+        if self.daemon is not None:
+            for fits in PLANNER_INVARIANTS:
+                fits(self, self.daemon)
 
-    def _calm(self) -> None:
+    def calm(self) -> None:
         """Ends all trouble; the arm becomes ready, runs a program, and everything agrees."""
         self.trouble.end()
         self.planner.be_calm(True)
-        self._wait(lambda: self.executor.awake and self.planner.awake, "awake", LONGEST_STALL + 2.0)
-        key = self._ask_for_motion()
-        if not self.record.programs[key].final and self._random.random() < 0.5:  # else it sends no further stages
-            self.planner.die()
-        self._wait(lambda: key in self.record.results, f"at the end of program {key[1]}", 30.0)
-        self._wait(self._settled, "ready", self.arm.timing.boot_timeout + PATIENCE)
+        self.wait(lambda: self.executor.awake and self.planner.awake, "awake", LONGEST_STALL + 2.0)
+        if self.daemon is None:
+            run_a_program(self)
+        else:
+            run_a_goal(self, self.daemon)
+        self.wait(self.settled, "ready", self.ready_within)
         self._check_agreement()
+        if self.daemon is not None:
+            check_daemon(self, self.daemon)
 
-    def _ask_for_motion(self) -> tuple[int, int]:
-        """Makes the planner send a program, again if its snapshot was old; returns the key of the program."""
-        for _ in range(3):
-            self._wait(self._settled, "ready", self.arm.timing.boot_timeout + PATIENCE)
-            key = self.record.instance, self.planner.ask_for_motion()
-            self._pass(0.1)
-            if key in self.record.programs:
-                return key
-        raise Violation(f"program {key[1]} was not accepted")
+    @property
+    def ready_within(self) -> float:
+        """Longest time until the arm is ready after all trouble [s]."""
+        return self.arm.timing.boot_timeout + PATIENCE
 
-    def _wait(self, holds: Callable[[], bool], text: str, patience: float) -> None:
+    def wait(self, holds: Callable[[], bool], text: str, patience: float) -> None:
+        """Runs steps until something holds.
+
+        Raises:
+            Violation: it does not hold after `patience` seconds.
+        """
         until = self.agenda.now + patience
         while not holds():
             snapshot = self.planner.snapshot
@@ -123,7 +150,8 @@ class World:
             require(self.agenda.now < until, f"it is not {text} after {patience:g} s: {shown}")
             self._step()
 
-    def _settled(self) -> bool:
+    def settled(self) -> bool:
+        """Whether the arm is at rest, and takes programs."""
         snapshot = self.planner.snapshot
         if snapshot is None or snapshot.mode != "ready" or snapshot.moving or not self.executor.awake:
             return False
@@ -144,6 +172,10 @@ class World:
         require(not without, f"programs {without} have no result")
         require(self.intended == 0, "the journal waits for nothing")
 
+    def drawn_half(self) -> bool:
+        """Returns True half of the time."""
+        return self._random.random() < 0.5
+
     # --- its parts
 
     def _to_executor(self, event: Event) -> None:
@@ -161,6 +193,8 @@ class World:
             bus.restore()
         self.boards.mend()
         self.executor.recover()
+        if self.daemon is not None:
+            self.daemon.mend()
 
     # --- for the invariants, and for a person
 

@@ -29,7 +29,8 @@ def test_the_tip_stays_by_the_lines_and_little_switches(
     before = boards.switches().sum()
     answer = client.goal(*POINTS, times=TIMES, id="a", path_tolerance=PATH)
     assert answer["accepted"], answer
-    assert client.result("a")["status"] == "succeeded"
+    result = client.result("a")
+    assert result["status"] == "succeeded", result
     assert np.linalg.norm(tip(boards, arm) - LEFT) <= arm.tolerance
     motions.read()
     manipulator = arm.manipulator

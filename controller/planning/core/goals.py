@@ -17,6 +17,7 @@ from controller.planning.core.events import Log, Reply, Request
 from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.offers import Offer, goal_program, jog_program, jog_stages
 from controller.planning.core.parts import Parts
+from controller.planning.core.preparation import Preparation
 from controller.planning.core.tasks import (
     Answer,
     ArmStart,
@@ -24,7 +25,6 @@ from controller.planning.core.tasks import (
     CheckStages,
     PlanGoal,
     Planned,
-    PrepareSearch,
     Refused,
     Scene,
     Tables,
@@ -43,7 +43,6 @@ MOST_TRIES = 10  # plans, and programs sent, of one goal while the arm moves
 PATIENCE = 2.0  # [s] for the executor's answer; it answers within milliseconds
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 LONGEST_PLANNING = 60.0  # [s]
-IDLE = 0.02  # [s] without a request before the next search is prepared
 MOST_LINES = 5  # refusals logged in one second
 
 
@@ -102,13 +101,10 @@ class Goals:
         self.closing = False
         self._parts, self._view, self._moment, self._act = parts, parts.view, parts.moment, parts.act
         self._locks, self._obstacles, self._programs, self._pace = parts.locks, parts.obstacles, parts.programs, pace
-        self._bias, self._prepares, self._name = bias, prepares, name
+        self._bias, self._name, self._preparation = bias, name, Preparation(parts, prepares)
         self._waiting = deque[Motion]()
         self._current: Motion | None = None
         self._due = math.inf
-        self._idle_since = 0.0  # since when no request waits [s]
-        self._preparing: int | None = None  # the task that prepares the next search
-        self._prepared: object = None  # start, scene and tables for which the next search is prepared
         self._second, self._lines = 0, 0
 
     @property
@@ -128,8 +124,7 @@ class Goals:
             self._refuse(motion, Refusal(INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting already"))
         else:
             self._waiting.append(motion)
-            self._parts.jobs.abandon(self._preparing, moment.now)
-            self._preparing, self._prepared = None, None
+            self._preparation.end()
             self._programs.pause_improvement()
 
     def cancel(self, goal: str) -> bool:
@@ -147,7 +142,8 @@ class Goals:
         while True:
             if self._current is None:
                 if not self._waiting:
-                    self._prepare()
+                    self._preparation.advance()
+                    self._due = self._preparation.due
                     return
                 self._current = self._waiting.popleft()
                 self._current.since = self._moment.now
@@ -328,7 +324,8 @@ class Goals:
         """Removes a request that is answered, or answered elsewhere from now on."""
         motion.job = motion.program = None
         if motion is self._current:
-            self._current, self._idle_since = None, self._moment.now
+            self._current = None
+            self._preparation.begin(motion.wanted if isinstance(motion.wanted, GoalMessage) else None)
         else:
             self._waiting.remove(motion)
 
@@ -342,23 +339,3 @@ class Goals:
             self._act(Log(logging.INFO, f"{motion.id} refused: {refusal}"))
         elif self._lines == MOST_LINES + 1:
             self._act(Log(logging.INFO, f"more than {MOST_LINES} requests are refused in this second"))
-
-    # --- while nothing waits
-
-    def _prepare(self) -> None:
-        """Prepares the next search from where the arm is, once for each start."""
-        state, scene, tables, now = self._view.state, self._obstacles.scene, self._locks.tables, self._moment.now
-        if not self._prepares or self._preparing is not None:
-            return
-        if now < self._idle_since + IDLE:
-            self._due = self._idle_since + IDLE
-            return
-        if state is None or scene is None or tables is None or state.configuration is None or self.closing:
-            return
-        start = state.start, scene.generation, tables.generation
-        if start != self._prepared and not self._programs.improving:
-            self._prepared = start
-            self._preparing = self._parts.jobs.start(PrepareSearch(state.start, tables, scene), self._was_prepared)
-
-    def _was_prepared(self, answer: Answer, last: bool, now: float) -> None:
-        self._preparing = None

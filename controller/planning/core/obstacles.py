@@ -11,7 +11,7 @@ import numpy as np
 from controller.motion.codes import INVALID_GOAL
 from controller.planning.core.events import ObstaclesMessage, Reply, ToExecutor
 from controller.planning.core.jobs import Shared
-from controller.planning.core.messages import done, refused
+from controller.planning.core.messages import CLOSING, done, refused
 from controller.planning.core.tasks import (
     Answer,
     BuildScene,
@@ -68,6 +68,7 @@ class ObstacleOwner:
         self._view, self._jobs, self._moment, self._act = shared.view, shared.jobs, shared.moment, shared.act
         self._sent: Any = None  # the obstacles of the last request
         self._built, self._counts = scene, (total, 0)
+        self._built_of: tuple[Any, list[Any]] = (None, [])  # what the built scene was sent as, and as it came
         self._changes: list[Change] = []
         self._questions: list[Question] = []
         self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
@@ -95,8 +96,10 @@ class ObstacleOwner:
 
     def answer(self, unchecked: list[str], at_once: bool = False) -> None:
         """Answers requests if all that is in flight is checked; `unchecked` are the ids of goals that are not."""
-        for change in list(self._changes):
-            checked = self.scene is not None and not unchecked and self._standing_job is None
+        if self.scene is None and at_once:
+            self._refuse(CLOSING)
+        for change in list(self._changes) if self.scene is not None else []:
+            checked = not unchecked and self._standing_job is None
             if checked or at_once or self._moment.now > change.at + LONGEST:
                 self._changes.remove(change)
                 total, sent = self._counts
@@ -110,18 +113,21 @@ class ObstacleOwner:
             return
         if isinstance(answer, SceneBuilt):
             self.scene = self._built = answer.scene
-            self._counts = answer.total, answer.sent
+            self._counts, self._built_of = (answer.total, answer.sent), (self._sent, self.regions)
         else:  # the obstacles before stay in force, as a new generation, because what is in flight was parked
             self.generation += 1
             self.scene = self._built = self._built._replace(generation=self.generation)
-            self._sent = None
-            changes, self._changes = self._changes, []
-            for change in changes:
-                words = "the obstacles cannot be checked, see the journal; those before stay in force"
-                self._act(Reply(change.request, refused(INVALID_GOAL, words)))
+            self._sent, self.regions = self._built_of
+            self._refuse("the obstacles cannot be checked, see the journal; those before stay in force")
         questions, self._questions = self._questions, []
         for question in questions:
             self.ask(question)
+
+    def _refuse(self, words: str) -> None:
+        """Refuses all requests that are not answered."""
+        changes, self._changes = self._changes, []
+        for change in changes:
+            self._act(Reply(change.request, refused(INVALID_GOAL, words)))
 
     # --- the executor's questions
 

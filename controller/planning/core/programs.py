@@ -9,7 +9,7 @@ from typing import Any
 
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED
 from controller.planning.core.admission import Ticket
-from controller.planning.core.arm import measured_states
+from controller.planning.core.arm import ArmState, measured_states
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
 from controller.planning.core.feed import Feed
@@ -24,6 +24,7 @@ from controller.planning.core.tasks import (
     Deviations,
     Improved,
     ImprovePlan,
+    Scene,
     Tables,
 )
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
@@ -154,7 +155,7 @@ class Programs:
 
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
-        for program in self._programs.values():
+        for program in list(self._programs.values()):
             self._jobs.abandon(program.improving, self._moment.now)
             self._stop_improving(program)
 
@@ -223,6 +224,7 @@ class Programs:
             self._tell(program)
             if self._programs.pop(program.program.program, None) is not None:
                 self._stop_tasks(program)
+                self._answer(program.request)
                 message = f"{reason}; the arm holds"
                 outcome = program.outcome or Outcome("aborted", PATH_TOLERANCE_VIOLATED, message)
                 self._results.lost(self._identity(program), program.program.context, outcome)
@@ -231,7 +233,7 @@ class Programs:
 
     def park(self, generation: int) -> None:
         """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
-        for program in self._programs.values():
+        for program in list(self._programs.values()):
             if program.feed.checked != generation and not program.unchecked:
                 self._jobs.abandon(program.checking, self._moment.now)
                 self._jobs.abandon(program.improving, self._moment.now)
@@ -246,17 +248,21 @@ class Programs:
         if scene is None or state is None:
             return
         for program in self._programs.values():
-            if program.checking is None and program.accepted and program.outcome is None:
-                unchecked = program.feed.to_check()
-                if unchecked is None:
-                    continue
-                if scene.free:
-                    program.feed.note_clear(unchecked.until)
-                    self._feed(program)
-                    continue
+            waits = program.feed.waits_for_check and program.checking is None
+            if waits and program.accepted and program.outcome is None:
+                self._check(program, scene, state)
+
+    def _check(self, program: InFlight, scene: Scene, state: ArmState) -> None:
+        """Starts the check of the next stages of a program, or releases them if there is nothing to collide with."""
+        while (unchecked := program.feed.to_check()) is not None:
+            if not scene.free:
                 stages = tuple(map(state.real, unchecked.stages))
                 task = CheckStages(scene, state.real(unchecked.before), stages)
                 program.checking = self._jobs.start(task, partial(self._checked, program, unchecked.until))
+                return
+            program.feed.note_clear(unchecked.until)
+        self._obstacles.note(f"goal {program.report.id} goes on, its stages are clear")
+        self._feed(program)
 
     def _checked(self, program: InFlight, until: int, answer: Answer, last: bool, now: float) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
@@ -309,6 +315,7 @@ class Programs:
             message = program.held.popleft()
             if isinstance(message, Ended):
                 self._stop_tasks(program)
+                self._answer(program.request)
                 del self._programs[message.program]
                 report, feed = program.report, program.feed
                 self._results.ended(message, Known(program.outcome, report.present, feed.proof))
@@ -317,6 +324,12 @@ class Programs:
             deviation = program.feed.deviation(message.mark) if message.planned else None
             if (feedback := program.report.settled(message, measured, deviation)) is not None:
                 self._act(Publish("feedback", feedback))
+
+    def _answer(self, request: int) -> None:
+        """Answers a request before the result of its goal is published, even if the ledger does not have it yet."""
+        for entry, (number, _) in list(self._replies.items()):
+            if number == request:
+                self.recorded(entry)
 
     def _feed(self, program: InFlight) -> None:
         """Sends the next part of a running program."""

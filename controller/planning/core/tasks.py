@@ -98,11 +98,19 @@ class ImprovePlan(NamedTuple):
 
 
 class PrepareSearch(NamedTuple):
-    """Prepare the next search while no request waits. Answered by `Done`."""
+    """Prepare the next search while no request waits. Answered by `Done`.
+
+    Attributes:
+        start: where the arm is.
+        tables: solvers.
+        scene: obstacles.
+        rehearsal: a goal to plan without effect, so that the processor's caches are warm; None: none.
+    """
 
     start: ArmStart
     tables: Tables
     scene: Scene
+    rehearsal: GoalMessage | None = None
 
 
 class DescribePlan(NamedTuple):

@@ -216,4 +216,6 @@ def prepare_search(model: ArmModel, task: PrepareSearch, proceed: Proceed) -> Do
         previous = model.configuration(task.start, solver.manipulator)
         for _ in solver.expect(previous, model.arm.tolerance):
             proceed()
+        if task.rehearsal is not None:
+            plan_goal(model, PlanGoal(task.rehearsal, 0.0, task.start, None, task.tables, task.scene), proceed)
     return Done()

@@ -1,0 +1,184 @@
+"""The sockets between planner and executor: packets arrive in order, those sent before an end before the end."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from random import Random
+
+from controller.executor.events import Client, ClientGone, FromClient
+from controller.planning.link import RETRY, Connection, ExecutorLink
+from controller.program import VERSION, Down, Goodbye, Halt, Hello, Up, decode_down, encode
+from tests.simulation.agenda import Agenda
+from tests.simulation.process import ExecutorProcess
+
+LATENCY = 0.001  # [s], longest delay of the socket
+
+
+class Socket(Connection):
+    """The planner's end of one connection, as `ExecutorLink` uses it.
+
+    Args:
+        network: to the executor.
+        client: number and process of this end.
+    """
+
+    def __init__(self, network: Network, client: Client) -> None:
+        self.client, self.arrived = client, deque[bytes]()
+        self.ended = self.shut_down = False  # by the executor; by the planner
+        self._network, self._last_out, self._last_in = network, 0.0, 0.0
+        self.socket = self  # type: ignore[assignment]
+
+    def __del__(self) -> None:
+        """There is no file to close."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is something to read."""
+        return bool(self.arrived) or self.ended
+
+    def fileno(self) -> int:
+        """Returns a number."""
+        return self.client.number
+
+    def recv(self, most: int) -> bytes:
+        """Returns the next packet; an empty one at the end."""
+        if self.arrived:
+            return self.arrived.popleft()
+        if self.ended:
+            return b""
+        raise BlockingIOError
+
+    def send(self, data: bytes) -> None:
+        """Sends a packet.
+
+        Raises:
+            BrokenPipeError: the connection has ended.
+        """
+        if self.ended or self.shut_down:
+            raise BrokenPipeError
+        self.forth(lambda: self._network.to_executor(self.client, decode_down(data)))
+
+    def shut(self) -> None:
+        """Ends the connection."""
+        if not self.shut_down:
+            self.shut_down = True
+            self.arrived.clear()
+            self.forth(lambda: self._network.gone(self.client))
+
+    def forth(self, happen: Callable[[], None]) -> None:
+        """Makes something happen at the executor's end, after all before."""
+        self._last_out = self._network.delayed(self._last_out, happen)
+
+    def back(self, data: bytes | None) -> None:
+        """Makes a packet of the executor arrive, or the end."""
+
+        def arrive() -> None:
+            if self.shut_down:
+                return
+            if data is None:
+                self.ended = True
+            else:
+                self.arrived.append(data)
+            self._network.wake()
+
+        self._last_in = self._network.delayed(self._last_in, arrive)
+
+
+class Network:
+    """All connections to the executor.
+
+    Attributes:
+        sent: messages of planner and operator, by kind.
+        wake: wakes the planner's process.
+
+    Args:
+        arm: name of the arm.
+        agenda: time.
+        random: for delays.
+        executor: at the other end.
+    """
+
+    def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
+        self.sent: Counter[str] = Counter()
+        self.wake: Callable[[], None] = lambda: None
+        self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
+        self._sockets: dict[Client, Socket] = {}
+        self._numbers = 0
+
+    def connect(self) -> Socket | None:
+        """Returns a new connection of the planner; None if no executor listens."""
+        if self._executor.core is None:
+            return None
+        client = self._new_client()
+        self._sockets[client] = Socket(self, client)
+        return self._sockets[client]
+
+    def halt(self) -> None:
+        """Makes an operator halt the arm over a connection of its own."""
+        client = self._new_client()
+        self._executor.hear(client, FromClient(client, Hello(VERSION, "operator", self._arm)))
+        self._executor.hear(client, FromClient(client, Halt(1)))
+        self._executor.hear(client, ClientGone(client))
+        self.sent["Halt"] += 1
+
+    def deliver(self, client: Client, message: Up) -> None:
+        """Sends a message of the executor; a `Goodbye` ends the connection."""
+        socket = self._sockets.get(client)
+        if socket is not None:
+            socket.back(encode(message))
+            if isinstance(message, Goodbye):
+                self._end(client)
+
+    def cut_off(self) -> None:
+        """Ends all connections, because the executor has ended."""
+        for client in list(self._sockets):
+            self._end(client)
+
+    def to_executor(self, client: Client, message: Down) -> None:
+        """Gives a packet that has arrived to the executor."""
+        if client in self._sockets:
+            self.sent[type(message).__name__] += 1
+            self._executor.hear(client, FromClient(client, message))
+
+    def gone(self, client: Client) -> None:
+        """Tells the executor that the planner's end was closed."""
+        if self._sockets.pop(client, None) is not None:
+            self._executor.hear(client, ClientGone(client))
+
+    def delayed(self, after: float, happen: Callable[[], None]) -> float:
+        """Makes something happen soon, but after a time [s]; returns when."""
+        at = max(after, self._agenda.now + self._random.uniform(0.0, LATENCY))
+        self._agenda.at(at, happen)
+        return at
+
+    def _end(self, client: Client) -> None:
+        self._sockets.pop(client).back(None)
+
+    def _new_client(self) -> Client:
+        self._numbers += 1
+        return Client(self._numbers, 1000 + self._numbers)
+
+
+class SimulatedLink(ExecutorLink):
+    """The planner's link over simulated sockets."""
+
+    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float]) -> None:
+        super().__init__(lambda: None, arm, digest, clock)  # type: ignore[arg-type, return-value]
+        self._network = network
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is something to read."""
+        return self.pending or (isinstance(self._connection, Socket) and self._connection.ready)
+
+    def connect(self, now: float) -> None:
+        """Connects and sends Hello, at most every RETRY seconds."""
+        if self._connection is not None or now < self.retry_at:
+            return
+        self.retry_at = now + RETRY
+        self._connection = self._network.connect()
+        if self._connection is None:
+            self._report("waiting for the executor at its socket: Connection refused")
+        else:
+            self._connection.send(encode(Hello(VERSION, "planner", self._arm)))

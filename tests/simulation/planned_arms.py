@@ -1,0 +1,94 @@
+"""Random arms for the planner's core: an executor's arm with modules whose configurations can be listed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from random import Random
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config import Arm
+from controller.executor.arm import ExecutedArm
+from controller.manipulator.frames import planar
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.module import Module, binary_code, lines
+from controller.settings import ArmSettings
+
+TOLERANCE = 0.001
+
+
+def draw_planned_arm(random: Random, drawn: ExecutedArm) -> tuple[ExecutedArm, Arm]:
+    """Returns an arm as executor and planner know it; `drawn` has the wiring."""
+    modules, left = list[Module](), len(drawn.actuators)
+    while left:
+        count = min(left, random.randint(1, 3))
+        modules.append(draw_module(random, count))
+        left -= count
+    manipulator = Manipulator(modules)
+    labels = manipulator.actuators
+    channels = [replace(channel, actuator=label) for channel, label in zip(drawn.wiring.channels, labels, strict=True)]
+    locked = drawn.locked if contracts(modules, drawn.locked) else 0
+    executed = replace(
+        drawn,
+        actuators=labels,
+        wiring=replace(drawn.wiring, channels=tuple(channels)),
+        locked=locked,
+        locked_states=locked,
+        planner_timeout=random.choice([0.5, 1.0, 2.0]),
+    )
+    return executed, Arm(draw_settings(random, executed), manipulator, ())
+
+
+def draw_module(random: Random, count: int) -> Module:
+    """Returns a module with a configuration for most of the codes of its actuators, for 0 at least."""
+    codes = binary_code(1 << count)
+    if count > 1 and random.random() < 0.3:
+        codes = codes[:-1]
+    frames = [
+        planar(random.uniform(0.2, 1.0), random.uniform(-0.5, 0.5), random.uniform(-0.8, 0.8))
+        for _ in range(len(codes))
+    ]
+    stack = np.array(frames)
+    return Module(stack, codes, tuple(str(k + 1) for k in range(count)), lines(stack), planar=True)
+
+
+def contracts(modules: list[Module], mask: int) -> bool:
+    """Returns whether each module has a configuration with the actuators of a mask in state 1."""
+    for module in modules:
+        count = len(module.actuators)
+        wanted = np.array([mask >> k & 1 for k in range(count)], np.uint8)
+        if not (module.bits >= wanted).all(axis=1).any():
+            return False
+        mask >>= count
+    return True
+
+
+def draw_settings(random: Random, arm: ExecutedArm) -> ArmSettings:
+    """Returns the fields of the arm's file that the planner's core uses."""
+    travels = [max(channel.travel) for channel in arm.wiring.channels if channel.travel is not None]
+    fields = {
+        "name": arm.name,
+        "modules": [{"type": "prismatic", "axis": [1.0, 0.0], "lengths": [0.0, 1.0]}],
+        "tolerance": {"position": TOLERANCE},
+        "travel_time": max([arm.timing.travel_time, *travels]),
+        "rest_time": arm.rest,
+        "inrush": arm.inrush,
+        "planner_timeout": arm.planner_timeout,
+        "method": random.choice(["minimum-switch", "minimum-switch", "ipop-previous"]),
+    }
+    if random.random() < 0.3:
+        fields["tracker"] = {"noise": 1e-5, "clamp": 1e-3, "hold": 5.0}
+    return msgspec.convert(fields, ArmSettings)
+
+
+def integer(states: NDArray[np.integer]) -> int:
+    """Returns actuator states (A,) as an integer, actuator k in bit k."""
+    return int.from_bytes(np.packbits(states.astype(np.uint8), bitorder="little").tobytes(), "little")
+
+
+def away(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Returns the distance of two points."""
+    return math.dist(first.tolist(), second.tolist())

@@ -1,0 +1,136 @@
+"""The causes of refusals: which sentence may be said when."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from controller.planning.core import goals
+
+if TYPE_CHECKING:
+    from tests.simulation.daemon import Daemon
+    from tests.simulation.history import Asked
+    from tests.simulation.world import World
+
+SOON = 0.25  # [s] between a cause and the refusal
+PATIENCE = 2.0  # [s] of the core for an answer of the executor
+
+
+def unfounded(asked: Asked, world: World, daemon: Daemon) -> str | None:
+    """Returns the sentence of a refusal for which there is no cause; None if there is one."""
+    assert asked.payload is not None
+    history, words, now = daemon.history, str(asked.payload["message"]), world.agenda.now
+    waited = now - asked.at
+    for pattern, holds in CAUSES:
+        if re.search(pattern, words):
+            return None if holds(asked, world, daemon, now, waited) else words
+    return f"{words} (an unknown sentence, {history.counts['asked goal']} goals)"
+
+
+def _barred(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    """A request that bars others, a new epoch, a lost connection or a cancel of the goal came since its arrival."""
+    history = daemon.history
+    return max(history.barred_at, history.epoch_at, history.link_down_at) >= asked.at - SOON
+
+
+def _no_motion(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    """The arm is not ready, or was not a moment ago; or its tables are being rebuilt."""
+    history = daemon.history
+    snapshot = history.snapshot
+    if snapshot is None or snapshot.mode not in ("ready", "executing"):
+        return True
+    state = history.state
+    unready = state is None or state["mode"] not in ("ready", "executing")
+    return unready or max(history.mode_at, history.locks_at, history.link_down_at) >= now - SOON
+
+
+def _unknown(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    """The measured states are no configuration."""
+    snapshot = daemon.history.snapshot
+    if snapshot is None:
+        return False
+    measured = int.from_bytes(snapshot.measured, "little")
+    outputs = int.from_bytes(snapshot.outputs, "little")
+    changed = max(daemon.history.moved_at, daemon.history.mode_at) >= now - SOON
+    return changed or measured not in daemon.space.index or outputs not in daemon.space.index
+
+
+def _silent(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    """The executor was stalled, ended or slow, or the planner was halted, while the request waited."""
+    history = daemon.history
+    return waited >= PATIENCE and max(world.executor.awake_since, history.link_down_at, daemon.awake_since) > asked.at
+
+
+def _lost(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return daemon.history.link_down_at >= now - 1e-9
+
+
+def _late(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    stamp = getattr(asked.message, "stamp", 0.0)
+    return bool(stamp)
+
+
+def _busy(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    waiting = [other for other in daemon.history.open.values() if other.key in ("goal", "jog")]
+    return len(waiting) >= 16
+
+
+def _twice(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return len(daemon.history.by_id.get(asked.message.id or "", [])) > 1
+
+
+def _moved(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return daemon.history.moved_at >= asked.at
+
+
+def _failed(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return daemon.history.failed_at >= asked.at
+
+
+def _hung(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return waited >= goals.LONGEST_PLANNING
+
+
+def _closing(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return daemon.history.quits_at >= asked.at - 2.0 * PATIENCE
+
+
+def _executor_closing(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    core = world.executor.core
+    return core is None or core.ending.begun or core._requests.quitting
+
+
+def _collides(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    """There are obstacles, or were when the request came."""
+    history = daemon.history
+    return bool(history.cubes or history.pending_cubes) or history.cubes_at >= asked.at
+
+
+def _locked(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return daemon.history.snapshot is not None and any(daemon.history.snapshot.locked)
+
+
+def _answered(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    """The search itself has refused the goal; the exact search says why."""
+    return True
+
+
+CAUSES = (
+    (r"^a cancel, stop, reset or fault", _barred),
+    (r"the executor is shutting down", _executor_closing),
+    (r"shutting down", _closing),
+    (r"^the arm is (starting|fault|stopped|ready|executing)", _no_motion),
+    (r"^unknown state", _unknown),
+    (r"^the executor did not answer", _silent),
+    (r"^the executor has not answered an earlier request", _silent),
+    (r"^the connection to the executor was lost", _lost),
+    (r"^planning took longer", _hung),
+    (r"^the arm moved each time", _moved),
+    (r"^internal error while planning", _failed),
+    (r"^the motion from the arm's present state would collide|^the arm collides where it stands", _collides),
+    (r"^stamp: ", _late),
+    (r"^busy: ", _busy),
+    (r"is running already", _twice),
+    (r"is locked: unlock it", _locked),
+    (r"^no configuration reaches the goal|^waypoints|^the arm is in no configuration", _answered),
+)
