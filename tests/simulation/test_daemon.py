@@ -149,10 +149,14 @@ FOUND = {  # words of the violation
 }
 
 
+def run_seeds(seeds: int, steps: int) -> None:
+    for seed in range(seeds):
+        World(seed, whole=True).run(steps)
+
+
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None:
     for patch in DEFECTS[defect]:
         monkeypatch.setattr(*patch)
     with pytest.raises(Violation, match=FOUND.get(defect)):
-        for seed in range(60):
-            World(seed, whole=True).run(4 * STEPS)
+        run_seeds(60, 4 * STEPS)
