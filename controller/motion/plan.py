@@ -186,6 +186,8 @@ def transition_to(
             where += f", one of {parts} parts"
             whole = f", and the line {upwards(parts * pace.needed(solution.switches)):g} s"
         raise Refusal(INVALID_GOAL, f"{where}: {available:.3g} s, {error}{whole}") from None
+    if len(staged.stages) == 1:  # no actuator switches twice
+        return solution, staged
     counts = staged.switches_from(solver.manipulator.actuator_states(previous))
     return replace(solution, switches=int(counts.sum()), cost=solver.cost_of(counts)), staged
 
