@@ -48,7 +48,7 @@ class FakePlanner:
             case "goal" | "plan":
                 return parse(payload)
             case "jog" if payload.startswith(b"{"):
-                return json.loads(payload)["actuators"]
+                return json.loads(payload).get("actuators")
             case "degrade" if payload.startswith(b"{"):
                 return LockMessage(**json.loads(payload))
             case "cancel":
