@@ -8,8 +8,8 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from controller.planning.core.poses import Target
-from controller.planning.core.tasks import Proof
+from controller.motion.feed import Proof
+from controller.motion.targets import Target
 
 MOST_BYTES = 8_192  # limit of the executor's contract
 

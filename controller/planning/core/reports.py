@@ -10,12 +10,12 @@ import numpy as np
 from controller.manipulator.locked import STATES
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
+from controller.motion.feed import Proof
+from controller.motion.targets import Target, measured_pose
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.arm import Measured
 from controller.planning.core.context import Context, encode_context, with_target
 from controller.planning.core.events import Payload
-from controller.planning.core.poses import Target, measured_pose
-from controller.planning.core.tasks import Proof
 from controller.program import Ended, Settled
 
 if TYPE_CHECKING:

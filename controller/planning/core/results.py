@@ -10,6 +10,8 @@ from typing import NamedTuple
 import msgspec
 
 from controller.journal import fields_of_result
+from controller.motion.feed import Proof
+from controller.motion.targets import Target
 from controller.planning.core.arm import ExecutorView, measured_states
 from controller.planning.core.context import Context, decode_context
 from controller.planning.core.events import (
@@ -25,9 +27,7 @@ from controller.planning.core.events import (
 )
 from controller.planning.core.events import Ended as EndedEntry
 from controller.planning.core.jobs import Moment
-from controller.planning.core.poses import Target
 from controller.planning.core.reports import STATUS_CODES, Outcome, outcome_of, result_of
-from controller.planning.core.tasks import Proof
 from controller.program import Acknowledge, Ended
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"

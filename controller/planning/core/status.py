@@ -11,9 +11,9 @@ import msgspec
 
 from controller.journal import fields_of_fault, message_id
 from controller.manipulator.notation import format_configuration, pose
+from controller.motion.targets import measured_tip
 from controller.planning.core.events import Log, Notify, Payload, Publish
 from controller.planning.core.parts import Parts
-from controller.planning.core.poses import measured_tip
 from controller.planning.core.stream import Stream
 from controller.planning.core.tip_bias import TipBiasEstimator
 from controller.program import Fault

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from controller.motion.feed import Improved, PlannedPoint, Proof
 from controller.motion.goal import GoalMessage
 from controller.motion.trajectory import Trajectory
 
@@ -207,38 +208,6 @@ Task = (
 # --- answers
 
 
-class PlannedPoint(NamedTuple):
-    """The stages to one point of a trajectory.
-
-    Attributes:
-        point: index in the trajectory; the mark of the last stage.
-        stages: packed states after each stage, at least one, with the output bits of locked actuators.
-        deviation: greatest distance of the tip from the straight line; None: not known yet.
-        switches: number of switches of all stages.
-    """
-
-    point: int
-    stages: tuple[bytes, ...]
-    deviation: float | None
-    switches: int
-
-
-class Proof(NamedTuple):
-    """What is proven of a plan's cost, from its start, with all switches of its stages.
-
-    Attributes:
-        switches: number, those of detours included.
-        cost: weighted number.
-        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
-        certificate: "optimal", "bound" or "unknown".
-    """
-
-    switches: int
-    cost: float
-    bound: float
-    certificate: str
-
-
 class Planned(NamedTuple):
     """The plan of a goal.
 
@@ -259,20 +228,6 @@ class Deviations(NamedTuple):
     """The deviations of all points of a plan; None where one is not known."""
 
     values: tuple[float | None, ...]
-
-
-class Improved(NamedTuple):
-    """A better plan: other points from `first` on, the rest as before.
-
-    Attributes:
-        first: index of the first changed point.
-        points: all points from `first` on.
-        proof: of the whole plan.
-    """
-
-    first: int
-    points: tuple[PlannedPoint, ...]
-    proof: Proof
 
 
 class Described(NamedTuple):

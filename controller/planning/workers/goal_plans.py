@@ -11,23 +11,14 @@ import numpy as np
 from controller.manipulator.manipulator import Configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
+from controller.motion.feed import PlannedPoint, Proof, most_stages
 from controller.motion.goal import schedule
 from controller.motion.pacing import Staged
 from controller.motion.plan import Plan
 from controller.motion.point_by_point import PLANNING_TIME, plan
 from controller.motion.restaging import restage
 from controller.motion.trajectory import Trajectory
-from controller.planning.core.feed import most_stages
-from controller.planning.core.tasks import (
-    ArmStart,
-    DescribePlan,
-    Done,
-    PlanGoal,
-    Planned,
-    PlannedPoint,
-    PrepareSearch,
-    Proof,
-)
+from controller.planning.core.tasks import ArmStart, DescribePlan, Done, PlanGoal, Planned, PrepareSearch
 from controller.planning.workers.arm_model import ArmModel, Proceed, States
 from controller.planning.workers.keep_out import KeepOutSet
 from controller.program import MOST_PROGRAM_STAGES

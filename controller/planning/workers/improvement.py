@@ -6,10 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from controller.manipulator.manipulator import Configuration
+from controller.motion.feed import Improved
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
-from controller.planning.core.tasks import Deviations, Improved, ImprovePlan
+from controller.planning.core.tasks import Deviations, ImprovePlan
 from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.planning.workers.goal_plans import PlannedGoal, points_of, proof_of, stages_of
 from controller.planning.workers.keep_out import KeepOutSet
