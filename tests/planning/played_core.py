@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.motion.pacing import pace_of
-from controller.planning.core.admission import Admission
 from controller.planning.core.arm import ExecutorView, packed
 from controller.planning.core.events import Action, Start
-from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers
-from controller.planning.core.parts import Parts
+from controller.planning.core.parts import Admission, Jobs, Moment, Parts, ProgramNumbers
 from controller.planning.core.tasks import Answer, Scene, Tables
 from controller.program import Fault, Mode, Snapshot
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
 from controller.motion.goal_motion import tracking_of
-from controller.planning.core.admission import Admission
-from controller.planning.core.arm import ExecutorView
+from controller.planning.core.arm import ExecutorView, Locks
 from controller.planning.core.events import (
+    CLOSING,
     Action,
     Answered,
     Disconnect,
@@ -38,17 +38,14 @@ from controller.planning.core.events import (
     Unsent,
     Wake,
     Warned,
+    refused,
 )
 from controller.planning.core.goals import Goals
-from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers, Shared
-from controller.planning.core.locks import Locks
-from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.obstacles import ObstacleOwner
-from controller.planning.core.parts import Parts
+from controller.planning.core.parts import Admission, Jobs, Moment, Parts, ProgramNumbers, Shared
 from controller.planning.core.programs import InFlight, Programs
-from controller.planning.core.queries import Queries
 from controller.planning.core.reports import Outcome
-from controller.planning.core.requests import ExecutorRequests
+from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
+from controller.motion import codes
 from controller.motion.goal import GoalMessage
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
@@ -307,3 +308,16 @@ Action = (
     | Log
     | Fail
 )
+
+
+CLOSING = "the daemon is shutting down; the arm holds"
+
+
+def done(message: str) -> Payload:
+    """Returns the answer to a request that was carried out."""
+    return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
+
+
+def refused(code: int, message: str, goal: str | None = None) -> Payload:
+    """Returns the answer to a request that was refused; `goal` is its id, if it is known."""
+    return {"accepted": False, "id": goal, "code": code, "message": message}

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from controller.motion.codes import INVALID_GOAL
-from controller.planning.core.events import ObstaclesMessage, Reply, ToExecutor
-from controller.planning.core.jobs import Shared
-from controller.planning.core.messages import CLOSING, done, refused
+from controller.planning.core.events import CLOSING, ObstaclesMessage, Reply, ToExecutor, done, refused
+from controller.planning.core.parts import Shared
 from controller.planning.core.tasks import (
     Answer,
     BuildScene,

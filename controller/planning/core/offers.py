@@ -10,10 +10,9 @@ from controller.manipulator.locked import STATES
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.feed import Feed, PlannedPoint, Proof, Route
 from controller.motion.program import delay_of, in_groups, unpack_states
-from controller.planning.core.admission import Ticket
 from controller.planning.core.arm import ArmState, States, packed
-from controller.planning.core.messages import done
-from controller.planning.core.parts import Parts
+from controller.planning.core.events import done
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.programs import InFlight
 from controller.planning.core.reports import GoalReport, JogReport, Report
 from controller.planning.core.tasks import Planned, Scene

@@ -9,12 +9,11 @@ from typing import Any
 
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED
 from controller.motion.feed import Feed, Improved
-from controller.planning.core.admission import Ticket
 from controller.planning.core.arm import ArmState, measured_states
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
-from controller.planning.core.jobs import Shared
 from controller.planning.core.obstacles import ObstacleOwner
+from controller.planning.core.parts import Shared, Ticket
 from controller.planning.core.reports import Outcome, Report, collision_outcome
 from controller.planning.core.results import Known, Results
 from controller.planning.core.tasks import Answer, Checked, CheckStages, Deviations, ImprovePlan, Scene, Tables

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from controller.motion.codes import Refusal
 from controller.motion.setpoint import decode
 from controller.motion.tracking import GoalTracker
-from controller.planning.core.admission import Ticket
 from controller.planning.core.events import Log, Payload, ToExecutor
-from controller.planning.core.parts import Parts
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Failed, Followed, FollowSetpoint
 from controller.program import Setpoint
 

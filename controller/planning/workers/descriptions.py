@@ -12,7 +12,7 @@ from controller.manipulator.notation import format_configuration, pose
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.plan import Plan
 from controller.motion.whole import first_time, look_ahead
-from controller.planning.core.messages import done
+from controller.planning.core.events import done
 from controller.planning.core.tasks import Described, DescribePlan
 from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.planning.workers.goal_plans import schedule_goal, search_plan

@@ -13,8 +13,8 @@ import pytest
 
 from controller.config import Arm
 from controller.motion.goal_motion import tracking_of
-from controller.planning.core.admission import Ticket
 from controller.planning.core.events import Abandon, Log, Start
+from controller.planning.core.parts import Ticket
 from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY, Stream
 from controller.planning.core.tasks import Failed, Followed, FollowSetpoint, Scene
 from controller.program import Setpoint
