@@ -64,7 +64,7 @@ fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'
 	$(BIN)/python -m tests.fuzz fuzz.json
 
-# The executor in a simulated world, with faults. A seed that fails is printed: python -m tests.simulation --seed N
+# The executor, and the whole daemon, in simulated worlds with faults. A seed that fails is printed, see tests/README.md.
 soak: $(VENV)/installed
 	$(BIN)/python -m tests.simulation --steps $(STEPS)
 

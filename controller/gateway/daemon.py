@@ -102,10 +102,10 @@ def running(
         link = ExecutorLink(socket, name, digest)
         planner = closing.enter_context(planning(arm, densities, link, outside, recorder))
         claim.confirm()
-        planner.start()
         server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(planner.end_goals)
         closing.callback(server.close)
+        planner.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)

@@ -1,4 +1,7 @@
-"""Runs worlds of an executor on a simulated clock: `python -m tests.simulation --seed N --steps M`."""
+"""Runs worlds on a simulated clock: `python -m tests.simulation --seed N --steps M`.
+
+Each seed has two worlds: one with a scripted planner before the executor, and one with the whole daemon.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from pathlib import Path
 from tests.simulation import events
 from tests.simulation.world import World
 
+KINDS = ("scripted", "whole")
 STEPS_A_SEED = 20_000
 MOST_FAILED = 20  # failed seeds, after which the run ends
 
@@ -21,30 +25,20 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="run only this seed; without it, many seeds from 0")
     parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="number of steps of all seeds")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--kind", choices=KINDS, help="only worlds of this kind; without it, both in turn")
     parser.add_argument("--events", type=Path, metavar="FILE", help="replay the recorded events of a process instead")
     options = parser.parse_args()
     if options.events is not None:
         return events.main(options.events)
     began, steps, seed = time.monotonic(), 0, options.first if options.seed is None else options.seed
+    kinds = KINDS if options.kind is None else (options.kind,)
     counts: Counter[str] = Counter()
-    failed: list[int] = []
+    failed: list[str] = []
     while steps < options.steps and len(failed) < MOST_FAILED:
-        most = options.steps - steps if options.seed is not None else min(STEPS_A_SEED, options.steps - steps)
-        world = World(seed)
-        try:
-            world.run(most)
-        except Exception as error:
-            failed.append(seed)
-            if options.seed is not None:
-                print(world.story())
-                print(f"seed {seed}, step {world.agenda.steps}: {type(error).__name__}: {error}")
-                print(world.arm)
-                raise
-            print(f"seed {seed}, step {world.agenda.steps}: {type(error).__name__}: {error}", flush=True)
-        steps += world.agenda.steps
-        counts += world.record.counts + world.trouble.made
-        counts += Counter({f"sent {kind}": count for kind, count in world.planner.connection.sent.items()})
-        counts["simulated seconds"] += round(world.agenda.now - 1000.0)
+        left = options.steps - steps
+        most = -(-(left if options.seed is not None else min(STEPS_A_SEED * len(kinds), left)) // len(kinds))
+        for kind in kinds:
+            steps += run(seed, kind, most, options.seed is not None, counts, failed)
         if options.seed is not None:
             break
         seed += 1
@@ -54,6 +48,36 @@ def main() -> int:
         print(f"  {name}: {count}")
     print(f"failed seeds: {failed}" if failed else "no invariant was violated")
     return bool(failed)
+
+
+def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], failed: list[str]) -> int:
+    """Runs one world; returns the number of its steps.
+
+    Args:
+        seed: of the world.
+        kind: "scripted" or "whole".
+        most: number of steps.
+        told: whether to print all events and raise the exception if it fails.
+        counts: counts what happened.
+        failed: takes the name of the world if it fails.
+    """
+    world, name = World(seed, whole=kind == "whole"), f"{seed} {kind}"
+    try:
+        world.run(most)
+    except Exception as error:
+        failed.append(name)
+        if told:
+            print(world.story())
+        print(f"seed {name}, step {world.agenda.steps}: {type(error).__name__}: {error}", flush=True)
+        if told:
+            print(world.arm)
+            raise
+    counts += world.record.counts + world.trouble.made
+    counts += Counter({f"sent {word}": count for word, count in world.planner.connection.sent.items()})
+    if world.daemon is not None:
+        counts += world.daemon.history.counts
+    counts["simulated seconds"] += round(world.agenda.now - 1000.0)
+    return world.agenda.steps
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached
+RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
 SEARCHED_WITHIN = 75.0  # [s], longest time of a goal
 DONE_WITHIN = 60.0  # [s], longest time of a program
@@ -53,7 +54,8 @@ def send_goal(world: World, daemon: Daemon) -> Asked | None:
     """Sends a goal when the arm is ready; returns the answered request, None if no planner got it."""
     history = daemon.history
     daemon.wanted = False
-    world.wait(lambda: daemon.at_rest and world.settled(), "ready for a goal", world.ready_within + HUNG_WITHIN)
+    patience = world.ready_within + (HUNG_WITHIN if world.trouble.made["a search hangs"] else RESTARTED_WITHIN)
+    world.wait(lambda: daemon.at_rest and world.settled(), "ready for a goal", patience)
     daemon.wanted, before = True, history.latest.get("goal")
     daemon.clients.ask("goal", daemon.clients.simple_goal())
     world.pass_time(0.01)

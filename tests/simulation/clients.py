@@ -140,8 +140,8 @@ class Clients:
             message["id"] = f"g{self._numbers}"
         if random.random() < 0.15:
             message["stamp"] = self._daemon.wall() + random.uniform(-0.5, 1.0)
-        if random.random() < 0.3:
-            message["tolerance"] = {"position": random.choice([0.05, 0.2])}
+        if random.random() < 0.5:
+            message["tolerance"] = {"position": random.choice([0.05, 0.3, 1.0])}
         return message
 
     def simple_goal(self) -> dict[str, Any]:

@@ -154,7 +154,8 @@ class ExactSearch:
         bound = float(layers[-1].min())
         if bound == np.inf:
             raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, "no configuration reaches the goal")
-        goals = self._choose(graph, layers) if self._random.random() < 0.5 else self._greedy(graph, start, wanted)
+        way = self._random.choice(["cheapest", "cheapest", "greedy", "any"])
+        goals = None if way == "cheapest" else self._greedy(graph, start, wanted, cheapest=way == "greedy")
         goals = goals or self._choose(graph, layers)
         points = self._points(task.start, graph, start, goals)
         first = self._from_commanded(task.start, points[0], task.scene)
@@ -180,14 +181,17 @@ class ExactSearch:
         costs[goal] = 0.0
         return graph.spread(costs)
 
-    def _greedy(self, graph: Graph, start: int, wanted: Sequence[NDArray[np.bool_]]) -> list[int] | None:
-        """Returns the nearest configuration at each point; None if that leads nowhere."""
+    def _greedy(
+        self, graph: Graph, start: int, wanted: Sequence[NDArray[np.bool_]], cheapest: bool = True
+    ) -> list[int] | None:
+        """Returns the nearest configuration at each point, or any; None if that leads nowhere."""
         goals, here = list[int](), start
         for fits in wanted:
             costs = np.where(fits, self._to(graph, here), np.inf)
             if costs.min() == np.inf:
                 return None
-            here = int(self._random.choice(np.flatnonzero(costs == costs.min()).tolist()))
+            fitting = costs == costs.min() if cheapest else np.isfinite(costs)
+            here = int(self._random.choice(np.flatnonzero(fitting).tolist()))
             goals.append(here)
         return goals
 

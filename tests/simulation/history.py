@@ -218,7 +218,7 @@ class History:
         self._note(("planner fails", reason))
         self.counts["planners that failed"] += 1
 
-    def stepped(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
+    def __call__(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
         """Records a step of the core."""
         match event:
             case FromExecutor(Snapshot() as snapshot):
@@ -245,6 +245,9 @@ class History:
                 self._note(("worker answers", number, answer))
             case _:
                 pass
+
+    def flush(self) -> None:
+        """Does nothing: each step is recorded at once."""
 
     def acts(self, process: PlannerProcess, action: Action) -> None:
         """Records an action before it is carried out."""

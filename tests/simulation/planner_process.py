@@ -128,7 +128,7 @@ class PlannerProcess:
         beginning = Beginning(f"p{number}-", Tables(0, locked), Scene(0, True, ()), 0, storage.counts, published, owed)
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
-        self.loop = KillableLoop(self.core, self.inbox, self.link, services, daemon.history.stepped, clocks)  # type: ignore[arg-type]
+        self.loop = KillableLoop(self.core, self.inbox, self.link, services, daemon.history, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
         self.loop.ended.clear()
         self.loop.read(SetpointArrived, daemon.clients.setpoint)

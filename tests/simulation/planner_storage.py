@@ -35,14 +35,14 @@ class Storage:
     Attributes:
         rows: of the ledger.
         counts: of switches.
-        published: programs with a mark that their result was published.
+        published: marks of published results, by program.
         full: whether the disk is full.
     """
 
     def __init__(self, actuators: int) -> None:
         self.rows: dict[Identity, Row] = {}
         self.counts = (0,) * actuators
-        self.published: dict[Identity, None] = {}
+        self.published: dict[Identity, Ended] = {}
         self.full = False
 
     def write(self, record: Record) -> None:
@@ -51,7 +51,10 @@ class Storage:
         row.accepted, row.ended = row.accepted or record.accepted, row.ended or record.ended
 
     def owed(self) -> list[OpenGoal]:
-        """Returns the goals without a result."""
+        """Returns the goals without a result; first completes the ledger by the marks, as a starting planner does."""
+        for identity, mark in self.published.items():
+            if identity in self.rows and self.rows[identity].ended is None and not self.full:
+                self.rows[identity].ended = mark
         return [
             OpenGoal(identity, row.accepted.goal, row.accepted.wall, row.accepted.waypoints)
             for identity, row in self.rows.items()
@@ -148,7 +151,9 @@ class SimulatedOut:
         def publish() -> None:
             if self._alive():
                 self._told(result)
-                self._storage.published[result.identity] = None
+                payload = result.payload
+                fields = payload["status"], payload["code"], payload["message"], payload["switches"]
+                self._storage.published[result.identity] = Ended(0.0, *fields)
                 self._post(Published(result.number))
 
         slow = 0.5 if result.inherited else 0.001

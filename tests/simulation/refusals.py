@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from controller.planning.core import goals
+
 if TYPE_CHECKING:
     from tests.simulation.daemon import Daemon
     from tests.simulation.history import Asked
@@ -86,7 +88,7 @@ def _failed(asked: Asked, world: World, daemon: Daemon, now: float, waited: floa
 
 
 def _hung(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
-    return waited >= 60.0
+    return waited >= goals.LONGEST_PLANNING
 
 
 def _closing(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:

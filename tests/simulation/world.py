@@ -92,12 +92,12 @@ class World:
             Violation: an invariant does not hold.
         """
         end = self.agenda.steps + steps
-        self._calm()
+        self.calm()
         while self.agenda.steps < end:
             self.planner.be_calm(False)
             self.trouble.begin()
             self.pass_time(self._random.uniform(2.0, 15.0))
-            self._calm()
+            self.calm()
 
     def pass_time(self, seconds: float) -> None:
         """Runs all steps of a time [s]."""
@@ -118,7 +118,7 @@ class World:
             for fits in PLANNER_INVARIANTS:
                 fits(self, self.daemon)
 
-    def _calm(self) -> None:
+    def calm(self) -> None:
         """Ends all trouble; the arm becomes ready, runs a program, and everything agrees."""
         self.trouble.end()
         self.planner.be_calm(True)

@@ -63,11 +63,11 @@ class Lives:
             assert attempt < 20, answer
         raise AssertionError
 
-    def move(self, name: str, position: tuple[float, ...]) -> None:
+    def move(self, name: str, *positions: tuple[float, ...]) -> None:
         """Sends a goal until one succeeds; only faults caused by a stall of the machine may end it."""
         for attempt in itertools.count():
             began = len(self.client.heard["state"])
-            result = self.client.result(self.send(f"{name} {attempt}", position))
+            result = self.client.result(self.send(f"{name} {attempt}", *positions))
             if result["status"] == "succeeded":
                 return
             codes = {fault["code"] for state in self.client.heard["state"][began:] for fault in state["faults"]}

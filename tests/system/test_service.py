@@ -6,13 +6,16 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from contextlib import ExitStack
+from typing import Any
 
 import pytest
 import zenoh
 
 from controller.config import Arm
-from controller.gateway.client import Client, Unanswered
+from controller.gateway import daemon
+from controller.gateway.client import Client, Message, Unanswered
 from controller.gateway.one_daemon import AlreadyRunning
 from controller.gateway.session import configuration
 from controller.planning.ledger import LedgerInUse
@@ -200,6 +203,31 @@ def test_the_token_tells_that_the_daemon_is_there_and_no_thread_is_left(system: 
         system.end_planner()
         eventually(lambda: not client.client.alive())
     eventually(lambda: {thread.name for thread in threading.enumerate()} <= before)
+
+
+@pytest.mark.fresh
+def test_a_client_that_hears_a_state_is_answered(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Message] = []
+    before: list[int] = []
+
+    class LateServer(daemon.Server):
+        def __init__(self, *given: Any, **options: Any) -> None:
+            time.sleep(0.3)  # a state would come meanwhile
+            super().__init__(*given, **options)
+            before.append(len(heard))
+
+    monkeypatch.setattr(daemon, "Server", LateServer)
+    system.config = system.clients()
+    with zenoh.open(configuration("peer", listen=system.endpoint)) as session:
+        client = Client(session, system.name)
+        subscriber = client.subscribe("state", heard.append)
+        system.start_executor()
+        system.start_planner()
+        eventually(lambda: heard)
+        assert client.request("arm")["name"] == system.name
+        assert before == [0]
+        system.end_planner()
+        subscriber.undeclare()
 
 
 @pytest.mark.fresh

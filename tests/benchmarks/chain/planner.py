@@ -36,6 +36,10 @@ def timed(owner: type, name: str, record: Record, takes: Callable[..., bool] = l
     setattr(owner, name, timing)
 
 
+def is_goal(key: str, payload: bytes) -> bool:
+    return key == "goal"
+
+
 def is_program(message: Down) -> bool:
     return isinstance(message, Program)
 
@@ -47,7 +51,7 @@ if __name__ == "__main__":
             stack.enter_context(Record(folder / f"{name}.npz", "began", "ended"))
             for name in ("goals", "services", "solves", "programs")
         )
-        timed(Planner, "request", goals)
+        timed(Planner, "decode", goals, is_goal)
         timed(pool, "plan_goal", services)  # type: ignore[arg-type]
         timed(Solver, "solve", solves)
         timed(ExecutorLink, "send", programs, is_program)

@@ -1,7 +1,7 @@
 """Kills each process many times at each moment, and prints a table: python -m tests.system.kills --each 20
 
-Ends with 1 if a result was doubled or missing, or anything else was wrong. The known limits are counted in rows of
-their own, which are not judged. Several moments run at once, each on an arm of its own.
+Ends with 1 if a result was doubled or missing, or anything else was wrong. Known limits are counted in a column,
+and are not judged; the last rows kill at these limits alone. Several moments run at once, each on an arm of its own.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from tests.system.kills.moments import LIMITS, MOMENTS, PROCESSES
 from tests.system.processes import ROOT, Nursery
 from tests.system.system import System
 
-COLUMNS = ("kills", "goals", "results", "unanswered", "doubled", "missing", "lost", "repeated")
+COLUMNS = ("kills", "goals", "results", "unanswered", "doubled", "missing", "lost", "repeated", "limits")
 EACH_SYSTEM = 60  # kills of one arm, because the ledger is read as its latest thousand goals
 
 

@@ -18,7 +18,7 @@ from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.waiting import SLOWNESS
 
 PROCESSES = ("planner", "executor", "both")
-FAR_AWAY = {"half_plane": {"point": [-30.0, 0.0], "normal": [1.0, 0.0]}, "name": "far away"}
+FAR_AWAY = {"half_plane": {"point": [-30.0, 0.0], "normal": [1.0, 0.0]}, "name": "far"}
 ACTION, EVENT = ("before", "after", "later"), ("before", "within", "after", "later")
 PASSED = 10.0 * SLOWNESS  # [s]
 ZIGZAG = [0.08 * k for k in range(30)]

@@ -4,10 +4,12 @@ A test sends an order through a socket in the folder of the arm, and gets a line
 """
 
 import json
+import math
 import os
 import signal
 import socket
 import threading
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,8 +30,10 @@ from controller.planning.loop import Loop
 from controller.planning.published import PublishedResults
 from controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
 
-SOCKET, MARK = "kills.sock", b"KILLS"
+SOCKET, MARK = "kills.sock", "KILLS"
 RECONNECTED = 0.5  # [s] instead of 5: the clients of these tests are connected before the planner starts
+
+TRANSMITTED = 0.02  # [s] for Zenoh to transmit a result after its put, on a busy machine
 
 SENT = {
     Program: "offered",
@@ -60,9 +64,15 @@ class Order(NamedTuple):
 
 
 class Trigger:
-    """Carries out one order at a time. The order is set by its own thread; any thread reaches steps."""
+    """Carries out one order at a time. The order is set by its own thread; any thread reaches steps.
+
+    Attributes:
+        putting: whether a result is being published, and is not yet marked.
+        marked_at: when the last result was marked [s].
+    """
 
     def __init__(self) -> None:
+        self.putting, self.marked_at = False, -math.inf
         self._order: Order | None = None
         self._reached = 0
 
@@ -84,11 +94,20 @@ class Trigger:
             return
         self._order = None
         if order.delay > 0:
-            timer = threading.Timer(order.delay, kill, (order,))
+            timer = threading.Timer(order.delay, self._kill, (order,))
             timer.daemon = True
             timer.start()
         else:
-            kill(order)
+            self._kill(order)
+
+    def _kill(self, order: Order) -> None:
+        """Kills the processes of an order, and notes what the outbox was doing."""
+        own = os.getpid() in order.pids
+        now = time.monotonic()
+        limit = own and ("unmarked" if self.putting else "untransmitted" if now - self.marked_at < TRANSMITTED else "")
+        os.write(2, f"{MARK} {limit or 'at rest'}\n".encode())
+        for pid in order.pids:
+            os.kill(pid, signal.SIGKILL)
 
     def _serve(self, server: socket.socket) -> None:
         while True:
@@ -97,13 +116,6 @@ class Trigger:
                 self._reached = 0
                 self._order = Order(*json.loads(connection.recv(1 << 16)))
                 connection.send(b"in force")
-
-
-def kill(order: Order) -> None:
-    """Kills the processes of an order."""
-    os.write(2, MARK + f" {order}\n".encode())
-    for pid in order.pids:
-        os.kill(pid, signal.SIGKILL)
 
 
 def install(folder: Path) -> None:
@@ -130,11 +142,14 @@ def install(folder: Path) -> None:
     def sending(self: Outbox, target: Any, key: str, payload: Any) -> None:
         if isinstance(target, PublishResult):
             trigger.reach("published", "unsent")
+            trigger.putting = True
         send(self, target, key, payload)
+        trigger.putting = False
 
     def adding(self: PublishedResults, *result: Any) -> None:
         trigger.reach("unmarked", "before")
         add(self, *result)
+        trigger.marked_at, trigger.putting = time.monotonic(), False
         trigger.reach("untransmitted", "after")
 
     Loop._step, Loop._act, Outbox._send, PublishedResults.add = stepping, acting, sending, adding  # type: ignore

@@ -1,0 +1,162 @@
+"""The whole daemon in its simulated world; the invariants must find planted defects of the planner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+
+from controller.planning.core import goals, jobs, offers
+from controller.planning.core.admission import Admission
+from controller.planning.core.arm import ExecutorView
+from controller.planning.core.events import Reply, Request, ToExecutor
+from controller.planning.core.feed import Feed
+from controller.planning.core.goals import Goals
+from controller.planning.core.programs import Programs
+from controller.planning.core.queries import Queries
+from controller.planning.core.requests import ExecutorRequests
+from controller.planning.core.results import Results
+from controller.program import Acknowledge, Reset
+from tests.simulation.invariants import Violation
+from tests.simulation.world import World
+
+STEPS = 3_000
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_invariants_hold(seed: int) -> None:
+    World(seed, whole=True).run(STEPS)
+
+
+def test_a_seed_replays_exactly() -> None:
+    first, second = (World(5, whole=True, remembered=10**6) for _ in range(2))
+    first.run(STEPS)
+    second.run(STEPS)
+    assert second.story() == first.story()
+
+
+def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(goals, "LONGEST_PLANNING", 2.0)
+    monkeypatch.setattr(jobs, "HUNG", 2.0)
+    world = World(0, whole=True)
+    daemon = world.daemon
+    assert daemon is not None
+    world.calm()
+    daemon.mood.hangs = True
+    daemon.clients.ask("goal", daemon.clients.simple_goal())
+    world.pass_time(6.0)
+    assert daemon.history.counts["planners that failed"] == 1
+    world.calm()
+
+
+Patch = tuple[Any, str, Callable[..., Any]]
+
+_recorded = Programs.recorded
+_init_results = Results.__init__
+_ended = Results.ended
+_tell = Results._tell
+_goal_program = offers.goal_program
+_take = ExecutorRequests.take
+_in_flight = offers._in_flight
+_refuse = Goals._refuse
+
+
+def _answer_twice(self: Programs, entry: int) -> None:
+    reply = self._replies.get(entry)
+    _recorded(self, entry)
+    if reply is not None:
+        self._act(Reply(*reply))
+
+
+def _forget_published(self: Results, *arguments: Any) -> None:
+    view, moment, _, owed, act = arguments
+    _init_results(self, view, moment, (), owed, act)
+
+
+def _acknowledge_first(self: Results, message: Any, known: Any) -> None:
+    self._act(ToExecutor(Acknowledge(message.result)))
+    _ended(self, message, known)
+
+
+def _tell_more_switches(self: Results, untold: Any, inherited: bool) -> None:
+    payload = dict(untold.payload)
+    payload["switches"] += payload["switches"] > 0
+    untold.payload = payload
+    _tell(self, untold, inherited)
+
+
+def _claim_optimum(shared: Any, pace: Any, request: Any, planned: Any) -> Any:
+    proof = planned.proof._replace(bound=planned.proof.cost, certificate="optimal")
+    return _goal_program(shared, pace, request, planned._replace(proof=proof))
+
+
+def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
+    _take(self, request)
+    if request.key == "stop":
+        self._act(ToExecutor(Reset(10**6)))
+
+
+def _take_present_epoch(parts: Any, pace: Any, offer: Any, made: Any) -> Any:
+    run = _in_flight(parts, pace, offer, made)
+    run.program = msgspec.structs.replace(run.program, epoch=offer.state.snapshot.epoch)
+    return run
+
+
+def _lose_every_third(self: Queries, request: int, payload: object) -> None:
+    if self._waiting.pop(request, None) is not None and request % 3:
+        self._parts.act(Reply(request, payload))  # type: ignore[arg-type]
+
+
+def _say_nothing(self: Results, untold: Any, inherited: bool) -> None:
+    self._owed.pop(untold.identity, None)
+
+
+DEFECTS: dict[str, list[Patch]] = {
+    "requests are answered twice": [(Programs, "recorded", _answer_twice)],
+    "queries are not answered": [(Queries, "_answer", _lose_every_third)],
+    "results are published again by the next process": [(Results, "__init__", _forget_published)],
+    "results are not published": [(Results, "_tell", _say_nothing)],
+    "goals that an executor took with it have no result": [(Results, "met", lambda self, instance: None)],
+    "results are acknowledged before they are published": [(Results, "ended", _acknowledge_first)],
+    "results count too many switches": [(Results, "_tell", _tell_more_switches)],
+    "each plan counts as optimal": [(goals, "goal_program", _claim_optimum)],
+    "programs are not parked": [(Feed, "park", lambda self, generation: setattr(self, "checked", generation))],
+    "a stop bars no goals": [
+        (Admission, "barred", lambda self, ticket: False),
+        (offers, "_in_flight", _take_present_epoch),
+    ],
+    "the planner resets a stopped arm": [(ExecutorRequests, "take", _reset_after_stop)],
+    "goals are refused for no reason": [(goals, "MOST_WAITING", 1)],  # type: ignore[list-item]
+    "the executor's answers are not awaited": [(goals, "PATIENCE", 0.0005)],  # type: ignore[list-item]
+    "lost connections are not noticed": [(ExecutorView, "lost", lambda self, reason: None)],
+}
+
+FOUND = {  # words of the violation
+    "requests are answered twice": "wait for none",
+    "queries are not answered": "not ready for a goal",
+    "results are published again by the next process": "published twice",
+    "goals that an executor took with it have no result": "owes",
+    "results are acknowledged before they are published": "was acknowledged, not",
+    "results count too many switches": "the executor counts",
+    "each plan counts as optimal": "is possible",
+    "programs are not parked": "touches",
+    "a stop bars no goals": "came after it",
+    "the planner resets a stopped arm": "after a stop, without a reset",
+    "goals are refused for no reason": "busy",
+    "the executor's answers are not awaited": "did not answer within",
+}
+
+
+def run_seeds(seeds: int, steps: int) -> None:
+    for seed in range(seeds):
+        World(seed, whole=True).run(steps)
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None:
+    for patch in DEFECTS[defect]:
+        monkeypatch.setattr(*patch)
+    with pytest.raises(Violation, match=FOUND.get(defect)):
+        run_seeds(60, 4 * STEPS)

@@ -1,1 +1,0 @@
-"""Kills of planner and executor at chosen steps of the planner: `python -m tests.system.kills --help`."""
