@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from controller.manipulator.locked import STATES, require_states
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.program import pack_states, unpack_states
-from controller.planning.core.events import Action, LockMessage, Log
-from controller.planning.core.parts import Jobs
+from controller.planning.core.events import LockMessage, Log
+from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables, TablesBuilt
 from controller.program import Diagnostics, Fault, Mode, Snapshot, Welcome
 
@@ -253,14 +253,12 @@ class Locks:
         problem: why the tables could not be rebuilt; None if they could.
 
     Args:
-        view: what the executor last said.
-        jobs: starts tasks.
+        parts: of the core.
         tables: for the arm's file.
-        act: takes actions.
     """
 
-    def __init__(self, view: ExecutorView, jobs: Jobs, tables: Tables, act: Callable[[Action], None]) -> None:
-        self._view, self._jobs, self._act = view, jobs, act
+    def __init__(self, parts: Parts, tables: Tables) -> None:
+        self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
         self._built, self._building = tables, False
         self.states: NDArray[np.int8] = np.frombuffer(tables.locked, np.uint8).astype(np.int8)
         self.problem: str | None = None
@@ -345,7 +343,7 @@ class Locks:
             task = BuildTables(self._built.generation + 1, self._key())
             self._jobs.start(task, partial(self._answered, task.locked))
 
-    def _answered(self, locked: bytes, answer: Answer, last: bool, now: float) -> None:
+    def _answered(self, locked: bytes, answer: Answer) -> None:
         self._building = False
         if isinstance(answer, TablesBuilt):
             self._built = answer.tables

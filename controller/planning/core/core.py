@@ -42,7 +42,7 @@ from controller.planning.core.events import (
 )
 from controller.planning.core.goals import Goals
 from controller.planning.core.obstacles import ObstacleOwner
-from controller.planning.core.parts import Admission, Jobs, Moment, Parts, ProgramNumbers, Shared
+from controller.planning.core.parts import Parts
 from controller.planning.core.programs import InFlight, Programs
 from controller.planning.core.reports import Outcome
 from controller.planning.core.requests import ExecutorRequests, Queries
@@ -124,32 +124,21 @@ class Core:
         manipulator, searches = arm.manipulator, arm.settings.method == "minimum-switch"
         self.ended = False
         self._actions: list[Action] = []
-        self._moment, self._counts = Moment(), beginning.counts
-        self._view = view = ExecutorView(manipulator, arm.travel_time, pace)
-        self._admission, self._numbers, self._jobs = Admission(), ProgramNumbers(), Jobs(self._act)
-        shared = Shared(view, self._admission, self._jobs, self._moment, self._numbers, self._act)
-        self._locks = locks = Locks(view, self._jobs, beginning.tables, self._act)
-        self._obstacles = obstacles = ObstacleOwner(shared, beginning.scene, beginning.obstacles)
-        self._results = Results(view, self._moment, beginning.published, beginning.owed, self._act)
-        self._programs = programs = Programs(shared, obstacles, self._results, searches)
-        parts = Parts(
-            view,
-            self._admission,
-            self._numbers,
-            self._jobs,
-            self._moment,
-            self._act,
-            locks,
-            obstacles,
-            programs,
-        )
+        self._counts = beginning.counts
+        view = ExecutorView(manipulator, arm.travel_time, pace)
+        self._parts = parts = Parts(view, pace, beginning.name, self._act)
+        self._view, self._admission, self._jobs, self._moment = view, parts.admission, parts.jobs, parts.moment
+        self._locks = parts.locks = Locks(parts, beginning.tables)
+        self._obstacles = parts.obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
+        self._results = parts.results = Results(parts, beginning.published, beginning.owed)
+        self._programs = parts.programs = Programs(parts, searches)
         tracker = arm.settings.tracker
         self._tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
-        bias = no_bias if self._tip_bias is None else self._tip_bias.bias
-        self._goals = Goals(parts, pace, bias, prepares=searches, name=beginning.name)
-        self._queries = Queries(parts, bias, beginning.name)
+        if self._tip_bias is not None:
+            parts.bias = self._tip_bias.bias
+        self._goals, self._queries = Goals(parts, searches), Queries(parts)
         self._requests = ExecutorRequests(parts, self._goals)
-        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, bias)
+        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts)
         self._status = Status(parts, self._stream, self._tip_bias, self._waiting)
         self._changed, self._report_at = True, 0.0
         self._alive_at = 0.0  # time of the next keep-alive [s]
@@ -201,7 +190,7 @@ class Core:
             case Request():
                 self._answer(event)
             case Answered(number, answer, last):
-                self._jobs.answered(number, answer, last, moment.now)
+                self._jobs.answered(number, answer, last)
             case SetpointArrived(payload):
                 self._stream.take(payload, self._admission.arrive(), moment.now, moment.wall)
             case TipArrived(payload):
@@ -292,7 +281,7 @@ class Core:
 
     def _welcome(self, message: Welcome) -> None:
         self._view.welcome(message, self._counts)
-        self._numbers.at_least(message.program)
+        self._parts.numbers.at_least(message.program)
         self._act(ToExecutor(Counts(self._counts)))
         self._results.met(message.instance)
         self._silent, self._alive_at = 0, self._moment.now
@@ -316,7 +305,7 @@ class Core:
         if now < self._alive_at:
             return
         self._alive_at = now + ALIVE_EVERY
-        self._jobs.tick(now)
+        self._jobs.tick()
         if not self._view.connected:
             return
         self._act(ToExecutor(Alive()))
@@ -353,7 +342,3 @@ class Core:
 
     def _waiting(self) -> int:
         return self._goals.waiting + self._queries.waiting
-
-
-def no_bias(now: float) -> None:
-    """Returns the tip bias of an arm without a tracker: none."""

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from controller.motion.pacing import Pace
-    from controller.planning.core.requests import Bias
 
 IDLE = 0.02  # [s] without a request before the next search is prepared
 REHEARSE_EVERY, REHEARSE_FOR = 0.025, 2.0  # [s] between two rehearsals, and after the last goal
@@ -64,7 +62,7 @@ class Preparation:
 
     def end(self) -> None:
         """Frees the worker, because a request has come."""
-        self._parts.jobs.abandon(self._job, self._parts.moment.now)
+        self._parts.jobs.abandon(self._job)
         self._job = self._prepared = None
 
     def begin(self, planned: GoalMessage | None) -> None:
@@ -92,9 +90,9 @@ class Preparation:
             self._prepared = start
             self._job = parts.jobs.start(PrepareSearch(state.start, tables, scene, rehearsal), self._answered)
 
-    def _answered(self, answer: Answer, last: bool, now: float) -> None:
+    def _answered(self, answer: Answer) -> None:
         self._job = None
-        self._idle_since = now + REHEARSE_EVERY - IDLE
+        self._idle_since = self._parts.moment.now + REHEARSE_EVERY - IDLE
 
 
 MOST_WAITING = 16
@@ -150,17 +148,14 @@ class Goals:
 
     Args:
         parts: of the core.
-        pace: of the arm's transitions.
-        bias: returns the tip bias that corrects goals; None: no tracker.
         prepares: whether searches are prepared while no request waits.
-        name: of this process, in the ids of jogs.
     """
 
-    def __init__(self, parts: Parts, pace: Pace, bias: Bias, *, prepares: bool, name: str) -> None:
+    def __init__(self, parts: Parts, prepares: bool) -> None:
         self.closing = False
         self._parts, self._view, self._moment, self._act = parts, parts.view, parts.moment, parts.act
-        self._locks, self._obstacles, self._programs, self._pace = parts.locks, parts.obstacles, parts.programs, pace
-        self._bias, self._name, self._preparation = bias, name, Preparation(parts, prepares)
+        self._locks, self._obstacles, self._programs = parts.locks, parts.obstacles, parts.programs
+        self._preparation = Preparation(parts, prepares)
         self._waiting = deque[Motion]()
         self._current: Motion | None = None
         self._due = math.inf
@@ -173,7 +168,7 @@ class Goals:
 
     def submit(self, request: Request, ticket: Ticket) -> None:
         """Queues a goal or jog, or refuses it at once."""
-        wanted, moment, name = request.message, self._moment, f"{self._name}{request.number:x}"
+        wanted, moment, name = request.message, self._moment, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | dict)
         name = f"jog-{name}" if isinstance(wanted, dict) else wanted.id or name
         motion = Motion(request.number, ticket, wanted, name, request.wall, moment.now)
@@ -190,7 +185,7 @@ class Goals:
         """Refuses a waiting goal of this id; returns whether there was one."""
         for motion in (*self._waiting, *([self._current] if self._current is not None else [])):
             if motion.id == goal and motion.program is None:
-                self._parts.jobs.abandon(motion.job, self._moment.now)
+                self._parts.jobs.abandon(motion.job)
                 self._end(motion, Refusal(INVALID_GOAL, BARRED))
                 return True
         return False
@@ -211,10 +206,10 @@ class Goals:
                 self._proceed(motion)
                 return
             except Refusal as refusal:
-                self._parts.jobs.abandon(motion.job, self._moment.now)
+                self._parts.jobs.abandon(motion.job)
                 self._end(motion, refusal)
             except Exception:
-                self._parts.jobs.abandon(motion.job, self._moment.now)
+                self._parts.jobs.abandon(motion.job)
                 self._act(Log(logging.ERROR, f"{motion.id} failed\n{traceback.format_exc()}"))
                 self._end(motion, Refusal(INVALID_GOAL, "internal error, see the journal"))
 
@@ -319,21 +314,21 @@ class Goals:
             raise Refusal(INVALID_GOAL, f"unknown state: {unknown}; switch single actuators with `jog`")
         if state.configuration is None:
             raise no_motion(*self._locks.mode())
-        bias = self._bias(self._moment.now)
+        bias = self._parts.bias(self._moment.now)
         numbers = None if bias is None else tuple(bias.tolist())
         motion.since = self._moment.now
         task = PlanGoal(motion.wanted, motion.received, state.start, numbers, tables, scene)
         motion.job = self._parts.jobs.start(task, self._answered)
 
     def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, scene: Scene) -> None:
-        motion.planned, motion.since = jog_stages(state, wanted, self._pace), self._moment.now
+        motion.planned, motion.since = jog_stages(state, wanted, self._parts.pace), self._moment.now
         if scene.free or state.unknown_state is not None or state.configuration is None:
             self._offer(motion, state, scene)
             return
         task = CheckStages(scene, state.start.commanded, tuple(map(packed, motion.planned)))
         motion.job = self._parts.jobs.start(task, self._answered)
 
-    def _answered(self, answer: Answer, last: bool, now: float) -> None:
+    def _answered(self, answer: Answer) -> None:
         """Takes the plan of a goal, or the check of a jog."""
         motion = self._current
         if motion is None or motion.job is None:
@@ -366,12 +361,12 @@ class Goals:
             raise Refusal(INVALID_GOAL, words)
         request = Offer(motion.request, motion.ticket, motion.id, state, scene)
         if isinstance(planned, Planned):
-            program = goal_program(self._parts, self._pace, request, planned)
+            program = goal_program(self._parts, request, planned)
             program.tables = motion.tables
         else:
             assert planned is not None
             assert isinstance(motion.wanted, dict)
-            program = jog_program(self._parts, self._pace, request, motion.wanted, planned)
+            program = jog_program(self._parts, request, motion.wanted, planned)
         motion.program, motion.since = program.program.program, self._moment.now
         self._programs.offer(program)
 

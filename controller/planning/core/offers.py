@@ -66,7 +66,7 @@ class Made(NamedTuple):
     homed: bytes = b""
 
 
-def goal_program(parts: Parts, pace: Pace, offer: Offer, planned: Planned) -> InFlight:
+def goal_program(parts: Parts, offer: Offer, planned: Planned) -> InFlight:
     """Returns the program of a planned goal.
 
     Raises:
@@ -82,17 +82,17 @@ def goal_program(parts: Parts, pace: Pace, offer: Offer, planned: Planned) -> In
     else:
         stage = unpack_states(state.real(first[0]), len(state.outputs))
         waits = max(parts.view.rest.ready(state, stage, not offer.scene.free) - moment.now, 0.0)
-        delay = delay_of(trajectory, pace.lead * len(first) + waits)
+        delay = delay_of(trajectory, parts.pace.lead * len(first) + waits)
     between = np.ones(len(planned.points), np.bool_)
     between[trajectory.waypoints] = False
     times = trajectory.times.tolist()
-    route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), pace.lead, delay)
+    route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), parts.pace.lead, delay)
     report = GoalReport(parts.view.manipulator, offer.id, trajectory)
     waypoints, switches = len(trajectory.waypoints), planned.proof.switches
     points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
     words = f"accepted, {points}, {switches} {'switch' if switches == 1 else 'switches'} planned"
     made = Made(route, report, f"goal {offer.id}", words, not offer.scene.free, begin, planned.proof)
-    program = _in_flight(parts, pace, offer, made)
+    program = _in_flight(parts, offer, made)
     program.plan, program.delay = planned.plan, delay
     return program
 
@@ -117,9 +117,9 @@ def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
     return in_groups(state.commanded, target, pace.inrush or len(labels))
 
 
-def jog_program(parts: Parts, pace: Pace, offer: Offer, wanted: dict[int, int], stages: States) -> InFlight:
+def jog_program(parts: Parts, offer: Offer, wanted: dict[int, int], stages: States) -> InFlight:
     """Returns the program that switches single actuators in stages (k, A)."""
-    state, labels, lead = offer.state, offer.state.manipulator.actuators, pace.lead
+    state, labels, lead = offer.state, offer.state.manipulator.actuators, parts.pace.lead
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
     route = Route(state.snapshot.outputs, (point,), (lead * len(point.stages),), (False,), lead, 0.0)
     known = state.unknown_state is None and state.configuration is not None
@@ -129,15 +129,15 @@ def jog_program(parts: Parts, pace: Pace, offer: Offer, wanted: dict[int, int], 
     words = f"accepted, {switches} switches: {named}{unchecked}"[:1_000]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
     strict, name = known and not offer.scene.free, f"jog {offer.id}"
-    program = _in_flight(parts, pace, offer, Made(route, JogReport(offer.id, wanted), name, words, strict, homed=homed))
+    program = _in_flight(parts, offer, Made(route, JogReport(offer.id, wanted), name, words, strict, homed=homed))
     program.unchecked = not known
     return program
 
 
-def _in_flight(parts: Parts, pace: Pace, offer: Offer, made: Made) -> InFlight:
+def _in_flight(parts: Parts, offer: Offer, made: Made) -> InFlight:
     """Returns the program, and what belongs to it while it is in flight."""
     number, manipulator, route = parts.numbers.next(), parts.view.manipulator, made.route
-    most = pace.inrush or len(manipulator.actuators)
+    most = parts.pace.inrush or len(manipulator.actuators)
     feed = Feed(manipulator, number, route, made.strict, offer.scene.generation, made.proof, most)
     program = Program(
         number,

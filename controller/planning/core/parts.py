@@ -8,16 +8,21 @@ its answer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from controller.planning.core.events import Abandon, Action, Fail, Start
 from controller.planning.core.tasks import Answer, Task
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from controller.motion.pacing import Pace
     from controller.planning.core.arm import ExecutorView, Locks
     from controller.planning.core.obstacles import ObstacleOwner
     from controller.planning.core.programs import Programs
+    from controller.planning.core.results import Results
 
 BARRED = "a cancel, stop, reset or fault came before it began"
 
@@ -108,8 +113,8 @@ class Admission:
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
 
-# Takes an answer, whether it is the task's last one, and the time [s].
-OnAnswer = Callable[[Answer, bool, float], None]
+OnAnswer = Callable[[Answer], None]
+Bias = Callable[[float], "NDArray[np.float64] | None"]
 
 
 @dataclass(eq=False)
@@ -138,12 +143,12 @@ class Jobs:
     """Starts tasks, and passes each answer to the part of the core that asked.
 
     Args:
+        moment: of the present step.
         act: takes actions.
     """
 
-    def __init__(self, act: Callable[[Action], None]) -> None:
-        self._act = act
-        self._last = 0
+    def __init__(self, moment: Moment, act: Callable[[Action], None]) -> None:
+        self._moment, self._act, self._last = moment, act, 0
         self._jobs: dict[int, Job] = {}
 
     def start(self, task: Task, on_answer: OnAnswer) -> int:
@@ -153,29 +158,30 @@ class Jobs:
         self._act(Start(self._last, task))
         return self._last
 
-    def abandon(self, number: int | None, now: float) -> None:
+    def abandon(self, number: int | None) -> None:
         """Abandons a task: its answers are dropped from now on."""
         job = None if number is None else self._jobs.get(number)
         if number is not None and job is not None and job.abandoned_at is None:
-            job.on_answer, job.abandoned_at = None, now
+            job.on_answer, job.abandoned_at = None, self._moment.now
             self._act(Abandon(number))
 
-    def answered(self, number: int, answer: Answer, last: bool, now: float) -> None:
+    def answered(self, number: int, answer: Answer, last: bool) -> None:
         """Passes an answer on."""
         job = self._jobs.pop(number, None) if last else self._jobs.get(number)
         if job is not None and job.on_answer is not None:
-            job.on_answer(answer, last, now)
+            job.on_answer(answer)
 
-    def tick(self, now: float) -> None:
+    def tick(self) -> None:
         """Ends the process if a worker does not end a task that it was told to abandon."""
         for job in self._jobs.values():
-            if job.abandoned_at is not None and now - job.abandoned_at > HUNG:
+            if job.abandoned_at is not None and self._moment.now - job.abandoned_at > HUNG:
                 job.abandoned_at = None
                 kind = type(job.task).__name__
                 self._act(Fail(f"a worker did not end its task {kind} within {HUNG:g} s: the process starts again"))
 
+    @property
     def waiting(self) -> int:
-        """Returns the number of tasks under way."""
+        """Number of tasks under way."""
         return len(self._jobs)
 
 
@@ -195,39 +201,37 @@ class ProgramNumbers:
         self._last = max(self._last, number)
 
 
-class Shared(NamedTuple):
-    """What all parts of the core share; each has one owner, the others ask."""
-
-    view: ExecutorView
-    admission: Admission
-    jobs: Jobs
-    moment: Moment
-    numbers: ProgramNumbers
-    act: Callable[[Action], None]
+def no_bias(now: float) -> None:
+    """Returns the tip bias of an arm without a tracker: none."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Parts:
-    """The parts of the core that others ask.
+    """The parts of the core; each owns its facts, the others ask.
+
+    The core sets `locks`, `obstacles`, `results` and `programs` once, in this order. Each may ask those before it.
 
     Attributes:
         view: what the executor last said.
-        admission: of requests and set-points.
-        numbers: of programs and streams.
-        jobs: tasks under way.
-        moment: of the present step.
+        pace: of the arm's transitions.
+        name: of this process, distinct from those of all others; a part of ids.
         act: takes actions.
-        locks: locked actuators and tables.
-        obstacles: all obstacles.
-        programs: what is in flight.
+        bias: returns the tip bias that corrects goals at a time [s], shape (dimension,); None: no tracker.
     """
 
     view: ExecutorView
-    admission: Admission
-    numbers: ProgramNumbers
-    jobs: Jobs
-    moment: Moment
+    pace: Pace
+    name: str
     act: Callable[[Action], None]
-    locks: Locks
-    obstacles: ObstacleOwner
-    programs: Programs
+    bias: Bias = no_bias
+    moment: Moment = field(default_factory=Moment)
+    admission: Admission = field(default_factory=Admission)
+    numbers: ProgramNumbers = field(default_factory=ProgramNumbers)
+    jobs: Jobs = field(init=False)
+    locks: Locks = field(init=False)
+    obstacles: ObstacleOwner = field(init=False)
+    results: Results = field(init=False)
+    programs: Programs = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.jobs = Jobs(self.moment, self.act)

@@ -12,10 +12,9 @@ from controller.motion.feed import Feed, Improved
 from controller.planning.core.arm import ArmState, measured_states
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
-from controller.planning.core.obstacles import ObstacleOwner
-from controller.planning.core.parts import Shared, Ticket
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.reports import Outcome, Report, collision_outcome
-from controller.planning.core.results import Known, Results
+from controller.planning.core.results import Known
 from controller.planning.core.tasks import Answer, Checked, CheckStages, Deviations, ImprovePlan, Scene, Tables
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
 
@@ -72,16 +71,14 @@ class Programs:
         last_accepted: number of the latest program that the executor accepted.
 
     Args:
-        shared: what all parts of the core share.
-        obstacles: the obstacles.
-        results: publishes results.
+        parts: of the core.
         searches: whether plans are improved while they run.
     """
 
-    def __init__(self, shared: Shared, obstacles: ObstacleOwner, results: Results, searches: bool) -> None:
+    def __init__(self, parts: Parts, searches: bool) -> None:
         self.last_accepted = 0
-        self._view, self._jobs, self._moment, self._act = shared.view, shared.jobs, shared.moment, shared.act
-        self._obstacles, self._results, self._searches = obstacles, results, searches
+        self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
+        self._obstacles, self._results, self._searches = parts.obstacles, parts.results, searches
         self._programs: dict[int, InFlight] = {}
         self._replies: dict[int, tuple[int, dict[str, Any]]] = {}  # by entry of the ledger
 
@@ -146,7 +143,7 @@ class Programs:
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
         for program in list(self._programs.values()):
-            self._jobs.abandon(program.improving, self._moment.now)
+            self._jobs.abandon(program.improving)
             self._stop_improving(program)
 
     # --- the executor
@@ -200,7 +197,7 @@ class Programs:
             self._results.ended(message, None)
             return
         program.held.append(message)
-        self._jobs.abandon(program.checking, self._moment.now)
+        self._jobs.abandon(program.checking)
         program.checking = None
         self._tell(program)
 
@@ -225,8 +222,8 @@ class Programs:
         """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
         for program in list(self._programs.values()):
             if program.feed.checked != generation and not program.unchecked:
-                self._jobs.abandon(program.checking, self._moment.now)
-                self._jobs.abandon(program.improving, self._moment.now)
+                self._jobs.abandon(program.checking)
+                self._jobs.abandon(program.improving)
                 self._stop_improving(program)
                 program.checking = None
                 program.feed.park(generation)
@@ -254,7 +251,7 @@ class Programs:
         self._obstacles.note(f"goal {program.report.id} goes on, its stages are clear")
         self._feed(program)
 
-    def _checked(self, program: InFlight, until: int, answer: Answer, last: bool, now: float) -> None:
+    def _checked(self, program: InFlight, until: int, answer: Answer) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
         program.checking = None
         words = answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
@@ -275,7 +272,7 @@ class Programs:
         program.deviates = True
         program.improving = self._jobs.start(task, partial(self._improved, program))
 
-    def _improved(self, program: InFlight, answer: Answer, last: bool, now: float) -> None:
+    def _improved(self, program: InFlight, answer: Answer) -> None:
         """Takes deviations and better plans."""
         if isinstance(answer, Deviations):
             program.feed.note_deviations(answer.values)
@@ -283,7 +280,7 @@ class Programs:
         elif isinstance(answer, Improved) and program.outcome is None:
             program.feed.improve(answer)
             self._feed(program)
-        if last:
+        elif not isinstance(answer, Improved):  # the last answer
             self._stop_improving(program)
         self._tell(program)
 
@@ -292,8 +289,8 @@ class Programs:
         self._tell(program)
 
     def _stop_tasks(self, program: InFlight) -> None:
-        self._jobs.abandon(program.improving, self._moment.now)
-        self._jobs.abandon(program.checking, self._moment.now)
+        self._jobs.abandon(program.improving)
+        self._jobs.abandon(program.checking)
         program.improving = program.checking = None
         program.deviates = False
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -26,8 +25,7 @@ from controller.program import Answer as ExecutorAnswer
 from controller.program import Cancel, Down, Lock, Reset
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    pass
 
 CANCELED = "canceled; the arm holds"
 PATIENCE = 2.0  # [s] for an answer, after which the executor counts as silent
@@ -125,8 +123,6 @@ class ExecutorRequests:
             self._act(Reply(number, payload))  # type: ignore[arg-type]
 
 
-Bias = Callable[[float], "NDArray[np.float64] | None"]  # returns the tip bias at a time [s]
-
 MOST_WAITING = 4
 LONGEST = 10.0  # [s] for one query, without its time in the queue
 
@@ -136,18 +132,10 @@ class Queries:
 
     Args:
         parts: of the core.
-        bias: returns the tip bias that corrects goals; None: no tracker.
-        name: of this process, in the ids of goals.
     """
 
-    def __init__(self, parts: Parts, bias: Bias, name: str) -> None:
-        self._parts, self._locks, self._obstacles, self._bias, self._name = (
-            parts,
-            parts.locks,
-            parts.obstacles,
-            bias,
-            name,
-        )
+    def __init__(self, parts: Parts) -> None:
+        self._parts, self._locks, self._obstacles = parts, parts.locks, parts.obstacles
         self._waiting: dict[int, tuple[Request, str, int | None]] = {}  # by request: content, id of the goal, task
 
     @property
@@ -159,7 +147,7 @@ class Queries:
         """Takes a query, or refuses it at once."""
         message = request.message
         assert isinstance(message, GoalMessage)
-        goal = message.id or f"{self._name}{request.number:x}"
+        goal = message.id or f"{self._parts.name}{request.number:x}"
         if len(self._waiting) > MOST_WAITING:
             words = f"busy: {MOST_WAITING} plan queries are waiting already"
             self._parts.act(Reply(request.number, refused(INVALID_GOAL, words, goal)))
@@ -181,7 +169,7 @@ class Queries:
     def close(self) -> None:
         """Refuses all queries: the process ends."""
         for request, goal, job in list(self._waiting.values()):
-            self._parts.jobs.abandon(job, self._parts.moment.now)
+            self._parts.jobs.abandon(job)
             self._answer(request.number, refused(INVALID_GOAL, CLOSING, goal))
 
     def _task(self, request: Request, goal: str) -> DescribePlan:
@@ -197,13 +185,13 @@ class Queries:
             words = f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
             raise Refusal(INVALID_GOAL, words)
         assert scene is not None
-        bias = self._bias(self._parts.moment.now)
+        bias = self._parts.bias(self._parts.moment.now)
         numbers = None if bias is None else tuple(bias.tolist())
         message = request.message
         assert isinstance(message, GoalMessage)
         return DescribePlan(goal, message, request.wall, state.start, numbers, tables, scene, LONGEST)
 
-    def _answered(self, request: int, goal: str, answer: Answer, last: bool, now: float) -> None:
+    def _answered(self, request: int, goal: str, answer: Answer) -> None:
         match answer:
             case Described(payload):
                 self._answer(request, payload)

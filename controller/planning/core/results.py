@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,10 +14,9 @@ from controller.manipulator.locked import STATES
 from controller.motion import codes
 from controller.motion.feed import Proof
 from controller.motion.targets import Target, measured_pose
-from controller.planning.core.arm import ExecutorView, Measured, measured_states
+from controller.planning.core.arm import Measured, measured_states
 from controller.planning.core.events import (
     Accepted,
-    Action,
     Identity,
     Log,
     OpenGoal,
@@ -27,7 +26,7 @@ from controller.planning.core.events import (
     ToExecutor,
 )
 from controller.planning.core.events import Ended as EndedEntry
-from controller.planning.core.parts import Moment
+from controller.planning.core.parts import Parts
 from controller.planning.core.reports import Context, Outcome, decode_context
 from controller.program import Acknowledge, Ended
 
@@ -83,22 +82,13 @@ class Results:
     acknowledged when the executor sends its result again.
 
     Args:
-        view: what the executor last said.
-        moment: of the present step.
+        parts: of the core.
         published: programs whose results were published before.
         owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
-        act: takes actions.
     """
 
-    def __init__(
-        self,
-        view: ExecutorView,
-        moment: Moment,
-        published: Iterable[Identity],
-        owed: Iterable[OpenGoal],
-        act: Callable[[Action], None],
-    ) -> None:
-        self._view, self._moment, self._act = view, moment, act
+    def __init__(self, parts: Parts, published: Iterable[Identity], owed: Iterable[OpenGoal]) -> None:
+        self._view, self._moment, self._act = parts.view, parts.moment, parts.act
         self._told = dict.fromkeys(published)  # ordered: the oldest are forgotten first
         self._owed = {goal.identity: goal for goal in owed}
         self._last = 0  # number of a publication or of an entry of the ledger

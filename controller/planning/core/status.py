@@ -148,7 +148,7 @@ class Status:
             "loop": {} if latest is None else latest.loop,
             "buses": [] if latest is None else latest.buses,
             "boards": [] if latest is None else latest.boards,
-            "queues": {"inbox": self._parts.jobs.waiting(), "planning": self._planning()},
+            "queues": {"inbox": self._parts.jobs.waiting, "planning": self._planning()},
             "setpoint": self._stream.status(now),
             "switches": switches,
             "counts": [] if latest is None else latest.counts,

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.motion.codes import Refusal
 from controller.motion.setpoint import decode
@@ -48,14 +46,11 @@ class Stream:
         arm: the arm that follows.
         tracking: parameters of the tracker.
         parts: shared parts of the core.
-        bias: returns the tip bias at a time [s], shape (dimension,); None: no tracker.
     """
 
-    def __init__(
-        self, arm: Arm, tracking: Tracking, parts: Parts, bias: Callable[[float], NDArray[np.float64] | None]
-    ) -> None:
+    def __init__(self, arm: Arm, tracking: Tracking, parts: Parts) -> None:
         """Builds the tracker, which takes almost a second."""
-        self._parts, self._bias, self._dimension = parts, bias, arm.manipulator.dimension
+        self._parts, self._dimension = parts, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._lead = arm.travel_time + PERIOD  # of a stage
@@ -205,7 +200,7 @@ class Stream:
             self._found = None
             self._set_note(f", which is not possible now: {self._obstruction(state)}", now)
             return
-        bias, tolerance = self._bias(now), self._tolerance
+        bias, tolerance = self._parts.bias(now), self._tolerance
         shift = np.zeros(self._dimension) if bias is None else bias
         tip = self._parts.view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
         lead = max(free_at - now, self._searching) + self._lead
@@ -218,11 +213,11 @@ class Stream:
         task = FollowSetpoint(state.start, position, tolerance, tables, scene, numbers)
         self._job = self._parts.jobs.start(task, self._take_answer), task
 
-    def _take_answer(self, answer: Answer, _last: bool, now: float) -> None:
+    def _take_answer(self, answer: Answer) -> None:
         """Stores the answer of the search for the consideration at the end of this step."""
         assert self._job is not None
         (_, task), self._job = self._job, None
-        self._next_look = now
+        self._next_look = self._parts.moment.now
         if isinstance(answer, Followed):
             self._searching = running_mean(self._searching, answer.seconds)
             self._answer = task, answer
@@ -241,7 +236,7 @@ class Stream:
     def _abandon(self, now: float) -> None:
         """Abandons the search under way, and drops what was found."""
         if self._job is not None:
-            self._parts.jobs.abandon(self._job[0], now)
+            self._parts.jobs.abandon(self._job[0])
         self._job = self._answer = self._found = None
 
     # --- what is told

@@ -37,7 +37,7 @@ class StatusBench(PlayedCore):
     def __init__(self, arm: Arm, tracker: TrackerSettings | None = None) -> None:
         super().__init__(arm)
         bias = None if tracker is None else TipBiasEstimator(self.parts, tracker)
-        stream = Stream(arm, tracking_of(arm.manipulator.length, arm.tolerance), self.parts, lambda now: None)
+        stream = Stream(arm, tracking_of(arm.manipulator.length, arm.tolerance), self.parts)
         self.planning = 0
         self.status = Status(self.parts, stream, bias, lambda: self.planning)
 

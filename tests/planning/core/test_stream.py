@@ -33,7 +33,8 @@ class StreamBench(PlayedCore):
         self.bias: np.ndarray | None = None
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         self.timeout = tracking.timeout
-        self.stream = Stream(arm, tracking, self.parts, lambda now: self.bias)
+        self.parts.bias = lambda now: self.bias
+        self.stream = Stream(arm, tracking, self.parts)
         self.position: list[float] | None = None
         self.first: Ticket | None = None  # of the last stream
         self.steps, self._next = 0, self.now
