@@ -38,12 +38,7 @@ def packed(states: NDArray[np.generic]) -> bytes:
 
 
 class ArmState:
-    """The arm at one snapshot. Immutable; its arrays are computed at first use.
-
-    Attributes:
-        snapshot: as the executor sent it.
-        manipulator: the whole arm.
-    """
+    """The arm at one snapshot. Immutable; its arrays are computed at first use."""
 
     def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
         self.manipulator, self.snapshot = manipulator, snapshot
@@ -143,7 +138,6 @@ class RestClock:
     Args:
         actuators: number of actuators.
         travel: longest time of an actuator from end-stop to end-stop [s].
-        pace: of the transitions.
     """
 
     def __init__(self, actuators: int, travel: float, pace: Pace) -> None:
@@ -170,19 +164,15 @@ class ExecutorView:
     """What the executor last said, and whether it is connected.
 
     Attributes:
-        manipulator: the whole arm.
         state: the arm at the latest snapshot; None if there is none.
         diagnostics: the latest; None while not connected.
         instance: of the latest executor; None before the first connection.
-        connected: whether the executor takes messages.
         problem: why there is no connection.
-        rest: when each actuator switched last.
         counted: switches of all actuators when the first executor was met; None before.
 
     Args:
         manipulator: the whole arm.
         travel: longest time of an actuator from end-stop to end-stop [s].
-        pace: of the transitions.
     """
 
     def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
@@ -237,6 +227,13 @@ class ExecutorView:
         return snapshot.mode, self._sentence if snapshot.mode == "ready" and self._sentence else snapshot.reason
 
 
+def obstruction(state: ArmState, mode: Mode, reason: str) -> str | None:
+    """Returns why no goal can be planned from a state, in the mode that users see; None if one can."""
+    if state.unknown_state is not None:
+        return f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
+    return f"the arm is {mode}: {reason}" if state.configuration is None else None
+
+
 def no_motion(mode: Mode, reason: str) -> Refusal:
     """Returns the refusal of a motion in a mode that allows none."""
     return Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}")
@@ -253,7 +250,6 @@ class Locks:
         problem: why the tables could not be rebuilt; None if they could.
 
     Args:
-        parts: of the core.
         tables: for the arm's file.
     """
 

@@ -30,8 +30,6 @@ class Change:
     """A request for other obstacles that is not answered yet.
 
     Attributes:
-        request: its number.
-        generation: of the obstacles.
         at: time of arrival [s].
         effects: what the obstacles did to running goals, as sentences.
     """
@@ -55,7 +53,6 @@ class ObstacleOwner:
         standing: with what the arm collides where it stands, in words; None: with nothing.
 
     Args:
-        parts: of the core.
         scene: of the arm's file.
         total: number of obstacles in it.
     """

@@ -25,15 +25,7 @@ UNCHECKED = "; collisions were not checked, because the arm is in no configurati
 
 
 class Offer(NamedTuple):
-    """A request that is planned and may be sent now.
-
-    Attributes:
-        request: its number.
-        ticket: its place among all requests.
-        id: of the goal or jog.
-        state: of the arm; the plan starts there.
-        scene: obstacles; the plan is clear among them.
-    """
+    """A request that is planned and may be sent now."""
 
     request: int
     ticket: Ticket
@@ -46,13 +38,9 @@ class Made(NamedTuple):
     """What a program is made from.
 
     Attributes:
-        route: points and times.
-        report: makes feedback and result.
-        name: for sentences.
         words: of the answer.
         strict: whether no stage may be skipped.
         begin: zero of time [s]; 0 means now.
-        proof: of the plan; None for a jog.
         homed: packed mask of the actuators of unknown state that are homed; empty: all.
     """
 

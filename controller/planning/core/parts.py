@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from controller.planning.core.programs import Programs
     from controller.planning.core.results import Results
 
+HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
+OnAnswer = Callable[[Answer], None]
+Bias = Callable[[float], "NDArray[np.float64] | None"]
 BARRED = "a cancel, stop, reset or fault came before it began"
 
 
@@ -109,12 +112,6 @@ class Admission:
     def stream_ended(self, ticket: Ticket) -> bool:
         """Returns whether a stream of set-points is no longer followed, given the ticket of its first set-point."""
         return ticket.number <= self._replaced or self.barred(ticket)
-
-
-HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
-
-OnAnswer = Callable[[Answer], None]
-Bias = Callable[[float], "NDArray[np.float64] | None"]
 
 
 @dataclass(eq=False)
@@ -235,3 +232,8 @@ class Parts:
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.moment, self.act)
+
+    def correction(self) -> tuple[float, ...] | None:
+        """Returns the present tip bias as `dimension` numbers; None: no tracker."""
+        bias = self.bias(self.moment.now)
+        return None if bias is None else tuple(bias.tolist())

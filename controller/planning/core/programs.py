@@ -28,20 +28,12 @@ class InFlight:
     Attributes:
         program: as it was sent.
         request: number of the client's request; its answer waits until the ledger has the acceptance.
-        ticket: of the request.
-        report: makes feedback and result.
-        feed: its stages.
-        plan: for the improvement; None for a jog.
-        tables: of the plan.
-        answer: of the request, once it is accepted.
         delay: the trajectory's t = 0 in the program's time [s].
         begin: its zero of time [s].
-        accepted: whether the executor accepted it.
         outcome: the planner's reason to end it; the executor's result follows.
-        improving: number of the task that improves it.
+        improving, checking: numbers of the tasks that improve and check it.
         deviates: whether the deviations of its points are still awaited.
         held: reports that wait for the deviations, in order.
-        checking: number of the task that checks it.
         unchecked: whether it cannot be checked, because the arm is in no configuration.
     """
 
@@ -71,7 +63,6 @@ class Programs:
         last_accepted: number of the latest program that the executor accepted.
 
     Args:
-        parts: of the core.
         searches: whether plans are improved while they run.
     """
 
@@ -222,10 +213,8 @@ class Programs:
         """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
         for program in list(self._programs.values()):
             if program.feed.checked != generation and not program.unchecked:
-                self._jobs.abandon(program.checking)
-                self._jobs.abandon(program.improving)
-                self._stop_improving(program)
-                program.checking = None
+                self._stop_tasks(program)
+                self._tell(program)
                 program.feed.park(generation)
                 self._feed(program)
 

@@ -110,14 +110,7 @@ class GoalReport:
     """The reports on a goal.
 
     Attributes:
-        id: of the goal.
-        trajectory: of the goal.
         count: number of waypoints.
-
-    Args:
-        manipulator: the whole arm.
-        goal: its id.
-        trajectory: of the goal.
     """
 
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage
-from controller.planning.core.arm import no_motion
+from controller.planning.core.arm import no_motion, obstruction
 from controller.planning.core.events import (
     CLOSING,
     CancelMessage,
@@ -27,6 +27,8 @@ from controller.program import Cancel, Down, Lock, Reset
 if TYPE_CHECKING:
     pass
 
+MOST_WAITING = 4
+LONGEST = 10.0  # [s] for one query, without its time in the queue
 CANCELED = "canceled; the arm holds"
 PATIENCE = 2.0  # [s] for an answer, after which the executor counts as silent
 
@@ -35,7 +37,6 @@ class ExecutorRequests:
     """Requests that the executor answers; the request's number is the number of the executor's request.
 
     Args:
-        parts: of the core.
         goals: waiting goals.
     """
 
@@ -123,16 +124,8 @@ class ExecutorRequests:
             self._act(Reply(number, payload))  # type: ignore[arg-type]
 
 
-MOST_WAITING = 4
-LONGEST = 10.0  # [s] for one query, without its time in the queue
-
-
 class Queries:
-    """Answers `plan` queries, each once.
-
-    Args:
-        parts: of the core.
-    """
+    """Answers `plan` queries, each once."""
 
     def __init__(self, parts: Parts) -> None:
         self._parts, self._locks, self._obstacles = parts, parts.locks, parts.obstacles
@@ -179,17 +172,14 @@ class Queries:
             Refusal: the arm's state is not known, or its tables are being rebuilt.
         """
         state, tables, scene = self._parts.view.state, self._locks.tables, self._obstacles.scene
-        if state is None or tables is None or (state.configuration is None and state.unknown_state is None):
+        if state is None or tables is None:
             raise no_motion(*self._locks.mode())
-        if state.unknown_state is not None:
-            words = f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
+        if (words := obstruction(state, *self._locks.mode())) is not None:
             raise Refusal(INVALID_GOAL, words)
         assert scene is not None
-        bias = self._parts.bias(self._parts.moment.now)
-        numbers = None if bias is None else tuple(bias.tolist())
         message = request.message
         assert isinstance(message, GoalMessage)
-        return DescribePlan(goal, message, request.wall, state.start, numbers, tables, scene, LONGEST)
+        return DescribePlan(goal, message, request.wall, state.start, self._parts.correction(), tables, scene, LONGEST)
 
     def _answered(self, request: int, goal: str, answer: Answer) -> None:
         match answer:

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
-
-
 STATUS_CODES = {
     "canceled": codes.INVALID_GOAL,
     "replaced": codes.INVALID_GOAL,
@@ -63,10 +61,8 @@ class Untold:
     """A result on its way.
 
     Attributes:
-        identity: of the program.
         result: number at the executor, which waits for its acknowledgement; None: the executor does not know it.
         accepted: the acceptance, for a ledger that may not have it.
-        payload: of the result.
     """
 
     identity: Identity
@@ -82,7 +78,6 @@ class Results:
     acknowledged when the executor sends its result again.
 
     Args:
-        parts: of the core.
         published: programs whose results were published before.
         owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
     """
@@ -115,9 +110,10 @@ class Results:
         """Takes the executor's result of a program; `known` is None for a program of an earlier planner process."""
         context, view = decode_context(message.context), self._view
         identity = Identity(view.instance or 0, message.program)
-        if any(untold.identity == identity for untold in (*self._publishing.values(), *self._recording.values())):
-            self._expect(identity, message.result)
-            return
+        for untold in (*self._publishing.values(), *self._recording.values()):
+            if untold.identity == identity:  # on its way; the executor waits for its acknowledgement
+                untold.result = message.result
+                return
         if context is None:
             text = f"the result of program {message.program} has no context that this planner can decode: "
             self._act(Log(logging.WARNING, text + message.message))
@@ -185,12 +181,6 @@ class Results:
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
         self._recording[number] = untold
         self._act(Record(number, untold.identity, untold.accepted, EndedEntry(self._moment.wall, *fields)))
-
-    def _expect(self, identity: Identity, result: int) -> None:
-        """Notes that the executor waits for the acknowledgement of a result that is on its way."""
-        for untold in (*self._publishing.values(), *self._recording.values()):
-            if untold.identity == identity:
-                untold.result = result
 
 
 def accepted_of(context: Context) -> Accepted:

@@ -64,12 +64,9 @@ class PlanGoal(NamedTuple):
     """Plan a goal. Answered by `Planned`, `Refused` or `Failed`.
 
     Attributes:
-        message: the goal.
         received: time of arrival [UNIX s].
         start: where the arm is, or where its running stage ends.
         bias: tip bias that corrects the goal, dimension numbers; None: no tracker.
-        tables: solvers.
-        scene: obstacles.
     """
 
     message: GoalMessage
@@ -84,11 +81,8 @@ class ImprovePlan(NamedTuple):
     """Improve a running plan. Answered by `Deviations` first, then by several `Improved`, at last by `Done`.
 
     Attributes:
-        plan: of `Planned`; opaque.
         begin: t = 0 of the trajectory [s, the monotonic clock].
         search: False: only the deviations are wanted.
-        tables: solvers.
-        scene: obstacles.
     """
 
     plan: Any
@@ -102,9 +96,6 @@ class PrepareSearch(NamedTuple):
     """Prepare the next search while no request waits. Answered by `Done`.
 
     Attributes:
-        start: where the arm is.
-        tables: solvers.
-        scene: obstacles.
         rehearsal: a goal to plan without effect, so that the processor's caches are warm; None: none.
     """
 
@@ -136,11 +127,8 @@ class FollowSetpoint(NamedTuple):
     """Search the configuration for a followed set-point. Answered by `Followed` or `Failed`.
 
     Attributes:
-        start: where the arm is.
         position: of the computed tip, dimension numbers.
         tolerance: greatest distance from the set-point; the search uses half of it.
-        tables: solvers.
-        scene: obstacles.
         bias: tip bias that corrects `position`, dimension numbers, for the note; None: no tracker.
     """
 
@@ -156,9 +144,8 @@ class CheckStages(NamedTuple):
     """Check consecutive stages for collisions. Answered by `Checked` or `Failed`.
 
     Attributes:
-        scene: obstacles.
-        before: states before the first stage, with the states of locked actuators.
-        stages: states after each stage, likewise.
+        before: packed states before the first stage, with the states of locked actuators.
+        stages: packed states after each stage, likewise.
     """
 
     scene: Scene
@@ -214,7 +201,6 @@ class Planned(NamedTuple):
     Attributes:
         trajectory: the goal, corrected by the tip bias.
         points: one for each point of the trajectory.
-        proof: of the whole plan.
         plan: for `ImprovePlan`; opaque.
     """
 
@@ -262,7 +248,6 @@ class SceneBuilt(NamedTuple):
     """A new scene.
 
     Attributes:
-        scene: the new one.
         total: number of all obstacles.
         sent: number of those sent.
     """

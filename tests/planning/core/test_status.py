@@ -14,9 +14,8 @@ from controller.config import Arm
 from controller.motion.goal_motion import tracking_of
 from controller.planning.core.events import Log, Notify, Publish
 from controller.planning.core.status import Status
-from controller.planning.core.stream import Stream
+from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import PrepareSearch
-from controller.planning.core.tip_bias import TipBiasEstimator
 from controller.program import Diagnostics, Fault
 from controller.settings import TrackerSettings
 from tests.planning.conftest import DOCUMENT
