@@ -25,7 +25,7 @@ from controller.commands.plan_goals import Goals, Orientation, follow, given, se
 from controller.config import Arm, load
 from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration
-from controller.manipulator.notation import format_configuration, pose
+from controller.motion.description import describe_solution
 from controller.search.method import Method
 from controller.strict import InputFaults
 
@@ -118,18 +118,10 @@ def plan(
 
 def answer(arm: Arm, position: list[float], orientation: Orientation, found: Solution) -> dict[str, Any]:
     """Returns the solution of a goal, for JSON."""
-    whole = transferred(found.configuration, arm.reduced, arm.manipulator)
     return {
         "goal": position,
-        "configuration": format_configuration(arm.manipulator, whole),
-        **pose(arm.manipulator, found.tip),
-        "error": found.error,
-        "orientation_error": None if orientation is None else found.angle,
-        "switches": found.switches,
+        **describe_solution(arm.manipulator, arm.reduced, found, orientation is not None),
         "within_tolerance": found.within_tolerance,
-        "seconds": found.seconds,
-        "cost": found.cost,
-        **found.proof(),
     }
 
 

@@ -105,17 +105,18 @@ class Manipulator:
         states = np.asarray(actuator_states)
         if states.shape != (len(self.actuators),):
             raise ValueError(f"the arm has {len(self.actuators)} actuator states, got an array of shape {states.shape}")
-        result, start = np.empty(len(self.modules), dtype=np.int64), 0
-        whole = states.astype(np.int64)
+        result, start = list[int](), 0
+        whole = states.astype(np.int64).tobytes()
         for i, codes in enumerate(self._codes):
             end = start + len(self.modules[i].actuators)
-            state = codes.get(whole[start:end].tobytes())
+            state = codes.get(whole[8 * start : 8 * end])
             if state is None:
                 raise ValueError(
                     f"module {i + 1} has no configuration with actuator states {states[start:end].tolist()}"
                 )
-            result[i], start = state, end
-        return result
+            result.append(state)
+            start = end
+        return np.array(result, dtype=np.int64)
 
     def per_module(self, values: ArrayLike) -> NDArray[np.float64]:
         """Returns values (A,) of the actuators by module, padded with 0, shape (B, Amax)."""
@@ -126,7 +127,7 @@ class Manipulator:
     def switches(self, first: ArrayLike, second: ArrayLike) -> int:
         """Returns the number of actuators that differ between two configurations (B,)."""
         rows = self._rows
-        return int((self.bits[rows, np.asarray(first)] != self.bits[rows, np.asarray(second)]).sum())
+        return int(np.count_nonzero(self.bits[rows, np.asarray(first)] != self.bits[rows, np.asarray(second)]))
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:

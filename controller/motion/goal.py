@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.destinations import destination, rotation
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
 from controller.strict import check
@@ -160,6 +160,29 @@ def check_destinations(message: GoalMessage) -> None:
                 raise refusal(f"{where}.{name}: a configuration already determines it, leave out one of them")
         if message.path_tolerance is not None:
             raise refusal(f"{where}.configuration: lines are followed by position only, leave out path_tolerance")
+
+
+def check_reach(message: GoalMessage, manipulator: Manipulator, farthest: float, tolerance: float) -> None:
+    """Checks the distances of a goal's positions from the base.
+
+    Args:
+        message: the goal.
+        manipulator: the whole arm.
+        farthest: greatest distance of the tip from the base.
+        tolerance: default tolerance of the position.
+
+    Raises:
+        Refusal: a position is farther than the tip can be; the message names the field.
+    """
+    base, most = manipulator.base[: manipulator.dimension, 3].tolist(), message.tolerance.position or tolerance
+    for k, waypoint in enumerate(message.waypoints):
+        position = waypoint.position
+        if position is None or len(position) != len(base):
+            continue
+        if (away := math.dist(position, base)) > farthest + most:
+            where = f"waypoints[{k}].position: ({', '.join(f'{x:g}' for x in position)}) is out of reach"
+            words = f"{where}: {away:g} from the base, and no tip is farther from it than {farthest:g}"
+            raise Refusal(GOAL_TOLERANCE_VIOLATED, words, message.id)
 
 
 def check_size(size: int) -> None:

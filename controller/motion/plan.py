@@ -1,16 +1,18 @@
 """The plan of a trajectory: a configuration for each point, and the stages of each transition."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration
+from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.pacing import Blocked, Infeasible, Pace, Staged
+from controller.motion.restaging import restage
 from controller.motion.trajectory import Trajectory, upwards
+from controller.obstacles.keep_out import KeepOutSet
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.search.solution import Certificate, Solution, certificate, proof
 from controller.search.solver import Solver
@@ -184,8 +186,45 @@ def transition_to(
             where += f", one of {parts} parts"
             whole = f", and the line {upwards(parts * pace.needed(solution.switches)):g} s"
         raise Refusal(INVALID_GOAL, f"{where}: {available:.3g} s, {error}{whole}") from None
+    if len(staged.stages) == 1:  # no actuator switches twice
+        return solution, staged
     counts = staged.switches_from(solver.manipulator.actuator_states(previous))
     return replace(solution, switches=int(counts.sum()), cost=solver.cost_of(counts)), staged
+
+
+def first_transition(
+    manipulator: Manipulator,
+    pace: Pace,
+    keep_out: KeepOutSet,
+    commanded: NDArray[np.uint8],
+    planned: Staged,
+    proceed: Callable[[], None],
+) -> Staged:
+    """Returns the transition to the first point of a plan from other actuator states than planned.
+
+    Planned stages among obstacles stay if they are clear from there, because they may contain detours.
+
+    Args:
+        manipulator: the whole arm.
+        pace: of the transitions.
+        keep_out: the obstacles.
+        commanded: actuator states before, of a configuration, shape (A,).
+        planned: the transition of the plan.
+        proceed: called before each check of a stage; it raises if the transition is no longer needed.
+
+    Raises:
+        Refusal: the stages would collide.
+    """
+    most = pace.inrush or len(commanded)
+    if not keep_out.free:
+        rows = np.vstack([commanded, planned.stages])
+        fits = np.count_nonzero(rows[1:] != rows[:-1], axis=1).max() <= most
+        if fits and keep_out.first_collision(commanded, planned.stages, proceed) is None:
+            return planned
+    stages = restage(manipulator, commanded, planned.stages, most)
+    if (collision := keep_out.first_collision(commanded, stages, proceed)) is not None:
+        raise Refusal(INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
+    return planned if np.array_equal(stages, planned.stages) else Staged(stages, None, planned.strict)
 
 
 def sweep_for(solver: Solver) -> Sweep | None:

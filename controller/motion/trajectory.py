@@ -63,7 +63,8 @@ class Trajectory:
         if bias is None:
             return self
         positions = self.positions - bias
-        positions[list(self.fixed)] = self.positions[list(self.fixed)]
+        if self.fixed:
+            positions[list(self.fixed)] = self.positions[list(self.fixed)]
         return replace(self, positions=positions, bias=bias)
 
     def goal(self, point: int) -> Array:
@@ -93,7 +94,7 @@ class Trajectory:
 
     def between(self, point: int) -> bool:
         """Returns whether a point lies between waypoints."""
-        return int(self.waypoints[self.next(point)]) != point
+        return len(self.waypoints) < len(self.times) and int(self.waypoints[self.next(point)]) != point
 
     def next(self, point: int) -> int:
         """Returns the number of the first waypoint at or after a point."""

@@ -39,8 +39,7 @@ from controller.planning.mailboxes import Receive
 from controller.planning.published import PublishedResults
 from controller.planning.requests import RequestDecoder
 from controller.planning.services import Out, Services
-from controller.planning.workers.arm_model import build_tables
-from controller.planning.workers.keep_out import build_scene
+from controller.planning.workers.arm_model import build_scene, build_tables
 from controller.planning.workers.pool import Workers
 from controller.program import Cancel, Fault, Halt
 from controller.workspace.densities import Densities

@@ -25,6 +25,8 @@ from controller.workspace.hull import build_hull
 
 Vector = NDArray[np.float64]
 
+IDENTITY = np.eye(4)
+
 DEADLINE = 0.05  # [s]
 PATIENCE = 0.5  # [s] for a goal with orientation, or among obstacles, that is not reached within the deadline
 
@@ -182,13 +184,14 @@ class Solver:
         bound: float = 0.0,
     ) -> Solution:
         tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
-        cost = float(self.cost(configuration, previous))
-        feasible = clear and target.met(configuration)
+        differ = self._differ(configuration, previous)
+        cost = float((differ * self.weights).sum())
+        feasible = clear and target.met_by(tip)
         return Solution(
             configuration=configuration,
             tip=tip,
             error=float(distance(tip, target.goal)),
-            switches=self.manipulator.switches(configuration, previous),
+            switches=int(np.count_nonzero(differ)),
             within_tolerance=feasible,
             seconds=seconds,
             cost=cost,
@@ -214,7 +217,7 @@ class Solver:
         Raises:
             ValueError: the goal has the wrong number of coordinates, or leaves the plane of a planar arm.
         """
-        given, frame = np.asarray(goal, dtype=float), np.eye(4)
+        given, frame = np.asarray(goal, dtype=float), IDENTITY.copy()
         arm = "planar" if self.manipulator.planar else "spatial"
         if given.shape == (4, 4):
             frame = np.ascontiguousarray(given)
@@ -233,9 +236,12 @@ class Solver:
 
     def cost(self, configurations: ArrayLike, previous: ArrayLike) -> Any:
         """Returns the cost of the switches (...) between configurations, both (..., B)."""
+        return (self._differ(configurations, previous) * self.weights).sum(axis=(-2, -1))
+
+    def _differ(self, configurations: ArrayLike, previous: ArrayLike) -> NDArray[np.bool_]:
+        """Returns which actuators (..., B, Amax) differ between configurations, both (..., B)."""
         bits, modules = self.manipulator.bits, np.arange(len(self.manipulator.modules))
-        differ = bits[modules, np.asarray(previous)] != bits[modules, np.asarray(configurations)]
-        return (differ * self.weights).sum(axis=(-2, -1))
+        return np.asarray(bits[modules, np.asarray(previous)] != bits[modules, np.asarray(configurations)])
 
     def cost_of(self, counts: ArrayLike) -> float:
         """Returns the cost of switches, from how often each actuator switches, shape (A,)."""

@@ -153,7 +153,12 @@ class Target:
 
     def met(self, configuration: Configuration) -> bool:
         """Returns whether the tip of a configuration (B,) is within both tolerances."""
-        return bool(reaches(self.query, np.ascontiguousarray(configuration, dtype=np.int64)))
+        return self.met_by(self.manipulator.tip(configuration))
+
+    def met_by(self, tip: Frame) -> bool:
+        """Returns whether a tip (4, 4) in the world is within both tolerances."""
+        angle = float(self.angle_tolerance) if self.oriented else math.inf
+        return bool(within(tip, self.goal, float(self.tolerance), angle))
 
 
 def search_radius(manipulator: Manipulator, tolerance: float) -> float:

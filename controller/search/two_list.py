@@ -44,7 +44,8 @@ class TwoList:
         size = coordinates(self._motions)
         self._cells = Cells(len(self._rows[1].costs), size)
         self.bands = tuple(Cells(len(half.costs), size, BAND_CELLS) for half in self._rows[::-1])
-        self._key: tuple[NDArray[np.generic], ...] = ()
+        self._key: tuple[bytes | int | None, ...] = ()  # what is listed
+        self._seed = np.empty(0, dtype=np.int64)
         self._sorted: tuple[float, ...] = ()
         self._index: Index
 
@@ -65,8 +66,8 @@ class TwoList:
             costs: cost of each module's states, shape (B, Kmax).
             most: greatest number of rows of a half; None: as many as fit.
         """
-        key = (seed, distances, costs, np.array([0 if most is None else most]))
-        if self._key and all(map(np.array_equal, key, self._key)):
+        key = (seed.tobytes(), distances.tobytes(), costs.tobytes(), most)
+        if key == self._key:
             return
         self._key, self._sorted = (), ()  # until it is done
         self.lower, self.upper = (
@@ -74,7 +75,7 @@ class TwoList:
             for half, ends in zip(self._rows, self._ends, strict=True)
         )
         invert_all(self.lower.frames)
-        self._key = tuple(np.array(part) for part in key)
+        self._key, self._seed = key, np.array(seed, dtype=np.int64)
 
     def index(self, radius: float, chord: float) -> Index:
         """Returns the index of the upper rows, see Cells.fill; cached until the rows change."""
@@ -95,7 +96,7 @@ class TwoList:
             if start > 0 and incumbent.late:
                 return False, min(unexplored, float(lower.costs[start:].min()))
             span = Span(start, min(start + AT_ONCE, len(lower.costs)), 0, 1, -np.inf, np.inf)
-            improve(incumbent, (lower, goal, index), span, target, self._key[0].astype(np.int64))
+            improve(incumbent, (lower, goal, index), span, target, self._seed)
         return True, unexplored
 
 

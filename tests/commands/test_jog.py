@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
+from controller.planning.core.events import LockMessage
 from tests.gateway.conftest import Gateway, endpoint  # noqa: F401
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
@@ -22,10 +23,8 @@ def gateway(endpoint):  # noqa: F811
 
 def test_jog_sends_all_actuators_in_one_request(hyperbit, gateway):
     words = ("jog", "a", "5.left=extended", "7.right=contracted", "--connect", gateway.endpoint)
-    assert hyperbit(*words) == (0, "switched\n", "")
-    ((key, payload),) = gateway.planning.heard
-    assert key == "jog"
-    assert json.loads(payload) == {"actuators": {"5.left": "extended", "7.right": "contracted"}}
+    assert hyperbit(*words) == (0, "jog\n", "")
+    assert gateway.planner.heard == [("jog", {"5.left": "extended", "7.right": "contracted"})]
 
 
 @pytest.mark.parametrize("change", ["5.left", "5.left=", "5.left=free", "5.left=1", "5.\udcff=extended"])
@@ -42,8 +41,8 @@ def test_an_actuator_is_jogged_to_one_state(hyperbit):
 
 @pytest.mark.parametrize("command", ["halt", "stop"])
 def test_halt_is_stop(hyperbit, gateway, command):
-    assert hyperbit(command, "a", "--connect", gateway.endpoint) == (0, "stopped\n", "")
-    assert gateway.planning.heard == [("stop", b"")]
+    assert hyperbit(command, "a", "--connect", gateway.endpoint) == (0, "stop\n", "")
+    assert gateway.planner.heard == [("stop", None)]
 
 
 def test_a_socket_is_for_local_halts_only(hyperbit, tmp_path):
@@ -66,7 +65,7 @@ def test_a_local_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_pat
 def test_lock_is_degrade(hyperbit, gateway, command):
     code, _, err = hyperbit(command, "a", "5.left=contracted", "--connect", gateway.endpoint)
     assert (code, err) == (1, "refused (code -1): no such actuator\n")
-    assert json.loads(gateway.planning.heard[0][1]) == {"actuator": "5.left", "state": 0}
+    assert gateway.planner.heard == [("degrade", LockMessage("5.left", 0))]
 
 
 def test_send_takes_one_kind_of_goal(hyperbit, gateway):

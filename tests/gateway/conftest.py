@@ -1,5 +1,6 @@
 """A server with a planner that only remembers requests, on real Zenoh sessions over loopback TCP."""
 
+import json
 import socket
 import threading
 from collections.abc import Callable, Collection, Iterator
@@ -16,7 +17,7 @@ from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage, parse
-from controller.planning.core.events import Message, Payload, done, refused
+from controller.planning.core.events import LockMessage, Message, Payload, done, refused
 from controller.planning.requests import decode_cancel
 from tests.waiting import PATIENCE, eventually
 
@@ -45,6 +46,10 @@ class FakePlanner:
         match key:
             case "goal" | "plan":
                 return parse(payload)
+            case "jog" if payload.startswith(b"{"):
+                return json.loads(payload)["actuators"]
+            case "degrade" if payload.startswith(b"{"):
+                return LockMessage(**json.loads(payload))
             case "cancel":
                 return decode_cancel(payload)
             case "jog" if payload == b'"a defect"':

@@ -52,12 +52,8 @@ from controller.planning.core.tasks import (
     Task,
 )
 from controller.planning.requests import RequestDecoder
-from controller.planning.workers.arm_model import ArmModel, build_tables
-from controller.planning.workers.descriptions import describe
-from controller.planning.workers.goal_plans import plan_goal
-from controller.planning.workers.improvement import improve
-from controller.planning.workers.keep_out import build_scene, check_stages, check_standing
-from controller.planning.workers.setpoints import follow
+from controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
+from controller.planning.workers.computations import check_stages, check_standing, describe, follow, improve, plan_goal
 from controller.program import (
     Accepted,
     Alive,

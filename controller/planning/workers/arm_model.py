@@ -12,12 +12,11 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.pacing import pace_of
 from controller.motion.program import pack_states, unpack_states
-from controller.planning.core.tasks import ArmStart, BuildTables, Scene, Tables, TablesBuilt
+from controller.obstacles.keep_out import KeepOutSet, States
+from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, Scene, SceneBuilt, Tables, TablesBuilt
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
-
-States = NDArray[np.uint8]
 
 # Called between two parts of a task. Raises Abandoned if the task is no longer needed, Refusal if its time is over.
 Proceed = Callable[[], None]
@@ -115,3 +114,10 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
     goals = Solver(reduced, densities, weights)
     goals.prepare()
     return TablesBuilt(Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another())))
+
+
+def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:
+    """Returns the scene of the obstacles of the arm's file and those sent."""
+    keep_out = KeepOutSet(arm.clearance(others=task.obstacles), task.obstacles)
+    scene = Scene(task.generation, keep_out.free, keep_out)
+    return SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))

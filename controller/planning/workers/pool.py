@@ -13,39 +13,21 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.motion.codes import Refusal
+from controller.planning.core import tasks
 from controller.planning.core.events import Answered, Event
-from controller.planning.core.tasks import (
-    Answer,
-    BuildScene,
-    BuildTables,
-    CheckStages,
-    CheckStanding,
-    DescribePlan,
-    Done,
-    Failed,
-    FollowSetpoint,
-    ImprovePlan,
-    PlanGoal,
-    PrepareSearch,
-    Refused,
-    Task,
-)
-from controller.planning.workers.arm_model import Abandoned, ArmModel, build_tables
-from controller.planning.workers.descriptions import describe
-from controller.planning.workers.goal_plans import plan_goal, prepare_search
-from controller.planning.workers.improvement import improve
-from controller.planning.workers.keep_out import build_scene, check_stages, check_standing
-from controller.planning.workers.setpoints import follow
+from controller.planning.core.tasks import Answer, Task
+from controller.planning.workers import computations
+from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
 from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
 
 THREADS: dict[str, tuple[type[Task], ...]] = {
-    "goals": (PlanGoal, ImprovePlan, PrepareSearch),
-    "queries": (DescribePlan,),
-    "setpoints": (FollowSetpoint,),
-    "checks": (CheckStages, CheckStanding, BuildScene),
-    "tables": (BuildTables,),
+    "goals": (tasks.PlanGoal, tasks.ImprovePlan, tasks.PrepareSearch),
+    "queries": (tasks.DescribePlan,),
+    "setpoints": (tasks.FollowSetpoint,),
+    "checks": (tasks.CheckStages, tasks.CheckStanding, tasks.BuildScene),
+    "tables": (tasks.BuildTables,),
 }
 
 
@@ -111,10 +93,6 @@ class Workers:
         if (queued := self._queued.get(number)) is not None:
             queued.abandoned = True
 
-    def waiting(self) -> int:
-        """Returns the number of tasks that wait for their threads."""
-        return sum(waiting.qsize() for waiting in self._queues.values())
-
     def close(self, timeout: float = 2.0) -> None:
         """Abandons all tasks and ends the threads; one that does not end in time [s] ends with the process."""
         for queued in list(self._queued.values()):
@@ -140,7 +118,7 @@ class Workers:
 
     def _answers(self, queued: QueuedTask) -> Iterator[tuple[Answer, bool]]:
         """Yields the answers to a task, and whether each is the last one; no Exception leaves it."""
-        last: Answer = Done()
+        last: Answer = tasks.Done()
         try:
             queued.proceed()
             answer = self._perform(queued)
@@ -152,34 +130,34 @@ class Workers:
         except Abandoned:
             pass
         except Refusal as refusal:
-            last = Refused(refusal.code, str(refusal))
+            last = tasks.Refused(refusal.code, str(refusal))
         except Exception as error:
             log.exception("the task %s failed", type(queued.task).__name__)
-            last = Failed(traceback.format_exception_only(error)[-1].strip())
+            last = tasks.Failed(traceback.format_exception_only(error)[-1].strip())
         yield last, True
 
     def _perform(self, queued: QueuedTask) -> Answer | Iterator[Answer]:
         match task := queued.task:
-            case PlanGoal():
-                return plan_goal(self._for_goals, task, queued.proceed)
-            case ImprovePlan():
-                return improve(self._for_goals, task, queued.proceed)
-            case PrepareSearch():
-                return prepare_search(self._for_goals, task, queued.proceed)
-            case DescribePlan():
-                return describe(self._for_queries, task, queued.proceed, lambda: self._hurry(queued))
-            case FollowSetpoint():
-                return follow(self._for_setpoints, task)
-            case CheckStages():
-                return check_stages(task, queued.proceed)
-            case CheckStanding():
-                return check_standing(task)
-            case BuildScene():
+            case tasks.PlanGoal():
+                return computations.plan_goal(self._for_goals, task, queued.proceed)
+            case tasks.ImprovePlan():
+                return computations.improve(self._for_goals, task, queued.proceed)
+            case tasks.PrepareSearch():
+                return computations.prepare_search(self._for_goals, task, queued.proceed)
+            case tasks.DescribePlan():
+                return computations.describe(self._for_queries, task, queued.proceed, lambda: self._hurry(queued))
+            case tasks.FollowSetpoint():
+                return computations.follow(self._for_setpoints, task)
+            case tasks.CheckStages():
+                return computations.check_stages(task, queued.proceed)
+            case tasks.CheckStanding():
+                return computations.check_standing(task)
+            case tasks.BuildScene():
                 return build_scene(self._arm, task)
-            case BuildTables():
+            case tasks.BuildTables():
                 return build_tables(self._arm, self._densities, self._weights, task)
 
     def _hurry(self, queued: QueuedTask) -> bool:
         """Returns whether a query must end early: it is abandoned, a goal is planned, or another query waits."""
-        goal = any(isinstance(other.task, PlanGoal) for other in list(self._queued.values()))
+        goal = any(isinstance(other.task, tasks.PlanGoal) for other in list(self._queued.values()))
         return queued.abandoned or goal or not self._queues["queries"].empty()

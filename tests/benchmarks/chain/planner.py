@@ -14,7 +14,7 @@ from typing import Any
 
 from controller.planning.link import ExecutorLink
 from controller.planning.planner import Planner
-from controller.planning.workers import pool
+from controller.planning.workers import computations
 from controller.program import Down, Program
 from controller.search.solver import Solver
 from tests.benchmarks.chain.records import Record
@@ -52,7 +52,7 @@ if __name__ == "__main__":
             for name in ("goals", "services", "solves", "programs")
         )
         timed(Planner, "decode", goals, is_goal)
-        timed(pool, "plan_goal", services)  # type: ignore[arg-type]
+        timed(computations, "plan_goal", services)  # type: ignore[arg-type]
         timed(Solver, "solve", solves)
         timed(ExecutorLink, "send", programs, is_program)
         code = 0

@@ -13,8 +13,7 @@ from controller.motion.goal import GoalMessage, parse
 from controller.motion.program import unpack_states
 from controller.motion.requests import decode_obstacles
 from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, PlanGoal, Scene, Tables
-from controller.planning.workers.arm_model import Abandoned, ArmModel, build_tables
-from controller.planning.workers.keep_out import build_scene
+from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 

@@ -7,7 +7,7 @@ import pytest
 from controller.motion.codes import Refusal
 from controller.planning.core.tasks import DescribePlan
 from controller.planning.workers.arm_model import Abandoned, ArmModel
-from controller.planning.workers.descriptions import describe
+from controller.planning.workers.computations import describe
 from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing
 
 

@@ -9,9 +9,9 @@ import pytest
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.planning.core.tasks import Done, Planned, PrepareSearch
-from controller.planning.workers import goal_plans
+from controller.planning.workers import computations
 from controller.planning.workers.arm_model import Abandoned
-from controller.planning.workers.goal_plans import plan_goal, prepare_search
+from controller.planning.workers.computations import plan_goal, prepare_search
 from tests.planning.conftest import DOCUMENT
 from tests.planning.test_actuators import JOINT
 from tests.planning.workers.conftest import HOME, A, B, Bench, C, abandoned, nothing
@@ -133,7 +133,7 @@ def test_a_goal_is_corrected_by_the_tip_bias(bench: Bench) -> None:
 
 
 def test_a_plan_that_no_program_holds_is_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_plans, "MOST_PROGRAM_STAGES", 1)
+    monkeypatch.setattr(computations, "MOST_PROGRAM_STAGES", 1)
     with pytest.raises(Refusal, match="the plan has 2 stages, 1 to one point; at most 1 and"):
         plan_goal(bench.model, bench.task(A, B), nothing)
 

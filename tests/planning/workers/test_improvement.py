@@ -7,10 +7,9 @@ import pytest
 
 from controller.motion.feed import Improved, PlannedPoint
 from controller.planning.core.tasks import Deviations, ImprovePlan, Planned
-from controller.planning.workers import goal_plans
+from controller.planning.workers import computations
 from controller.planning.workers.arm_model import Abandoned
-from controller.planning.workers.goal_plans import plan_goal
-from controller.planning.workers.improvement import improve
+from controller.planning.workers.computations import improve, plan_goal
 from tests.planning.workers.conftest import A, B, Bench, C, abandoned, nothing
 
 PATH = [A, B, C, A, (2, 2, 1, 0), (5, 1, 4, 0), B, C]
@@ -19,7 +18,7 @@ PATH = [A, B, C, A, (2, 2, 1, 0), (5, 1, 4, 0), B, C]
 @pytest.fixture
 def hasty(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Planned:
     """A plan in haste, which can be improved."""
-    monkeypatch.setattr(goal_plans, "PLANNING_TIME", 0.0)
+    monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)
     message = bench.goal(*(bench.tip(*c) for c in PATH), tolerance={"position": 0.05})
     return plan_goal(bench.model, bench.task(A, message=message), nothing)
 
@@ -57,7 +56,7 @@ def test_an_improvement_has_all_points_from_the_first_changed_one(bench: Bench, 
 
 
 def test_improvements_start_from_commanded_states_too(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_plans, "PLANNING_TIME", 0.0)
+    monkeypatch.setattr(computations, "PLANNING_TIME", 0.0)
     message = bench.goal(*(bench.tip(*c) for c in PATH), tolerance={"position": 0.05})
     start = bench.start(commanded=bench.packed(1, 0, 0, 0))
     planned = plan_goal(bench.model, bench.task(A, message=message, start=start), nothing)

@@ -7,9 +7,9 @@ import pytest
 
 from controller.motion.pacing import Blocked
 from controller.planning.core.tasks import FollowSetpoint
-from controller.planning.workers import setpoints
+from controller.planning.workers import computations
 from controller.planning.workers.arm_model import ArmModel
-from controller.planning.workers.setpoints import follow
+from controller.planning.workers.computations import follow
 from tests.planning.workers.conftest import HOME, A, Bench
 
 
@@ -45,7 +45,7 @@ def test_a_blocked_transition_is_told(bench: Bench, model: ArmModel, monkeypatch
     def blocked(*_: object) -> None:
         raise Blocked("module 2 is in it")
 
-    monkeypatch.setattr(setpoints, "stages_to", blocked)
+    monkeypatch.setattr(computations, "stages_to", blocked)
     followed = follow(model, task(bench, bench.tip(*A)))
     assert (followed.stages, followed.found) == ((), True)
     assert followed.note == ", but the transition to it is blocked: module 2 is in it"

@@ -15,7 +15,7 @@ import can
 
 from controller.planning.ledger_file import read
 from tests.system.kills.moments import LIMITS, MOMENTS, Requests, Scene, ordered
-from tests.system.kills.trigger import MARK, SOCKET, Order
+from tests.system.kills.trigger import MARK, OUTBOX, SOCKET, STATE_PUTTING, TRANSMITTED, Order
 from tests.system.lives import Lives
 from tests.system.operator import Operator
 from tests.system.places import LEFT, RIGHT
@@ -94,6 +94,7 @@ class Campaign:
             self.close()
 
     def _kill(self, moment: str, victim: str, seed: str, tally: Tally) -> None:
+        refusals: list[str] = []
         for attempt in range(ATTEMPTS):
             lives = self._lives or self._begin()
             lives.ready()
@@ -107,7 +108,8 @@ class Campaign:
             if hit:
                 tally.kills += 1
                 return
-        raise AssertionError("the moment was not reached")
+            refusals += scene.requests.refusals
+        raise AssertionError(f"the moment was not reached; refused was: {refusals}")
 
     def _begin(self) -> Lives:
         system = self._stack.enter_context(closing(self._make()))
@@ -122,7 +124,7 @@ class Campaign:
         """Orders a kill, brings its moment about, and starts again what was killed.
 
         Returns:
-            what the planner's outbox did at the kill; "" if the moment was not reached.
+            what the planner's outbox did at the kill, of LIMITS, else "at rest"; "" if the moment was not reached.
         """
         system, log = lives.system, Log(lives.system.planner.log)
         planner, executor = system.planner, system.executor
@@ -131,10 +133,12 @@ class Campaign:
             eventually(lambda: log.killed() or scene.requests.over() or not planner.alive, told=system.logs)
             if moment == "shutdown" and not log.killed():
                 planner.gone()
-            if hit := log.killed():
+            hit = ""
+            if killed_at := log.killed():
                 for process in (planner, executor):
                     if process.pid in order.pids:
                         process.gone()
+                hit = outbox_at(system, float(killed_at)) if planner.pid in order.pids else "at rest"
             elif planner.alive:
                 command(system, order._replace(moment="never"))
                 lives.client.ask("cancel")
@@ -241,11 +245,19 @@ class Log:
         self._begin = path.stat().st_size if path.exists() else 0
 
     def killed(self) -> str:
-        """Returns what the outbox did when an order was carried out, "" if none was."""
+        """Returns when an order was carried out [s], "" if none was."""
         with self._path.open("rb") as file:
             file.seek(self._begin)
             lines = [line for line in file.read().decode(errors="replace").splitlines(keepends=True) if MARK in line]
-        return lines[-1].partition(MARK)[2].strip() if lines and lines[-1].endswith("\n") else ""
+        return lines[-1].split()[-1] if lines and lines[-1].endswith("\n") else ""
+
+
+def outbox_at(system: System, killed_at: float) -> str:
+    """Returns which of LIMITS a planner was killed at, "at rest" if at none."""
+    state, since = (system.folder / OUTBOX).read_text().split()
+    if state == STATE_PUTTING:
+        return "unmarked"
+    return "untransmitted" if killed_at - float(since) < TRANSMITTED else "at rest"
 
 
 def command(system: System, order: Order) -> None:

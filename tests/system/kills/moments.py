@@ -21,7 +21,8 @@ PROCESSES = ("planner", "executor", "both")
 FAR_AWAY = {"half_plane": {"point": [-30.0, 0.0], "normal": [1.0, 0.0]}, "name": "far"}
 ACTION, EVENT = ("before", "after", "later"), ("before", "within", "after", "later")
 PASSED = 10.0 * SLOWNESS  # [s]
-ZIGZAG = [0.08 * k for k in range(30)]
+MOST_REFUSED = 5
+ZIGZAG = [0.08 * SLOWNESS * k for k in range(30)]
 
 
 class Moment(NamedTuple):
@@ -41,29 +42,40 @@ class Moment(NamedTuple):
 
 
 class Requests:
-    """Sends requests of which some are never answered, because the planner is killed."""
+    """Sends requests of which some are never answered, because the planner is killed.
+
+    Attributes:
+        refusals: messages of the refusals.
+    """
 
     def __init__(self, lives: Lives) -> None:
-        self._lives = lives
+        self._lives, self.refusals = lives, list[str]()
         self._threads: list[threading.Thread] = []
         self._goals: dict[str, bool] = {}
         self._answered_at = math.inf  # time of the last answer [s]
 
-    def send(self, key: str, **payload: Any) -> None:
-        """Sends a request, and waits for its answer."""
+    def send(self, key: str, **payload: Any) -> bool | None:
+        """Sends a request, and returns whether it was accepted; None if there is no answer."""
         answer: Message = {}
         with suppress(Unanswered):
             answer = self._lives.client.ask(key, **payload)
         goal = answer.get("id") or payload.get("id")
         if key in ("goal", "jog") and goal:
             self._goals[goal] = answer.get("accepted", False)
+        if answer and not answer["accepted"]:
+            self.refusals.append(answer["message"])
+        accepted: bool | None = answer.get("accepted")
+        return accepted
 
     def queue(self, *requests: dict[str, Any]) -> None:
-        """Sends requests one after another, in a thread."""
+        """Sends requests one after another, in a thread; a refused goal again, as a busy machine plans too late."""
 
         def send() -> None:
             for request in requests:
-                self.send(**request)
+                for attempt in range(MOST_REFUSED):
+                    number = {"id": f"{request['id']}{attempt}"} if "id" in request else {}
+                    if self.send(**request | number) is not False:
+                        break
             self._answered_at = time.monotonic()
 
         self._threads.append(threading.Thread(target=send))

@@ -4,7 +4,6 @@ A test sends an order through a socket in the folder of the arm, and gets a line
 """
 
 import json
-import math
 import os
 import signal
 import socket
@@ -30,7 +29,8 @@ from controller.planning.loop import Loop
 from controller.planning.published import PublishedResults
 from controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
 
-SOCKET, MARK = "kills.sock", "KILLS"
+SOCKET, OUTBOX, MARK = "kills.sock", "kills.outbox", "KILLS"
+STATE_IDLE, STATE_PUTTING = "idle", "putting"  # since its last mark; from before a put until its mark
 RECONNECTED = 0.5  # [s] instead of 5: the clients of these tests are connected before the planner starts
 
 TRANSMITTED = 0.02  # [s] for Zenoh to transmit a result after its put, on a busy machine
@@ -66,13 +66,13 @@ class Order(NamedTuple):
 class Trigger:
     """Carries out one order at a time. The order is set by its own thread; any thread reaches steps.
 
-    Attributes:
-        putting: whether a result is being published, and is not yet marked.
-        marked_at: when the last result was marked [s].
+    Args:
+        folder: of the arm.
     """
 
-    def __init__(self) -> None:
-        self.putting, self.marked_at = False, -math.inf
+    def __init__(self, folder: Path) -> None:
+        self._outbox = (folder / OUTBOX).open("wb", buffering=0)
+        self.note_outbox(STATE_IDLE)
         self._order: Order | None = None
         self._reached = 0
 
@@ -83,6 +83,10 @@ class Trigger:
         server.bind(str(path))
         server.listen()
         threading.Thread(target=self._serve, args=(server,), name="kills", daemon=True).start()
+
+    def note_outbox(self, state: str) -> None:
+        """Notes what the outbox does, in a file that outlives the process."""
+        os.pwrite(self._outbox.fileno(), f"{state:<16}{time.monotonic():<24}".encode(), 0)
 
     def reach(self, moment: str | None, step: str) -> None:
         """Notes that a step was reached; kills if it is the ordered one."""
@@ -101,11 +105,8 @@ class Trigger:
             self._kill(order)
 
     def _kill(self, order: Order) -> None:
-        """Kills the processes of an order, and notes what the outbox was doing."""
-        own = os.getpid() in order.pids
-        now = time.monotonic()
-        limit = own and ("unmarked" if self.putting else "untransmitted" if now - self.marked_at < TRANSMITTED else "")
-        os.write(2, f"{MARK} {limit or 'at rest'}\n".encode())
+        """Kills the processes of an order, and notes the time."""
+        os.write(2, f"{MARK} at {time.monotonic()}\n".encode())
         for pid in order.pids:
             os.kill(pid, signal.SIGKILL)
 
@@ -120,7 +121,7 @@ class Trigger:
 
 def install(folder: Path) -> None:
     """Has the planner of this process reach the steps of a trigger."""
-    trigger = Trigger()
+    trigger = Trigger(folder)
     trigger.listen(folder / SOCKET)
     outbox.RECONNECTED = RECONNECTED
     step, act, send, add = Loop._step, Loop._act, Outbox._send, PublishedResults.add
@@ -142,14 +143,13 @@ def install(folder: Path) -> None:
     def sending(self: Outbox, target: Any, key: str, payload: Any) -> None:
         if isinstance(target, PublishResult):
             trigger.reach("published", "unsent")
-            trigger.putting = True
+            trigger.note_outbox(STATE_PUTTING)
         send(self, target, key, payload)
-        trigger.putting = False
 
     def adding(self: PublishedResults, *result: Any) -> None:
         trigger.reach("unmarked", "before")
         add(self, *result)
-        trigger.marked_at, trigger.putting = time.monotonic(), False
+        trigger.note_outbox(STATE_IDLE)
         trigger.reach("untransmitted", "after")
 
     Loop._step, Loop._act, Outbox._send, PublishedResults.add = stepping, acting, sending, adding  # type: ignore

@@ -1,4 +1,4 @@
-"""Searches the configuration for a set-point, and the stages to it."""
+"""Followed set-points: the search for the configuration, and the stages to it."""
 
 import time
 from typing import NamedTuple
@@ -6,15 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
-from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
+from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.pacing import Blocked, Pace
 from controller.motion.plan import sweep_for
 from controller.motion.restaging import restage
-from controller.planning.core.tasks import Followed, FollowSetpoint
-from controller.planning.workers.arm_model import ArmModel, States
-from controller.planning.workers.keep_out import KeepOutSet
+from controller.obstacles.keep_out import KeepOutSet, States
 from controller.search.method import Method
 from controller.search.solution import Solution
 from controller.search.solver import Solver
@@ -29,7 +25,7 @@ class SetpointQuery(NamedTuple):
 
     Attributes:
         solver: of the arm reduced by locked actuators.
-        keep_out: the obstacles that the solver avoids.
+        keep_out: the obstacles that the solver avoids, for the whole arm.
         commanded: actuator states from which stages begin, shape (A,).
         start: configuration to plan from, of the solver's arm, shape (B,).
         goal: position of the computed tip, shape (dimension,).
@@ -44,32 +40,6 @@ class SetpointQuery(NamedTuple):
     tolerance: float
 
 
-def follow(model: ArmModel, task: FollowSetpoint) -> Followed:
-    """Returns the stages to a set-point, or why the arm stays."""
-    solver = model.solver(task.tables, task.scene)
-    try:
-        start = model.configuration(task.start, solver.manipulator)
-    except Refusal as refusal:
-        return Followed((), f", which is not possible now: {refusal}", False, 0.0)
-    commanded, goal = model.unpack(task.start.commanded), np.array(task.position)
-    # The arm may lag behind a moving set-point by the other half of the tolerance.
-    query = SetpointQuery(solver, task.scene.keep_out, commanded, start, goal, task.tolerance / 2)
-    began = time.perf_counter()
-    found = find(query, model.arm.settings.method)
-    seconds = time.perf_counter() - began
-    if found.error > task.tolerance:
-        where = ", ".join(f"{x:.4f}" for x in (goal if task.bias is None else goal + task.bias))
-        words = f", which {found.reach} at ({where}): {found.error:.4f} away, tolerance {task.tolerance:g}"
-        return Followed((), words, False, seconds)
-    if not found.switches:
-        return Followed((), "", True, seconds)
-    try:
-        stages = stages_to(query, found.configuration, model.arm, model.pace)
-    except Blocked as blocked:
-        return Followed((), f", but the transition to it is blocked: {blocked}", True, seconds)
-    return Followed(tuple(model.pack(task.start, stages)), "", True, seconds)
-
-
 def find(query: SetpointQuery, method: Method) -> Solution:
     """Searches by a method; returns IPOP's result if it misses by far, as longer searches miss, too."""
     solver, _, _, start, goal, tolerance = query
@@ -80,7 +50,7 @@ def find(query: SetpointQuery, method: Method) -> Solution:
     return solver.solve(goal, start, tolerance, method, SEARCH_TIME, patience=SEARCH_TIME)
 
 
-def stages_to(query: SetpointQuery, end: Configuration, arm: Arm, pace: Pace) -> States:
+def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace: Pace) -> States:
     """Returns the stages (k, A) to a configuration, or to another one within tolerance if the first is blocked.
 
     Raises:
@@ -90,7 +60,7 @@ def stages_to(query: SetpointQuery, end: Configuration, arm: Arm, pace: Pace) ->
     reduced = solver.manipulator
     if keep_out.free:
         most = pace.inrush or len(commanded)
-        return restage(arm.manipulator, commanded, reduced.actuator_states(end)[None], most)
+        return restage(whole, commanded, reduced.actuator_states(end)[None], most)
     until, obstruction = time.perf_counter() + ALTERNATIVE_TIME, None
     for configuration in (end, *solver.candidates(goal, start, tolerance, ALTERNATIVES)[0]):
         try:

@@ -1,4 +1,4 @@
-"""Collision checks of stages among the obstacles between two changes, and the tasks that ask for them."""
+"""Collision checks of stages, with the results of earlier checks among the same obstacles."""
 
 import logging
 from collections.abc import Callable, Iterable
@@ -7,12 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
-from controller.motion.program import unpack_states
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import NONE, Obstacles
 from controller.obstacles.sweep import sweep_of
-from controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding, Scene, SceneBuilt
 
 log = logging.getLogger(__name__)
 
@@ -23,15 +20,13 @@ REMEMBERED = 20_000  # results of stage checks
 
 @dataclass(frozen=True, eq=False)
 class KeepOutSet:
-    """The obstacles between two changes, with the results of stage checks among them; `Scene.keep_out`. For any thread.
+    """The obstacles between two changes, with the results of stage checks among them. For any thread.
 
     Attributes:
-        generation: grows with each change.
         clearance: of the whole arm.
         sent: the obstacles that were sent, without those of the arm's file.
     """
 
-    generation: int
     clearance: Clearance
     sent: Obstacles = NONE
     _known: dict[bytes, str | None] = field(init=False, default_factory=dict)
@@ -40,6 +35,11 @@ class KeepOutSet:
     def free(self) -> bool:
         """Whether there is nothing to collide with."""
         return self.clearance.free
+
+    @property
+    def actuators(self) -> int:
+        """Number of actuators of the arm."""
+        return len(self.clearance.manipulator.actuators)
 
     def first_collision(
         self, states: States, stages: Iterable[States], proceed: Callable[[], None] = lambda: None
@@ -85,25 +85,3 @@ class KeepOutSet:
             self._known.clear()
         self._known[key] = words
         return words
-
-
-def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:
-    """Returns the scene of the obstacles of the arm's file and those sent."""
-    keep_out = KeepOutSet(task.generation, arm.clearance(others=task.obstacles), task.obstacles)
-    scene = Scene(task.generation, keep_out.free, keep_out)
-    return SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))
-
-
-def check_stages(task: CheckStages, proceed: Callable[[], None]) -> Checked:
-    """Returns the first collision of consecutive stages; `proceed` is called before each."""
-    keep_out: KeepOutSet = task.scene.keep_out
-    actuators = len(keep_out.clearance.manipulator.actuators)
-    before, stages = unpack_states(task.before, actuators), (unpack_states(stage, actuators) for stage in task.stages)
-    return Checked(keep_out.first_collision(before, stages, proceed))
-
-
-def check_standing(task: CheckStanding) -> Checked:
-    """Returns the collision of the arm at rest; None if its states spell no configuration."""
-    keep_out: KeepOutSet = task.scene.keep_out
-    actuators = len(keep_out.clearance.manipulator.actuators)
-    return Checked(keep_out.collision_at(unpack_states(task.states, actuators)))

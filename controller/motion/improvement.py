@@ -6,52 +6,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion.feed import Improved
 from controller.motion.lookahead import LookAhead
 from controller.motion.pacing import Pace
 from controller.motion.plan import Plan
-from controller.planning.core.tasks import Deviations, ImprovePlan
-from controller.planning.workers.arm_model import ArmModel, Proceed
-from controller.planning.workers.goal_plans import PlannedGoal, points_of, proof_of, stages_of
-from controller.planning.workers.keep_out import KeepOutSet
 from controller.search.solver import Solver
 
 MARGIN = 0.1  # [s] between the decision of a point and its first switch, at least
 BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
-
-
-def improve(model: ArmModel, task: ImprovePlan, proceed: Proceed) -> Iterator[Deviations | Improved]:
-    """Yields the deviations of a plan, then each improvement whose stages are clear.
-
-    Raises:
-        Abandoned: `proceed` has raised it, which is called between two parts.
-    """
-    goal: PlannedGoal = task.plan
-    deviations = list[float | None]()
-    for transition in (goal.first, *goal.plan.transitions[1:]):
-        proceed()
-        deviations.append(transition.deviation)
-    yield Deviations(tuple(deviations))
-    same_arm = goal.tables == task.tables.generation
-    if not task.search or not same_arm or model.arm.settings.method != "minimum-switch":
-        return
-    keep_out: KeepOutSet = task.scene.keep_out
-    plan = goal.plan
-    points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
-    for better in Improvement(model.solver(task.tables, task.scene), plan, model.pace, task.begin).plans():
-        proceed()
-        if (changed := changed_points(plan, better)) is None:
-            continue
-        transitions, before = better.transitions[changed], better.transitions[changed.start - 1].stages[-1]
-        stages = stages_of(transitions)
-        if not task.scene.free and keep_out.first_collision(before, stages, proceed) is not None:
-            continue
-        new = points_of(model, goal.start, before, transitions, changed.start)
-        points[changed] = [
-            point._replace(deviation=transition.deviation) for point, transition in zip(new, transitions, strict=True)
-        ]
-        plan = better
-        yield Improved(changed.start, tuple(points[changed.start :]), proof_of(plan))
 
 
 def changed_points(old: Plan, new: Plan) -> slice | None:

@@ -1,0 +1,267 @@
+"""What the workers compute: each answer is a function of its task. For searches and stages see controller/motion."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.manipulator.manipulator import Configuration
+from controller.motion import codes
+from controller.motion.codes import Refusal
+from controller.motion.description import describe_plan
+from controller.motion.feed import Improved, PlannedPoint, Proof, most_stages
+from controller.motion.following import SetpointQuery, find, stages_to
+from controller.motion.goal import check_reach, schedule
+from controller.motion.improvement import Improvement, changed_points
+from controller.motion.pacing import Blocked, Staged
+from controller.motion.plan import Plan, first_transition
+from controller.motion.point_by_point import PLANNING_TIME, plan
+from controller.motion.program import unpack_states
+from controller.motion.trajectory import Trajectory
+from controller.motion.whole import first_time, look_ahead
+from controller.obstacles.keep_out import KeepOutSet, States
+from controller.planning.core import tasks
+from controller.planning.core.events import done
+from controller.planning.core.tasks import ArmStart
+from controller.planning.workers.arm_model import ArmModel, Proceed
+from controller.program import MOST_PROGRAM_STAGES
+from controller.search.solver import Solver
+
+# --- goals
+
+
+class PlannedGoal(NamedTuple):
+    """A plan with what its improvement needs; `Planned.plan`.
+
+    Attributes:
+        plan: from the configuration of `start.states`.
+        first: transition to the first point from `start.commanded`.
+        points: of `Planned`.
+        start: where the plan starts.
+        tables: generation of the tables that the plan's configurations belong to.
+    """
+
+    plan: Plan
+    first: Staged
+    points: tuple[PlannedPoint, ...]
+    start: ArmStart
+    tables: int
+
+
+def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.Planned:
+    """Returns the plan of a goal.
+
+    The plan starts from `start.states`; the stages start from `start.commanded`. The two differ at rest if an actuator
+    has not followed its output. The proof counts switches from `start.states`, the points count those of their stages.
+
+    Raises:
+        Refusal: there is no plan.
+        Abandoned: `proceed` has raised it.
+    """
+    trajectory, start = schedule_goal(model, task), task.start
+    found = search_plan(model, task, trajectory, proceed, PLANNING_TIME)[0]
+    first, *others = transitions = found.transitions
+    if start.commanded != start.states:
+        arm, keep_out, commanded = model.arm.manipulator, task.scene.keep_out, model.unpack(start.commanded)
+        first = first_transition(arm, model.pace, keep_out, commanded, first, proceed)
+        transitions = (first, *others)
+        check_size(model, transitions)
+    points = tuple(points_of(model, start, start.commanded, transitions))
+    opaque = PlannedGoal(found, first, points, start, task.tables.generation)
+    return tasks.Planned(trajectory, points, proof_of(found), opaque)
+
+
+def schedule_goal(model: ArmModel, task: tasks.PlanGoal | tasks.DescribePlan) -> Trajectory:
+    """Returns the trajectory of a goal, corrected by the tip bias.
+
+    Raises:
+        Refusal: the goal is invalid, or a position is farther than the arm's length; the message names the field.
+    """
+    arm, manipulator, message = model.arm, model.arm.manipulator, task.message
+    clamp = arm.settings.tracker.clamp if arm.settings.tracker else 0.0
+    check_reach(message, manipulator, manipulator.length + clamp, arm.tolerance)
+    scheduled = schedule(
+        message, manipulator.dimension, arm.tolerance, arm.angle_tolerance, model.pace, task.received, manipulator
+    )
+    return scheduled.corrected(None if task.bias is None else np.array(task.bias))
+
+
+def search_plan(
+    model: ArmModel, task: tasks.PlanGoal | tasks.DescribePlan, trajectory: Trajectory, proceed: Proceed, seconds: float
+) -> tuple[Plan, Configuration, Solver]:
+    """Returns a plan whose stages are clear, the configuration (B,) before it, and the solver that found it.
+
+    All searches together take at most `seconds`. `proceed` is called before each point and each check of a stage.
+
+    Raises:
+        Refusal: there is no plan.
+    """
+    solver = model.solver(task.tables, task.scene)
+    previous = model.configuration(task.start, solver.manipulator)
+    found = plan(solver, trajectory, previous, model.arm.settings.method, proceed, model.pace, seconds)
+    check_size(model, found.transitions)
+    # All stages are checked, so that the executor need not ask. Most results are known from the planning.
+    before, stages = model.unpack(task.start.states), stages_of(found.transitions)
+    if (collision := task.scene.keep_out.first_collision(before, stages, proceed)) is not None:
+        raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan would collide: {collision}")
+    return found, previous, solver
+
+
+def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
+    """Checks that the executor accepts the size of a plan.
+
+    Raises:
+        Refusal: it has too many stages.
+    """
+    counts = [len(transition.stages) for transition in transitions]
+    total, longest, most = sum(counts), max(counts), most_stages(len(model.arm.manipulator.actuators))
+    if longest > most or total > MOST_PROGRAM_STAGES:
+        limits = f"at most {MOST_PROGRAM_STAGES} and {most} are accepted: send fewer waypoints"
+        raise Refusal(codes.INVALID_GOAL, f"the plan has {total} stages, {longest} to one point; {limits}")
+
+
+def points_of(
+    model: ArmModel, start: ArmStart, before: bytes, transitions: Sequence[Staged], first: int = 0
+) -> Iterator[PlannedPoint]:
+    """Yields the points of consecutive transitions, with the deviations that are known without computing them.
+
+    `before` is packed; its bits of locked actuators do not matter. `first` is the index of the first point.
+    """
+    stages = [transition.stages for transition in transitions]
+    packed = iter(model.pack(start, stages[0] if len(stages) == 1 else np.concatenate(stages)))
+    free, last = ~int.from_bytes(start.locked), int.from_bytes(before)
+    for point, transition in enumerate(transitions, first):
+        own, switches = tuple(islice(packed, len(transition.stages))), 0
+        for stage in own:
+            switches += (((bits := int.from_bytes(stage)) ^ last) & free).bit_count()
+            last = bits
+        source = transition.deviation_source
+        yield PlannedPoint(point, own, None if callable(source) else source, switches)
+
+
+def proof_of(found: Plan) -> Proof:
+    """Returns what is proven of a plan, from the configuration of `start.states`, in Python's own numbers."""
+    return Proof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
+
+
+def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:
+    """Yields the actuator states (A,) after each stage of transitions."""
+    return chain.from_iterable(transition.stages for transition in transitions)
+
+
+def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Iterator[tasks.Deviations | Improved]:
+    """Yields the deviations of a plan, then each improvement whose stages are clear.
+
+    Raises:
+        Abandoned: `proceed` has raised it, which is called between two parts.
+    """
+    goal: PlannedGoal = task.plan
+    deviations = list[float | None]()
+    for transition in (goal.first, *goal.plan.transitions[1:]):
+        proceed()
+        deviations.append(transition.deviation)
+    yield tasks.Deviations(tuple(deviations))
+    same_arm = goal.tables == task.tables.generation
+    if not task.search or not same_arm or model.arm.settings.method != "minimum-switch":
+        return
+    current, keep_out = goal.plan, task.scene.keep_out
+    points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
+    for better in Improvement(model.solver(task.tables, task.scene), current, model.pace, task.begin).plans():
+        proceed()
+        if (changed := changed_points(current, better)) is None:
+            continue
+        transitions, before = better.transitions[changed], better.transitions[changed.start - 1].stages[-1]
+        if keep_out.first_collision(before, stages_of(transitions), proceed) is not None:
+            continue
+        new = points_of(model, goal.start, points[changed.start - 1].stages[-1], transitions, changed.start)
+        points[changed] = [
+            point._replace(deviation=transition.deviation) for point, transition in zip(new, transitions, strict=True)
+        ]
+        current = better
+        yield Improved(changed.start, tuple(points[changed.start :]), proof_of(current))
+
+
+def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed) -> tasks.Done:
+    """Prepares the next search of a goal from the arm's state; `proceed` is called between two parts."""
+    solver = model.solver(task.tables, task.scene)
+    if model.arm.settings.method != "minimum-switch":
+        return tasks.Done()
+    with suppress(Refusal):
+        previous = model.configuration(task.start, solver.manipulator)
+        for _ in solver.expect(previous, model.arm.tolerance):
+            proceed()
+        if task.rehearsal is not None:
+            plan_goal(model, tasks.PlanGoal(task.rehearsal, 0.0, task.start, None, task.tables, task.scene), proceed)
+    return tasks.Done()
+
+
+def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry: Callable[[], bool]) -> tasks.Described:
+    """Returns the description of a plan.
+
+    `hurry` returns whether the search over the whole trajectory must end early.
+
+    Raises:
+        Refusal: there is no plan, or planning took too long.
+        Abandoned: `proceed` has raised it.
+    """
+    until = time.monotonic() + task.seconds
+
+    def in_time() -> None:
+        proceed()
+        if time.monotonic() > until:
+            raise Refusal(codes.INVALID_GOAL, f"planning took longer than {task.seconds:g} s: ask for fewer waypoints")
+
+    trajectory = schedule_goal(model, task)
+    found, previous, solver = search_plan(model, task, trajectory, in_time, first_time(trajectory))
+    if model.arm.settings.method == "minimum-switch":
+        found = look_ahead(solver, found, previous, model.pace, stop=hurry)
+    fields = describe_plan(model.arm.manipulator, solver.manipulator, previous, found)
+    return tasks.Described({**done(fields.pop("message")), **fields})
+
+
+# --- set-points
+
+
+def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
+    """Returns the stages to a set-point, or why the arm stays."""
+    solver = model.solver(task.tables, task.scene)
+    try:
+        start = model.configuration(task.start, solver.manipulator)
+    except Refusal as refusal:
+        return tasks.Followed((), f", which is not possible now: {refusal}", False, 0.0)
+    commanded, goal = model.unpack(task.start.commanded), np.array(task.position)
+    # The arm may lag behind a moving set-point by the other half of the tolerance.
+    query = SetpointQuery(solver, task.scene.keep_out, commanded, start, goal, task.tolerance / 2)
+    began = time.perf_counter()
+    found = find(query, model.arm.settings.method)
+    seconds = time.perf_counter() - began
+    if found.error > task.tolerance:
+        where = ", ".join(f"{x:.4f}" for x in (goal if task.bias is None else goal + task.bias))
+        words = f", which {found.reach} at ({where}): {found.error:.4f} away, tolerance {task.tolerance:g}"
+        return tasks.Followed((), words, False, seconds)
+    if not found.switches:
+        return tasks.Followed((), "", True, seconds)
+    try:
+        stages = stages_to(query, found.configuration, model.arm.manipulator, model.pace)
+    except Blocked as blocked:
+        return tasks.Followed((), f", but the transition to it is blocked: {blocked}", True, seconds)
+    return tasks.Followed(tuple(model.pack(task.start, stages)), "", True, seconds)
+
+
+# --- collisions
+
+
+def check_stages(task: tasks.CheckStages, proceed: Proceed) -> tasks.Checked:
+    """Returns the first collision of consecutive stages; `proceed` is called before each."""
+    keep_out: KeepOutSet = task.scene.keep_out
+    before, *stages = (unpack_states(states, keep_out.actuators) for states in (task.before, *task.stages))
+    return tasks.Checked(keep_out.first_collision(before, stages, proceed))
+
+
+def check_standing(task: tasks.CheckStanding) -> tasks.Checked:
+    """Returns the collision of the arm at rest; None if its states spell no configuration."""
+    keep_out: KeepOutSet = task.scene.keep_out
+    return tasks.Checked(keep_out.collision_at(unpack_states(task.states, keep_out.actuators)))
