@@ -9,8 +9,9 @@ from controller import kernels
 
 WITHOUT = (  # what the planner's core and clients use
     *("controller.manipulator.frames", "controller.manipulator.locked", "controller.manipulator.notation"),
-    *(f"controller.motion.{name}" for name in ("bias", "codes", "goal", "program", "restaging", "setpoint")),
-    *("controller.motion.tracking", "controller.motion.trajectory"),
+    *(f"controller.motion.{name}" for name in ("bias", "codes", "feed", "goal", "program", "restaging", "setpoint")),
+    *("controller.motion.targets", "controller.motion.tracking", "controller.motion.trajectory"),
+    "controller.planning.core.core",
 )
 
 

@@ -15,8 +15,7 @@ import zenoh
 
 from controller.gateway.session import LEASE
 from controller.motion import codes
-from controller.planning.core.events import Identity, Payload, Published, PublishResult
-from controller.planning.core.messages import refused
+from controller.planning.core.events import Identity, Payload, Published, PublishResult, refused
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,7 @@ from controller.gateway.arrivals import BRIEFLY, FloodBrake, Rate, RepeatedGoals
 from controller.gateway.outbox import Outbox
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage
-from controller.planning.core.events import CancelMessage, Key, Message, Payload
-from controller.planning.core.messages import refused
+from controller.planning.core.events import CancelMessage, Key, Message, Payload, refused
 from controller.planning.planner import Planner
 
 log = logging.getLogger(__name__)

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from controller.motion.codes import INVALID_GOAL
 from controller.planning.core.events import (
+    CLOSING,
     Abandon,
     Action,
     Answered,
@@ -31,8 +32,8 @@ from controller.planning.core.events import (
     ToExecutor,
     Wake,
     Warned,
+    refused,
 )
-from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.tasks import Failed
 from controller.planning.inbox import Inbox
 from controller.planning.link import ExecutorLink

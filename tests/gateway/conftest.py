@@ -17,8 +17,7 @@ from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage, parse
-from controller.planning.core.events import LockMessage, Message, Payload
-from controller.planning.core.messages import done, refused
+from controller.planning.core.events import LockMessage, Message, Payload, done, refused
 from controller.planning.requests import decode_cancel
 from tests.waiting import PATIENCE, eventually
 

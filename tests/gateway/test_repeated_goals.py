@@ -6,8 +6,7 @@ import threading
 import pytest
 
 from controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply
-from controller.planning.core.events import Payload
-from controller.planning.core.messages import done, refused
+from controller.planning.core.events import Payload, done, refused
 
 GOAL = b'{"id": "a", "waypoints": []}'
 ANONYMOUS = b'{"waypoints": []}'

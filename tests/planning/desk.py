@@ -39,8 +39,8 @@ from controller.planning.core.events import (
     Tick,
     ToExecutor,
     Wake,
+    refused,
 )
-from controller.planning.core.messages import refused
 from controller.planning.core.tasks import (
     Answer,
     BuildScene,

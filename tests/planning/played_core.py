@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from controller.config import Arm
 from controller.motion.pacing import pace_of
-from controller.planning.core.admission import Admission
 from controller.planning.core.arm import ExecutorView, packed
 from controller.planning.core.events import Action, Start
-from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, Scene, Tables
 from controller.program import Fault, Mode, Snapshot
@@ -77,19 +75,10 @@ class PlayedCore:
     def __init__(self, arm: Arm) -> None:
         self.arm, self.now, self.wall, self.actions = arm, 100.0, 1e9, list[Action]()
         self.view = ExecutorView(arm.manipulator, arm.travel_time, pace_of(arm.settings))
-        self.admission, self.jobs, self.numbers = Admission(), Jobs(self.actions.append), ProgramNumbers()
+        self.parts = Parts(self.view, pace_of(arm.settings), "played", self.actions.append)
+        self.admission, self.jobs, self.numbers = self.parts.admission, self.parts.jobs, self.parts.numbers
         self.locks, self.obstacles, self.programs = PlayedLocks(self.view), PlayedObstacles(), PlayedPrograms()
-        self.parts = Parts(
-            view=self.view,
-            admission=self.admission,
-            numbers=self.numbers,
-            jobs=self.jobs,
-            moment=Moment(),
-            act=self.actions.append,
-            locks=self.locks,
-            obstacles=self.obstacles,
-            programs=self.programs,
-        )
+        self.parts.locks, self.parts.obstacles, self.parts.programs = self.locks, self.obstacles, self.programs
         size = len(arm.manipulator.actuators)
         none, known = packed(np.zeros(size)), packed(np.ones(size))
         self.snapshot = Snapshot(
@@ -122,7 +111,8 @@ class PlayedCore:
         return number, task
 
     def answer(self, number: int, answer: Answer) -> None:
-        self.jobs.answered(number, answer, True, self.now)
+        self.parts.moment.now = self.now
+        self.jobs.answered(number, answer, True)
 
     def states(self, *configuration: int) -> bytes:
         """Returns the packed actuator states of a configuration."""

@@ -7,8 +7,8 @@ import pytest
 
 from controller.motion import codes, whole
 from controller.motion.pacing import pace_of
-from controller.planning.core.admission import BARRED
 from controller.planning.core.events import Answered
+from controller.planning.core.parts import BARRED
 from controller.planning.core.tasks import ImprovePlan, PlanGoal
 from controller.program import Acknowledge, Cancel, Halt, Program, Replacement, Reset, unpack
 from controller.search.solver import Solver

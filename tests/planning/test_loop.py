@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from controller.planning.core.events import (
+    CLOSING,
     Abandon,
     Accepted,
     Answered,
@@ -39,7 +40,6 @@ from controller.planning.core.events import (
     Wake,
     Warned,
 )
-from controller.planning.core.messages import CLOSING
 from controller.planning.core.tasks import BuildTables, Done, Failed
 from controller.planning.inbox import Inbox
 from controller.planning.link import ExecutorLink

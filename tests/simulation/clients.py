@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from controller.motion.codes import Refusal
-from controller.planning.core.events import Key
-from controller.planning.core.messages import refused
+from controller.planning.core.events import Key, refused
 from controller.planning.requests import RequestDecoder
 from controller.program import unpack
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from controller.config import Arm
 from controller.motion import codes
 from controller.motion.codes import Refusal
+from controller.motion.feed import Improved, PlannedPoint, Proof
 from controller.motion.goal import schedule
 from controller.motion.pacing import pace_of
 from controller.motion.program import unpack_states
@@ -31,12 +32,9 @@ from controller.planning.core.tasks import (
     Done,
     Followed,
     FollowSetpoint,
-    Improved,
     ImprovePlan,
     PlanGoal,
     Planned,
-    PlannedPoint,
-    Proof,
     Refused,
     Scene,
     SceneBuilt,

@@ -8,15 +8,14 @@ from typing import Any
 import msgspec
 import pytest
 
+from controller.motion.feed import Feed
 from controller.planning.core import goals, jobs, offers
-from controller.planning.core.admission import Admission
 from controller.planning.core.arm import ExecutorView
 from controller.planning.core.events import Reply, Request, ToExecutor
-from controller.planning.core.feed import Feed
 from controller.planning.core.goals import Goals
+from controller.planning.core.parts import Admission
 from controller.planning.core.programs import Programs
-from controller.planning.core.queries import Queries
-from controller.planning.core.requests import ExecutorRequests
+from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
 from controller.program import Acknowledge, Reset
 from tests.simulation.invariants import Violation

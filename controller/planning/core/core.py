@@ -8,70 +8,21 @@ import traceback
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
+from controller import program
 from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
 from controller.motion.goal_motion import tracking_of
-from controller.planning.core.admission import Admission
-from controller.planning.core.arm import ExecutorView
-from controller.planning.core.events import (
-    Action,
-    Answered,
-    Disconnect,
-    Event,
-    FromExecutor,
-    Identity,
-    LinkDown,
-    Log,
-    ObstaclesMessage,
-    OpenGoal,
-    Payload,
-    Publish,
-    Published,
-    Quit,
-    RecordCounts,
-    Recorded,
-    Reply,
-    Request,
-    SetpointArrived,
-    Tick,
-    TipArrived,
-    ToExecutor,
-    Unsent,
-    Wake,
-    Warned,
-)
+from controller.planning.core import events
+from controller.planning.core.arm import ExecutorView, Locks
 from controller.planning.core.goals import Goals
-from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers, Shared
-from controller.planning.core.locks import Locks
-from controller.planning.core.messages import CLOSING, refused
 from controller.planning.core.obstacles import ObstacleOwner
 from controller.planning.core.parts import Parts
 from controller.planning.core.programs import InFlight, Programs
-from controller.planning.core.queries import Queries
 from controller.planning.core.reports import Outcome
-from controller.planning.core.requests import ExecutorRequests
+from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
 from controller.planning.core.status import Status
-from controller.planning.core.stream import Stream
+from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
-from controller.planning.core.tip_bias import TipBiasEstimator
-from controller.program import (
-    ALIVE_EVERY,
-    Accepted,
-    Alive,
-    Answer,
-    Begun,
-    Counted,
-    Counts,
-    Declined,
-    Diagnostics,
-    Ended,
-    Question,
-    Replaced,
-    Settled,
-    Snapshot,
-    Up,
-    Welcome,
-)
 
 if TYPE_CHECKING:
     from controller.config import Arm
@@ -107,8 +58,8 @@ class Beginning(NamedTuple):
     scene: Scene
     obstacles: int
     counts: tuple[int, ...]
-    published: Iterable[Identity] = ()
-    owed: Iterable[OpenGoal] = ()
+    published: Iterable[events.Identity] = ()
+    owed: Iterable[events.OpenGoal] = ()
 
 
 class Core:
@@ -126,41 +77,30 @@ class Core:
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
         manipulator, searches = arm.manipulator, arm.settings.method == "minimum-switch"
         self.ended = False
-        self._actions: list[Action] = []
-        self._moment, self._counts = Moment(), beginning.counts
-        self._view = view = ExecutorView(manipulator, arm.travel_time, pace)
-        self._admission, self._numbers, self._jobs = Admission(), ProgramNumbers(), Jobs(self._act)
-        shared = Shared(view, self._admission, self._jobs, self._moment, self._numbers, self._act)
-        self._locks = locks = Locks(view, self._jobs, beginning.tables, self._act)
-        self._obstacles = obstacles = ObstacleOwner(shared, beginning.scene, beginning.obstacles)
-        self._results = Results(view, self._moment, beginning.published, beginning.owed, self._act)
-        self._programs = programs = Programs(shared, obstacles, self._results, searches)
-        parts = Parts(
-            view,
-            self._admission,
-            self._numbers,
-            self._jobs,
-            self._moment,
-            self._act,
-            locks,
-            obstacles,
-            programs,
-        )
+        self._actions: list[events.Action] = []
+        self._counts = beginning.counts
+        view = ExecutorView(manipulator, arm.travel_time, pace)
+        self._parts = parts = Parts(view, pace, beginning.name, self._act)
+        self._view, self._admission, self._jobs, self._moment = view, parts.admission, parts.jobs, parts.moment
+        self._locks = parts.locks = Locks(parts, beginning.tables)
+        self._obstacles = parts.obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
+        self._results = parts.results = Results(parts, beginning.published, beginning.owed)
+        self._programs = parts.programs = Programs(parts, searches)
         tracker = arm.settings.tracker
         self._tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
-        bias = no_bias if self._tip_bias is None else self._tip_bias.bias
-        self._goals = Goals(parts, pace, bias, prepares=searches, name=beginning.name)
-        self._queries = Queries(parts, bias, beginning.name)
+        if self._tip_bias is not None:
+            parts.bias = self._tip_bias.bias
+        self._goals, self._queries = Goals(parts, searches), Queries(parts)
         self._requests = ExecutorRequests(parts, self._goals)
-        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, bias)
+        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts)
         self._status = Status(parts, self._stream, self._tip_bias, self._waiting)
         self._changed, self._report_at = True, 0.0
         self._alive_at = 0.0  # time of the next keep-alive [s]
-        self._most_silent = round(2.0 * arm.settings.planner_timeout / ALIVE_EVERY)
+        self._most_silent = round(2.0 * arm.settings.planner_timeout / program.ALIVE_EVERY)
         self._silent = 0  # keep-alives since the executor's last message
         self._quit_at: float | None = None
 
-    def step(self, event: Event, now: float, wall: float) -> list[Action]:
+    def step(self, event: events.Event, now: float, wall: float) -> list[events.Action]:
         """Handles an event.
 
         Args:
@@ -181,78 +121,80 @@ class Core:
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
         self._close()
-        if self._actions and not isinstance(event, Tick):  # what is urgent, and its worker, do not wait for a report
+        if self._actions and not isinstance(
+            event, events.Tick
+        ):  # urgent actions, and their worker, come before reports
             self._report_at = now + CALM
         if now >= self._report_at:
             self._status.report(now, wall, self._changed)
             self._changed = False
         report_at = max(self._report_at, now if self._changed else self._status.due(now))
-        due = min(self._alive_at, self._goals.due(), self._stream.due(now), report_at)
+        due = min(self._alive_at, self._goals.due, self._stream.due(now), report_at)
         if self._quit_at is not None:
             due = math.inf if self.ended else min(due, self._quit_at)
-        self._act(Wake(due))
+        self._act(events.Wake(due))
         actions, self._actions = self._actions, []
         return actions
 
-    def _handle(self, event: Event) -> None:
+    def _handle(self, event: events.Event) -> None:
         moment = self._moment
-        self._changed |= not isinstance(event, Tick | TipArrived | SetpointArrived)
+        self._changed |= not isinstance(event, events.Tick | events.TipArrived | events.SetpointArrived)
         match event:
-            case FromExecutor(message):
+            case events.FromExecutor(message):
                 self._silent = 0
                 self._hear(message)
-            case Request():
+            case events.Request():
                 self._answer(event)
-            case Answered(number, answer, last):
-                self._jobs.answered(number, answer, last, moment.now)
-            case SetpointArrived(payload):
+            case events.Answered(number, answer, last):
+                self._jobs.answered(number, answer, last)
+            case events.SetpointArrived(payload):
                 self._stream.take(payload, self._admission.arrive(), moment.now, moment.wall)
-            case TipArrived(payload):
+            case events.TipArrived(payload):
                 if self._tip_bias is not None:
                     self._tip_bias.take(payload, moment.now, moment.wall)
-            case Published(number):
+            case events.Published(number):
                 self._results.published(number)
-            case Recorded(entry):
+            case events.Recorded(entry):
                 self._programs.recorded(entry)
                 self._results.recorded(entry)
-            case LinkDown(reason):
+            case events.LinkDown(reason):
                 self._lose(reason)
-            case Unsent(number, reason):
+            case events.Unsent(number, reason):
                 self._requests.unsent(number, reason)
-            case Warned(warnings):
+            case events.Warned(warnings):
                 self._status.warned(warnings)
-            case Quit():
+            case events.Quit():
                 self._quit()
-            case Tick():
+            case events.Tick():
                 pass
 
     # --- clients
 
-    def _answer(self, request: Request) -> None:
+    def _answer(self, request: events.Request) -> None:
         """Takes a request; what fails is answered, and does not end the process."""
         try:
             self._take(request)
         except Exception:
-            self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
-            self._act(Reply(request.number, refused(INVALID_GOAL, "internal error, see the journal")))
+            self._act(events.Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
+            self._act(events.Reply(request.number, events.refused(INVALID_GOAL, "internal error, see the journal")))
 
-    def _take(self, request: Request) -> None:
+    def _take(self, request: events.Request) -> None:
         match request.key:
             case "goal" | "jog":
                 self._goals.submit(request, self._admission.arrive())
             case "plan":
                 self._queries.submit(request)
             case "obstacles":
-                assert isinstance(request.message, ObstaclesMessage)
+                assert isinstance(request.message, events.ObstaclesMessage)
                 if self._obstacles.change(request.number, request.message):
                     self._programs.park(self._obstacles.generation)
                     self._stream.park(self._moment.now)
             case "arm":
-                self._act(Reply(request.number, self._live()))
+                self._act(events.Reply(request.number, self._live()))
             case _:
                 self._requests.take(request)
 
-    def _live(self) -> Payload:
+    def _live(self) -> events.Payload:
         """Returns the fields of the arm's description that change."""
         state, running = self._view.state, self._programs.current
         faults = () if state is None else state.snapshot.faults
@@ -264,39 +206,39 @@ class Core:
 
     # --- the executor
 
-    def _hear(self, message: Up) -> None:
+    def _hear(self, message: program.Up) -> None:
         match message:
-            case Snapshot():
+            case program.Snapshot():
                 self._admission.snapshot(message.epoch)
                 self._locks.update(self._view.take(message))
-            case Accepted():
+            case program.Accepted():
                 self._goals.accepted(message)
-            case Declined():
+            case program.Declined():
                 self._goals.declined(message)
-            case Begun():
+            case program.Begun():
                 self._programs.begun(message)
-            case Replaced():
+            case program.Replaced():
                 self._programs.replaced(message)
-            case Settled():
+            case program.Settled():
                 self._programs.settled(message)
-            case Ended():
+            case program.Ended():
                 self._programs.ended(message)
-            case Answer():
+            case program.Answer():
                 self._requests.answered(message)
-            case Question():
+            case program.Question():
                 self._obstacles.ask(message)
-            case Counted(counts):
-                self._act(RecordCounts(counts))
-            case Diagnostics():
+            case program.Counted(counts):
+                self._act(events.RecordCounts(counts))
+            case program.Diagnostics():
                 self._view.diagnostics = message
-                self._act(RecordCounts(message.counts))
-            case Welcome():
+                self._act(events.RecordCounts(message.counts))
+            case program.Welcome():
                 self._welcome(message)
 
-    def _welcome(self, message: Welcome) -> None:
+    def _welcome(self, message: program.Welcome) -> None:
         self._view.welcome(message, self._counts)
-        self._numbers.at_least(message.program)
-        self._act(ToExecutor(Counts(self._counts)))
+        self._parts.numbers.at_least(message.program)
+        self._act(events.ToExecutor(program.Counts(self._counts)))
         self._results.met(message.instance)
         self._silent, self._alive_at = 0, self._moment.now
 
@@ -318,15 +260,15 @@ class Core:
         now = self._moment.now
         if now < self._alive_at:
             return
-        self._alive_at = now + ALIVE_EVERY
-        self._jobs.tick(now)
+        self._alive_at = now + program.ALIVE_EVERY
+        self._jobs.tick()
         if not self._view.connected:
             return
-        self._act(ToExecutor(Alive()))
+        self._act(events.ToExecutor(program.Alive()))
         self._silent += 1
         if self._silent > self._most_silent or self._requests.overdue():
             self._silent = 0
-            self._act(Disconnect("the executor is silent"))
+            self._act(events.Disconnect("the executor is silent"))
 
     # --- the end
 
@@ -339,24 +281,20 @@ class Core:
         self._queries.close()
         self._stream.park(self._moment.now)
         if (running := self._programs.current) is not None:
-            self._programs.end(running, Outcome("aborted", PATH_TOLERANCE_VIOLATED, CLOSING))
+            self._programs.end(running, Outcome("aborted", PATH_TOLERANCE_VIOLATED, events.CLOSING))
 
     def _close(self) -> None:
         over = self._programs.idle and self._results.idle and not self._goals.waiting
         if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
             if not self.ended:
                 self._obstacles.answer([], at_once=True)
-                self._act(Publish("state", self._status.state(self._moment.now, self._moment.wall)))
+                self._act(events.Publish("state", self._status.state(self._moment.now, self._moment.wall)))
             self.ended = True
 
     # ---
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: events.Action) -> None:
         self._actions.append(action)
 
     def _waiting(self) -> int:
         return self._goals.waiting + self._queries.waiting
-
-
-def no_bias(now: float) -> None:
-    """Returns the tip bias of an arm without a tracker: none."""

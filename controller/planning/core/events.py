@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
+from controller.motion import codes
 from controller.motion.goal import GoalMessage
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
@@ -49,9 +50,7 @@ class Request(NamedTuple):
     A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
 
     Attributes:
-        number: of the request, from 1, ascending.
-        key: of the interface.
-        message: content.
+        number: from 1, ascending.
         wall: time of arrival [UNIX s].
     """
 
@@ -167,10 +166,8 @@ class OpenGoal(NamedTuple):
     """An accepted goal without a result.
 
     Attributes:
-        identity: of its program.
         goal: its id.
         wall: time of the acceptance [UNIX s].
-        waypoints: number.
     """
 
     identity: Identity
@@ -184,9 +181,7 @@ class PublishResult(NamedTuple):
 
     Attributes:
         number: of this action.
-        identity: of the program.
         inherited: whether an earlier planner process accepted the goal; clients must first find this process.
-        payload: of the result.
     """
 
     number: int
@@ -196,13 +191,7 @@ class PublishResult(NamedTuple):
 
 
 class Accepted(NamedTuple):
-    """The acceptance of a goal or jog, for the ledger.
-
-    Attributes:
-        goal: its id.
-        wall: time [UNIX s].
-        waypoints: number.
-    """
+    """The acceptance of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
 
     goal: str
     wall: float
@@ -307,3 +296,16 @@ Action = (
     | Log
     | Fail
 )
+
+
+CLOSING = "the daemon is shutting down; the arm holds"
+
+
+def done(message: str) -> Payload:
+    """Returns the answer to a request that was carried out."""
+    return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
+
+
+def refused(code: int, message: str, goal: str | None = None) -> Payload:
+    """Returns the answer to a request that was refused; `goal` is its id, if it is known."""
+    return {"accepted": False, "id": goal, "code": code, "message": message}

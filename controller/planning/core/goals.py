@@ -11,39 +11,73 @@ from typing import TYPE_CHECKING
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage
-from controller.planning.core.admission import BARRED, Ticket
-from controller.planning.core.arm import ArmState, no_motion, packed
-from controller.planning.core.events import Log, Reply, Request
-from controller.planning.core.messages import CLOSING, refused
+from controller.planning.core import tasks
+from controller.planning.core.arm import ArmState, no_motion, obstruction, packed
+from controller.planning.core.events import CLOSING, Log, Reply, Request, refused
 from controller.planning.core.offers import Offer, goal_program, jog_program, jog_stages
-from controller.planning.core.parts import Parts
-from controller.planning.core.preparation import Preparation
-from controller.planning.core.tasks import (
-    Answer,
-    ArmStart,
-    Checked,
-    CheckStages,
-    PlanGoal,
-    Planned,
-    Refused,
-    Scene,
-    Tables,
-)
+from controller.planning.core.parts import BARRED, Parts, Ticket
 from controller.program import Accepted, Declined
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from controller.motion.pacing import Pace
-    from controller.planning.core.queries import Bias
-
-MOST_WAITING = 16
-MOST_TRIES = 10  # plans, and programs sent, of one goal while the arm moves
+MOST_WAITING, MOST_TRIES = 16, 10  # requests; plans, and programs sent, of one goal while the arm moves
 PATIENCE = 2.0  # [s] for the executor's answer; it answers within milliseconds
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 LONGEST_PLANNING = 60.0  # [s]
+LOST = "the connection to the executor was lost before it accepted the goal; the arm holds"
 MOST_LINES = 5  # refusals logged in one second
+IDLE = 0.02  # [s] without a request before the next search is prepared
+REHEARSE_EVERY, REHEARSE_FOR = 0.025, 2.0  # [s] between two rehearsals, and after the last goal
+
+
+class Preparation:
+    """Prepares the next search from where the arm is, once for each start.
+
+    A processor that was idle for a tenth of a second needs twice as long for a search, because its caches are cold. For
+    a while after a goal, the goal is therefore planned again and again without effect. The next goal finds warm caches.
+    """
+
+    def __init__(self, parts: Parts, prepares: bool) -> None:
+        self._parts, self._prepares = parts, prepares
+        self._job: int | None = None
+        self._prepared: object = None  # start, scene and tables for which the next search is prepared
+        self._last: GoalMessage | None = None
+        self._idle_since, self._rehearse_until = 0.0, -math.inf  # [s]
+
+    def end(self) -> None:
+        """Frees the worker, because a request has come."""
+        self._parts.jobs.abandon(self._job)
+        self._job = self._prepared = None
+
+    def begin(self, planned: GoalMessage | None) -> None:
+        """Notes that no request is planned any more; `planned` is a goal that was."""
+        now = self._parts.moment.now
+        self._idle_since = now
+        if planned is not None and len(planned.waypoints) == 1:
+            self._last, self._rehearse_until = planned, now + REHEARSE_FOR
+
+    def advance(self) -> float:
+        """Prepares or rehearses, if it is time; returns when to call again while no request waits [s]."""
+        parts, now = self._parts, self._parts.moment.now
+        state, scene, tables = parts.view.state, parts.obstacles.scene, parts.locks.tables
+        if not self._prepares or self._job is not None:
+            return math.inf
+        if now < self._idle_since + IDLE:
+            return self._idle_since + IDLE
+        if state is None or scene is None or tables is None or state.configuration is None or parts.programs.improving:
+            return math.inf
+        start = state.start, scene.generation, tables.generation
+        rehearsal = self._last if now < self._rehearse_until and scene.free else None
+        if start != self._prepared or rehearsal is not None:
+            self._prepared = start
+            self._job = parts.jobs.start(tasks.PrepareSearch(state.start, tables, scene, rehearsal), self._answered)
+        return math.inf
+
+    def _answered(self, answer: tasks.Answer) -> None:
+        self._job = None
+        self._idle_since = self._parts.moment.now + REHEARSE_EVERY - IDLE
 
 
 @dataclass(eq=False)
@@ -51,17 +85,11 @@ class Motion:
     """A goal or jog that has not begun.
 
     Attributes:
-        request: number.
-        ticket: its place among all requests.
         wanted: goal, or new states of single actuators by index.
-        id: of the goal or jog.
         received: time of arrival [UNIX s].
         since: when the present wait began [s].
-        tries: number of plans so far.
         job: number of the task that plans or checks it; None: no task.
-        start: where its plan starts.
-        scene: among which it was planned.
-        tables: with which it was planned.
+        basis: what the plan holds for.
         planned: the plan of a goal, or the stages (k, A) of a jog; None: there is none for the present start.
         program: number of its program, if that waits for the executor's answer.
         waits: the snapshot after which it is offered again; None: it does not wait for one.
@@ -75,10 +103,8 @@ class Motion:
     since: float
     tries: int = 0
     job: int | None = None
-    start: ArmStart | None = None
-    scene: Scene | None = None
-    tables: Tables | None = None
-    planned: Planned | NDArray[np.uint8] | None = None
+    basis: tuple[tasks.ArmStart, tasks.Scene, tasks.Tables] | None = None
+    planned: tasks.Planned | NDArray[np.uint8] | None = None
     program: int | None = None
     waits: ArmState | None = None
 
@@ -89,22 +115,18 @@ class Goals:
     A goal is planned from where the arm is, or from where its running stage ends. If the arm, the obstacles or the
     locks have changed before the program is sent, the goal is planned anew.
 
-    Args:
-        parts: of the core.
-        pace: of the arm's transitions.
-        bias: returns the tip bias that corrects goals; None: no tracker.
-        prepares: whether searches are prepared while no request waits.
-        name: of this process, in the ids of jogs.
+    Attributes:
+        due: when `advance` must be called again, without another event [s].
     """
 
-    def __init__(self, parts: Parts, pace: Pace, bias: Bias, *, prepares: bool, name: str) -> None:
+    def __init__(self, parts: Parts, prepares: bool) -> None:
         self.closing = False
         self._parts, self._view, self._moment, self._act = parts, parts.view, parts.moment, parts.act
-        self._locks, self._obstacles, self._programs, self._pace = parts.locks, parts.obstacles, parts.programs, pace
-        self._bias, self._name, self._preparation = bias, name, Preparation(parts, prepares)
+        self._locks, self._obstacles, self._programs = parts.locks, parts.obstacles, parts.programs
+        self._preparation = Preparation(parts, prepares)
         self._waiting = deque[Motion]()
         self._current: Motion | None = None
-        self._due = math.inf
+        self.due = math.inf
         self._second, self._lines = 0, 0
 
     @property
@@ -114,7 +136,7 @@ class Goals:
 
     def submit(self, request: Request, ticket: Ticket) -> None:
         """Queues a goal or jog, or refuses it at once."""
-        wanted, moment, name = request.message, self._moment, f"{self._name}{request.number:x}"
+        wanted, moment, name = request.message, self._moment, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | dict)
         name = f"jog-{name}" if isinstance(wanted, dict) else wanted.id or name
         motion = Motion(request.number, ticket, wanted, name, request.wall, moment.now)
@@ -129,21 +151,19 @@ class Goals:
 
     def cancel(self, goal: str) -> bool:
         """Refuses a waiting goal of this id; returns whether there was one."""
-        for motion in (*self._waiting, *([self._current] if self._current is not None else [])):
+        for motion in (*self._waiting, *filter(None, [self._current])):
             if motion.id == goal and motion.program is None:
-                self._parts.jobs.abandon(motion.job, self._moment.now)
                 self._end(motion, Refusal(INVALID_GOAL, BARRED))
                 return True
         return False
 
     def advance(self) -> None:
         """Brings the first request as far as it can go now. Call at the end of each step."""
-        self._due = math.inf
+        self.due = math.inf
         while True:
             if self._current is None:
                 if not self._waiting:
-                    self._preparation.advance()
-                    self._due = self._preparation.due
+                    self.due = self._preparation.advance()
                     return
                 self._current = self._waiting.popleft()
                 self._current.since = self._moment.now
@@ -152,16 +172,10 @@ class Goals:
                 self._proceed(motion)
                 return
             except Refusal as refusal:
-                self._parts.jobs.abandon(motion.job, self._moment.now)
                 self._end(motion, refusal)
             except Exception:
-                self._parts.jobs.abandon(motion.job, self._moment.now)
                 self._act(Log(logging.ERROR, f"{motion.id} failed\n{traceback.format_exc()}"))
                 self._end(motion, Refusal(INVALID_GOAL, "internal error, see the journal"))
-
-    def due(self) -> float:
-        """Returns when `advance` must be called again, without another event [s]."""
-        return self._due
 
     # --- the executor
 
@@ -190,8 +204,7 @@ class Goals:
         """Refuses the request whose program the executor has not answered, because the connection is lost."""
         motion = self._current
         if motion is not None and motion.program is not None:
-            words = "the connection to the executor was lost before it accepted the goal; the arm holds"
-            self._end(motion, Refusal(INVALID_GOAL, words))
+            self._end(motion, Refusal(INVALID_GOAL, LOST))
 
     # --- one request
 
@@ -214,8 +227,7 @@ class Goals:
         if motion.job is not None:
             if self._waits(motion, LONGEST_PLANNING):
                 return
-            words = f"planning took longer than {LONGEST_PLANNING:g} s: send fewer waypoints"
-            raise Refusal(INVALID_GOAL, words)
+            raise Refusal(INVALID_GOAL, f"planning took longer than {LONGEST_PLANNING:g} s: send fewer waypoints")
         if motion.waits is not None and motion.waits is self._view.state and self._waits(motion, NEWER_WITHIN):
             return
         motion.waits = None
@@ -228,22 +240,20 @@ class Goals:
             raise no_motion(mode, reason)
         scene, tables = self._obstacles.scene, self._locks.tables
         if tables is None:
-            raise Refusal(
-                INVALID_GOAL, f"the arm is {mode}: {reason}; the locked actuators are changing, send it again"
-            )
+            raise no_motion(mode, f"{reason}; the locked actuators are changing, send it again")
         if scene is None:
             return
-        if motion.planned is not None and (motion.start, motion.scene, motion.tables) == (state.start, scene, tables):
+        if motion.planned is not None and motion.basis == (state.start, scene, tables):
             self._offer(motion, state, scene)
         else:
             self._plan(motion, state, scene, tables)
 
     def _waits(self, motion: Motion, longest: float) -> bool:
         """Returns whether a request may wait longer; if so, notes until when [s]."""
-        self._due = motion.since + longest
-        return self._moment.now < self._due
+        self.due = motion.since + longest
+        return self._moment.now < self.due
 
-    def _plan(self, motion: Motion, state: ArmState, scene: Scene, tables: Tables) -> None:
+    def _plan(self, motion: Motion, state: ArmState, scene: tasks.Scene, tables: tasks.Tables) -> None:
         """Starts to plan a request from the arm's present state.
 
         Raises:
@@ -252,67 +262,64 @@ class Goals:
         motion.tries += 1
         if motion.tries > MOST_TRIES:
             raise Refusal(INVALID_GOAL, "the arm moved each time before the goal could begin; send it again")
-        motion.start, motion.scene, motion.tables, motion.planned = state.start, scene, tables, None
+        motion.basis, motion.planned = (state.start, scene, tables), None
         if isinstance(motion.wanted, dict):
             self._plan_jog(motion, motion.wanted, state, scene)
             return
-        if (unknown := state.unknown_state) is not None:
-            raise Refusal(INVALID_GOAL, f"unknown state: {unknown}; switch single actuators with `jog`")
-        if state.configuration is None:
-            raise no_motion(*self._locks.mode())
-        bias = self._bias(self._moment.now)
-        numbers = None if bias is None else tuple(bias.tolist())
+        if (words := obstruction(state, *self._locks.mode())) is not None:
+            raise Refusal(INVALID_GOAL, words)
         motion.since = self._moment.now
-        task = PlanGoal(motion.wanted, motion.received, state.start, numbers, tables, scene)
+        task = tasks.PlanGoal(motion.wanted, motion.received, state.start, self._parts.correction(), tables, scene)
         motion.job = self._parts.jobs.start(task, self._answered)
 
-    def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, scene: Scene) -> None:
-        motion.planned, motion.since = jog_stages(state, wanted, self._pace), self._moment.now
+    def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, scene: tasks.Scene) -> None:
+        motion.planned, motion.since = jog_stages(state, wanted, self._parts.pace), self._moment.now
         if scene.free or state.unknown_state is not None or state.configuration is None:
             self._offer(motion, state, scene)
             return
-        task = CheckStages(scene, state.start.commanded, tuple(map(packed, motion.planned)))
+        task = tasks.CheckStages(scene, state.start.commanded, tuple(map(packed, motion.planned)))
         motion.job = self._parts.jobs.start(task, self._answered)
 
-    def _answered(self, answer: Answer, last: bool, now: float) -> None:
+    def _answered(self, answer: tasks.Answer) -> None:
         """Takes the plan of a goal, or the check of a jog."""
         motion = self._current
         if motion is None or motion.job is None:
             return
         motion.job = None
         match answer:
-            case Planned():
+            case tasks.Planned():
                 motion.planned = answer
-            case Checked(None):
+            case tasks.Checked(None):
                 pass
-            case Checked(collision):
-                words = f"the motion from the arm's present state would collide: {collision}"
-                self._end(motion, Refusal(INVALID_GOAL, words))
-            case Refused(code, reason):
+            case tasks.Checked(collision):
+                self._end(
+                    motion, Refusal(INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
+                )
+            case tasks.Refused(code, reason):
                 self._end(motion, Refusal(code, reason))
             case _:
                 self._end(motion, Refusal(INVALID_GOAL, "internal error while planning, see the journal"))
 
     # --- the program and the answer
 
-    def _offer(self, motion: Motion, state: ArmState, scene: Scene) -> None:
+    def _offer(self, motion: Motion, state: ArmState, scene: tasks.Scene) -> None:
         """Sends the program of a planned request.
 
         Raises:
             Refusal: the goal is late, or a goal of its id is running.
         """
         planned, running = motion.planned, self._programs.current
-        if isinstance(planned, Planned) and running is not None and running.report.id == motion.id:
+        if isinstance(planned, tasks.Planned) and running is not None and running.report.id == motion.id:
             words = f"id: goal {motion.id} is running already; a goal that replaces it needs another id"
             raise Refusal(INVALID_GOAL, words)
         request = Offer(motion.request, motion.ticket, motion.id, state, scene)
-        if isinstance(planned, Planned):
-            program = goal_program(self._parts, self._pace, request, planned)
-            program.tables = motion.tables
+        if isinstance(planned, tasks.Planned):
+            program = goal_program(self._parts, request, planned)
+            program.tables = None if motion.basis is None else motion.basis[2]
         else:
             assert planned is not None
             assert isinstance(motion.wanted, dict)
-            program = jog_program(self._parts, self._pace, request, motion.wanted, planned)
+            program = jog_program(self._parts, request, motion.wanted, planned)
         motion.program, motion.since = program.program.program, self._moment.now
         self._programs.offer(program)
 
@@ -322,6 +329,7 @@ class Goals:
 
     def _drop(self, motion: Motion) -> None:
         """Removes a request that is answered, or answered elsewhere from now on."""
+        self._parts.jobs.abandon(motion.job)
         motion.job = motion.program = None
         if motion is self._current:
             self._current = None
@@ -333,8 +341,7 @@ class Goals:
         """Answers a request; logs at most MOST_LINES refusals a second."""
         self._act(Reply(motion.request, refused(refusal.code, str(refusal), motion.id)))
         second = int(self._moment.now)
-        self._lines = 1 if second != self._second else self._lines + 1
-        self._second = second
+        self._lines, self._second = 1 if second != self._second else self._lines + 1, second
         if self._lines <= MOST_LINES:
             self._act(Log(logging.INFO, f"{motion.id} refused: {refusal}"))
         elif self._lines == MOST_LINES + 1:

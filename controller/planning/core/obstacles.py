@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from controller.motion.codes import INVALID_GOAL
-from controller.planning.core.events import ObstaclesMessage, Reply, ToExecutor
-from controller.planning.core.jobs import Shared
-from controller.planning.core.messages import CLOSING, done, refused
+from controller.planning.core.events import CLOSING, ObstaclesMessage, Reply, ToExecutor, done, refused
+from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import (
     Answer,
     BuildScene,
@@ -31,8 +30,6 @@ class Change:
     """A request for other obstacles that is not answered yet.
 
     Attributes:
-        request: its number.
-        generation: of the obstacles.
         at: time of arrival [s].
         effects: what the obstacles did to running goals, as sentences.
     """
@@ -56,16 +53,15 @@ class ObstacleOwner:
         standing: with what the arm collides where it stands, in words; None: with nothing.
 
     Args:
-        shared: what all parts of the core share.
         scene: of the arm's file.
         total: number of obstacles in it.
     """
 
-    def __init__(self, shared: Shared, scene: Scene, total: int) -> None:
+    def __init__(self, parts: Parts, scene: Scene, total: int) -> None:
         self.generation, self.regions = scene.generation, list[Any]()
         self.scene: Scene | None = scene
         self.standing: str | None = None
-        self._view, self._jobs, self._moment, self._act = shared.view, shared.jobs, shared.moment, shared.act
+        self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
         self._sent: Any = None  # the obstacles of the last request
         self._built, self._counts = scene, (total, 0)
         self._built_of: tuple[Any, list[Any]] = (None, [])  # what the built scene was sent as, and as it came
@@ -108,7 +104,7 @@ class ObstacleOwner:
                 later = [f"goal {goal} is still being checked, no stage begins before" for goal in unchecked]
                 self._act(Reply(change.request, done("; ".join([said, *standing, *change.effects, *later]))))
 
-    def _scene_answered(self, generation: int, answer: Answer, last: bool, now: float) -> None:
+    def _scene_answered(self, generation: int, answer: Answer) -> None:
         if generation != self.generation:
             return
         if isinstance(answer, SceneBuilt):
@@ -142,7 +138,7 @@ class ObstacleOwner:
             task = CheckStages(scene, question.start, (question.stage,))
             self._jobs.start(task, partial(self._question_answered, question, scene.generation))
 
-    def _question_answered(self, question: Question, generation: int, answer: Answer, last: bool, now: float) -> None:
+    def _question_answered(self, question: Question, generation: int, answer: Answer) -> None:
         if generation != self.generation:
             self.ask(question)
             return
@@ -165,7 +161,7 @@ class ObstacleOwner:
             return
         self._standing_job = self._jobs.start(CheckStanding(scene, state.snapshot.measured), self._standing_answered)
 
-    def _standing_answered(self, answer: Answer, last: bool, now: float) -> None:
+    def _standing_answered(self, answer: Answer) -> None:
         self._standing_job = None
         self.standing = answer.collision if isinstance(answer, Checked) else None
 

@@ -8,15 +8,14 @@ import numpy as np
 
 from controller.manipulator.locked import STATES
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.motion.feed import Feed, PlannedPoint, Proof, Route
 from controller.motion.program import delay_of, in_groups, unpack_states
-from controller.planning.core.admission import Ticket
 from controller.planning.core.arm import ArmState, States, packed
-from controller.planning.core.feed import Feed, Route
-from controller.planning.core.messages import done
-from controller.planning.core.parts import Parts
+from controller.planning.core.events import done
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.programs import InFlight
 from controller.planning.core.reports import GoalReport, JogReport, Report
-from controller.planning.core.tasks import Planned, PlannedPoint, Proof, Scene
+from controller.planning.core.tasks import Planned, Scene
 from controller.program import Program
 
 if TYPE_CHECKING:
@@ -26,15 +25,7 @@ UNCHECKED = "; collisions were not checked, because the arm is in no configurati
 
 
 class Offer(NamedTuple):
-    """A request that is planned and may be sent now.
-
-    Attributes:
-        request: its number.
-        ticket: its place among all requests.
-        id: of the goal or jog.
-        state: of the arm; the plan starts there.
-        scene: obstacles; the plan is clear among them.
-    """
+    """A request that is planned and may be sent now."""
 
     request: int
     ticket: Ticket
@@ -47,13 +38,9 @@ class Made(NamedTuple):
     """What a program is made from.
 
     Attributes:
-        route: points and times.
-        report: makes feedback and result.
-        name: for sentences.
         words: of the answer.
         strict: whether no stage may be skipped.
         begin: zero of time [s]; 0 means now.
-        proof: of the plan; None for a jog.
         homed: packed mask of the actuators of unknown state that are homed; empty: all.
     """
 
@@ -67,7 +54,7 @@ class Made(NamedTuple):
     homed: bytes = b""
 
 
-def goal_program(parts: Parts, pace: Pace, offer: Offer, planned: Planned) -> InFlight:
+def goal_program(parts: Parts, offer: Offer, planned: Planned) -> InFlight:
     """Returns the program of a planned goal.
 
     Raises:
@@ -83,17 +70,17 @@ def goal_program(parts: Parts, pace: Pace, offer: Offer, planned: Planned) -> In
     else:
         stage = unpack_states(state.real(first[0]), len(state.outputs))
         waits = max(parts.view.rest.ready(state, stage, not offer.scene.free) - moment.now, 0.0)
-        delay = delay_of(trajectory, pace.lead * len(first) + waits)
+        delay = delay_of(trajectory, parts.pace.lead * len(first) + waits)
     between = np.ones(len(planned.points), np.bool_)
     between[trajectory.waypoints] = False
     times = trajectory.times.tolist()
-    route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), pace.lead, delay)
+    route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), parts.pace.lead, delay)
     report = GoalReport(parts.view.manipulator, offer.id, trajectory)
     waypoints, switches = len(trajectory.waypoints), planned.proof.switches
     points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
     words = f"accepted, {points}, {switches} {'switch' if switches == 1 else 'switches'} planned"
     made = Made(route, report, f"goal {offer.id}", words, not offer.scene.free, begin, planned.proof)
-    program = _in_flight(parts, pace, offer, made)
+    program = _in_flight(parts, offer, made)
     program.plan, program.delay = planned.plan, delay
     return program
 
@@ -118,9 +105,9 @@ def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
     return in_groups(state.commanded, target, pace.inrush or len(labels))
 
 
-def jog_program(parts: Parts, pace: Pace, offer: Offer, wanted: dict[int, int], stages: States) -> InFlight:
+def jog_program(parts: Parts, offer: Offer, wanted: dict[int, int], stages: States) -> InFlight:
     """Returns the program that switches single actuators in stages (k, A)."""
-    state, labels, lead = offer.state, offer.state.manipulator.actuators, pace.lead
+    state, labels, lead = offer.state, offer.state.manipulator.actuators, parts.pace.lead
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
     route = Route(state.snapshot.outputs, (point,), (lead * len(point.stages),), (False,), lead, 0.0)
     known = state.unknown_state is None and state.configuration is not None
@@ -130,15 +117,15 @@ def jog_program(parts: Parts, pace: Pace, offer: Offer, wanted: dict[int, int], 
     words = f"accepted, {switches} switches: {named}{unchecked}"[:1_000]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
     strict, name = known and not offer.scene.free, f"jog {offer.id}"
-    program = _in_flight(parts, pace, offer, Made(route, JogReport(offer.id, wanted), name, words, strict, homed=homed))
+    program = _in_flight(parts, offer, Made(route, JogReport(offer.id, wanted), name, words, strict, homed=homed))
     program.unchecked = not known
     return program
 
 
-def _in_flight(parts: Parts, pace: Pace, offer: Offer, made: Made) -> InFlight:
+def _in_flight(parts: Parts, offer: Offer, made: Made) -> InFlight:
     """Returns the program, and what belongs to it while it is in flight."""
     number, manipulator, route = parts.numbers.next(), parts.view.manipulator, made.route
-    most = pace.inrush or len(manipulator.actuators)
+    most = parts.pace.inrush or len(manipulator.actuators)
     feed = Feed(manipulator, number, route, made.strict, offer.scene.generation, made.proof, most)
     program = Program(
         number,

@@ -1,43 +1,239 @@
-"""The parts of the core that others ask; each owns its facts."""
+"""What all parts of the core ask: the time, the order of requests, tasks under way, and the numbers of programs.
+
+A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner decides by
+order of arrival, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that begins with
+its answer.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from controller.planning.core.events import Abandon, Action, Fail, Start
+from controller.planning.core.tasks import Answer, Task
+
 if TYPE_CHECKING:
-    from controller.planning.core.admission import Admission
-    from controller.planning.core.arm import ExecutorView
-    from controller.planning.core.events import Action
-    from controller.planning.core.jobs import Jobs, Moment, ProgramNumbers
-    from controller.planning.core.locks import Locks
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from controller.motion.pacing import Pace
+    from controller.planning.core.arm import ExecutorView, Locks
     from controller.planning.core.obstacles import ObstacleOwner
     from controller.planning.core.programs import Programs
+    from controller.planning.core.results import Results
+
+HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
+OnAnswer = Callable[[Answer], None]
+Bias = Callable[[float], "NDArray[np.float64] | None"]
+BARRED = "a cancel, stop, reset or fault came before it began"
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
+class Ticket:
+    """The place of a request in the order of arrival.
+
+    Attributes:
+        number: among all requests and set-points.
+        epoch: of the executor at arrival; None while it is not known.
+        waits_for: the executor's requests that were unanswered at arrival, and may begin a new epoch.
+    """
+
+    number: int
+    epoch: int | None
+    waits_for: frozenset[int]
+
+
+class Admission:
+    """Numbers requests and set-points by arrival, and decides which are barred."""
+
+    def __init__(self) -> None:
+        self._last = self._barred = self._replaced = 0  # numbers of tickets
+        self._pending: frozenset[int] = frozenset()  # the executor's requests that may begin a new epoch
+        self._epoch: int | None = None  # of the last snapshot
+        self._current = False  # whether that snapshot came after the last answer
+        self._unresolved: list[Ticket] = []
+
+    def arrive(self) -> Ticket:
+        """Returns the ticket of a request that arrives now."""
+        self._last += 1
+        ticket = Ticket(self._last, self._epoch if self._current and not self._pending else None, self._pending)
+        if ticket.epoch is None:
+            self._unresolved.append(ticket)
+        return ticket
+
+    def bar(self, request: int) -> None:
+        """Bars all earlier requests: a cancel, stop or reset goes to the executor as its request of this number."""
+        self._last += 1
+        self._barred = self._last
+        self._unresolved.clear()
+        self.fence(request)
+
+    def fence(self, request: int) -> None:
+        """Notes a request to the executor that begins a new epoch if the executor accepts it."""
+        self._pending |= {request}
+
+    def end_streams(self, ticket: Ticket) -> None:
+        """Ends the streams of set-points that began before an accepted goal."""
+        self._replaced = max(self._replaced, ticket.number)
+
+    # --- the executor
+
+    def answered(self, request: int) -> None:
+        """Notes that the executor answered such a request, or that it could not be sent."""
+        if request in self._pending:
+            self._pending -= {request}
+            self._current = False
+
+    def snapshot(self, epoch: int) -> None:
+        """Notes the epoch of a snapshot."""
+        self._epoch, self._current = epoch, True
+        waiting = [ticket for ticket in self._unresolved if ticket.waits_for & self._pending]
+        for ticket in self._unresolved:
+            if ticket not in waiting:
+                ticket.epoch = epoch
+        self._unresolved = waiting
+
+    def lost(self) -> None:
+        """Bars all earlier requests: the connection to the executor is lost."""
+        self._last += 1
+        self._barred = self._last
+        self._pending, self._epoch, self._current = frozenset(), None, False
+        self._unresolved.clear()
+
+    # --- decisions
+
+    def barred(self, ticket: Ticket) -> bool:
+        """Returns whether a cancel, stop, reset or fault came after a request."""
+        changed = ticket.epoch is not None and self._epoch is not None and ticket.epoch != self._epoch
+        return ticket.number <= self._barred or changed
+
+    def stream_ended(self, ticket: Ticket) -> bool:
+        """Returns whether a stream of set-points is no longer followed, given the ticket of its first set-point."""
+        return ticket.number <= self._replaced or self.barred(ticket)
+
+
+@dataclass(eq=False)
+class Moment:
+    """The time of the present step, written by the core only.
+
+    Attributes:
+        now: by a clock that never goes back [s].
+        wall: UNIX time [s].
+    """
+
+    now: float = 0.0
+    wall: float = 0.0
+
+
+@dataclass(eq=False)
+class Job:
+    """A task that a worker has."""
+
+    task: Task
+    on_answer: OnAnswer | None
+    abandoned_at: float | None = None
+
+
+class Jobs:
+    """Starts tasks, and passes each answer to the part of the core that asked.
+
+    Args:
+        moment: of the present step.
+        act: takes actions.
+    """
+
+    def __init__(self, moment: Moment, act: Callable[[Action], None]) -> None:
+        self._moment, self._act, self._last = moment, act, 0
+        self._jobs: dict[int, Job] = {}
+
+    def start(self, task: Task, on_answer: OnAnswer) -> int:
+        """Starts a task; returns its number."""
+        self._last += 1
+        self._jobs[self._last] = Job(task, on_answer)
+        self._act(Start(self._last, task))
+        return self._last
+
+    def abandon(self, number: int | None) -> None:
+        """Abandons a task: its answers are dropped from now on."""
+        job = None if number is None else self._jobs.get(number)
+        if number is not None and job is not None and job.abandoned_at is None:
+            job.on_answer, job.abandoned_at = None, self._moment.now
+            self._act(Abandon(number))
+
+    def answered(self, number: int, answer: Answer, last: bool) -> None:
+        """Passes an answer on."""
+        job = self._jobs.pop(number, None) if last else self._jobs.get(number)
+        if job is not None and job.on_answer is not None:
+            job.on_answer(answer)
+
+    def tick(self) -> None:
+        """Ends the process if a worker does not end a task that it was told to abandon."""
+        for job in self._jobs.values():
+            if job.abandoned_at is not None and self._moment.now - job.abandoned_at > HUNG:
+                job.abandoned_at = None
+                kind = type(job.task).__name__
+                self._act(Fail(f"a worker did not end its task {kind} within {HUNG:g} s: the process starts again"))
+
+    @property
+    def waiting(self) -> int:
+        """Number of tasks under way."""
+        return len(self._jobs)
+
+
+class ProgramNumbers:
+    """Numbers programs and streams of set-points in ascending order."""
+
+    def __init__(self) -> None:
+        self._last = 0
+
+    def next(self) -> int:
+        """Returns a new number."""
+        self._last += 1
+        return self._last
+
+    def at_least(self, number: int) -> None:
+        """Continues after the executor's greatest number."""
+        self._last = max(self._last, number)
+
+
+def no_bias(now: float) -> None:
+    """Returns the tip bias of an arm without a tracker: none."""
+
+
+@dataclass(eq=False)
 class Parts:
-    """The parts of the core that others ask.
+    """The parts of the core; each owns its facts, the others ask.
+
+    The core sets `locks`, `obstacles`, `results` and `programs` once, in this order. Each may ask those before it.
 
     Attributes:
         view: what the executor last said.
-        admission: of requests and set-points.
-        numbers: of programs and streams.
-        jobs: tasks under way.
-        moment: of the present step.
+        pace: of the arm's transitions.
+        name: of this process, distinct from those of all others; a part of ids.
         act: takes actions.
-        locks: locked actuators and tables.
-        obstacles: all obstacles.
-        programs: what is in flight.
+        bias: returns the tip bias that corrects goals at a time [s], shape (dimension,); None: no tracker.
     """
 
     view: ExecutorView
-    admission: Admission
-    numbers: ProgramNumbers
-    jobs: Jobs
-    moment: Moment
+    pace: Pace
+    name: str
     act: Callable[[Action], None]
-    locks: Locks
-    obstacles: ObstacleOwner
-    programs: Programs
+    bias: Bias = no_bias
+    moment: Moment = field(default_factory=Moment)
+    admission: Admission = field(default_factory=Admission)
+    numbers: ProgramNumbers = field(default_factory=ProgramNumbers)
+    jobs: Jobs = field(init=False)
+    locks: Locks = field(init=False)
+    obstacles: ObstacleOwner = field(init=False)
+    results: Results = field(init=False)
+    programs: Programs = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.jobs = Jobs(self.moment, self.act)
+
+    def correction(self) -> tuple[float, ...] | None:
+        """Returns the present tip bias as `dimension` numbers; None: no tracker."""
+        bias = self.bias(self.moment.now)
+        return None if bias is None else tuple(bias.tolist())

@@ -8,25 +8,14 @@ from functools import partial
 from typing import Any
 
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED
-from controller.planning.core.admission import Ticket
+from controller.motion.feed import Feed, Improved
 from controller.planning.core.arm import ArmState, measured_states
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
-from controller.planning.core.feed import Feed
-from controller.planning.core.jobs import Shared
-from controller.planning.core.obstacles import ObstacleOwner
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.reports import Outcome, Report, collision_outcome
-from controller.planning.core.results import Known, Results
-from controller.planning.core.tasks import (
-    Answer,
-    Checked,
-    CheckStages,
-    Deviations,
-    Improved,
-    ImprovePlan,
-    Scene,
-    Tables,
-)
+from controller.planning.core.results import Known
+from controller.planning.core.tasks import Answer, Checked, CheckStages, Deviations, ImprovePlan, Scene, Tables
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
 
 GAVE_UP = "the planner gave up waiting for the executor"
@@ -39,20 +28,12 @@ class InFlight:
     Attributes:
         program: as it was sent.
         request: number of the client's request; its answer waits until the ledger has the acceptance.
-        ticket: of the request.
-        report: makes feedback and result.
-        feed: its stages.
-        plan: for the improvement; None for a jog.
-        tables: of the plan.
-        answer: of the request, once it is accepted.
         delay: the trajectory's t = 0 in the program's time [s].
         begin: its zero of time [s].
-        accepted: whether the executor accepted it.
         outcome: the planner's reason to end it; the executor's result follows.
-        improving: number of the task that improves it.
+        improving, checking: numbers of the tasks that improve and check it.
         deviates: whether the deviations of its points are still awaited.
         held: reports that wait for the deviations, in order.
-        checking: number of the task that checks it.
         unchecked: whether it cannot be checked, because the arm is in no configuration.
     """
 
@@ -82,16 +63,13 @@ class Programs:
         last_accepted: number of the latest program that the executor accepted.
 
     Args:
-        shared: what all parts of the core share.
-        obstacles: the obstacles.
-        results: publishes results.
         searches: whether plans are improved while they run.
     """
 
-    def __init__(self, shared: Shared, obstacles: ObstacleOwner, results: Results, searches: bool) -> None:
+    def __init__(self, parts: Parts, searches: bool) -> None:
         self.last_accepted = 0
-        self._view, self._jobs, self._moment, self._act = shared.view, shared.jobs, shared.moment, shared.act
-        self._obstacles, self._results, self._searches = obstacles, results, searches
+        self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
+        self._obstacles, self._results, self._searches = parts.obstacles, parts.results, searches
         self._programs: dict[int, InFlight] = {}
         self._replies: dict[int, tuple[int, dict[str, Any]]] = {}  # by entry of the ledger
 
@@ -156,7 +134,7 @@ class Programs:
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
         for program in list(self._programs.values()):
-            self._jobs.abandon(program.improving, self._moment.now)
+            self._jobs.abandon(program.improving)
             self._stop_improving(program)
 
     # --- the executor
@@ -210,7 +188,7 @@ class Programs:
             self._results.ended(message, None)
             return
         program.held.append(message)
-        self._jobs.abandon(program.checking, self._moment.now)
+        self._jobs.abandon(program.checking)
         program.checking = None
         self._tell(program)
 
@@ -235,10 +213,8 @@ class Programs:
         """Withdraws the stages that have not begun of all programs, because obstacles have changed."""
         for program in list(self._programs.values()):
             if program.feed.checked != generation and not program.unchecked:
-                self._jobs.abandon(program.checking, self._moment.now)
-                self._jobs.abandon(program.improving, self._moment.now)
-                self._stop_improving(program)
-                program.checking = None
+                self._stop_tasks(program)
+                self._tell(program)
                 program.feed.park(generation)
                 self._feed(program)
 
@@ -264,7 +240,7 @@ class Programs:
         self._obstacles.note(f"goal {program.report.id} goes on, its stages are clear")
         self._feed(program)
 
-    def _checked(self, program: InFlight, until: int, answer: Answer, last: bool, now: float) -> None:
+    def _checked(self, program: InFlight, until: int, answer: Answer) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
         program.checking = None
         words = answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
@@ -285,7 +261,7 @@ class Programs:
         program.deviates = True
         program.improving = self._jobs.start(task, partial(self._improved, program))
 
-    def _improved(self, program: InFlight, answer: Answer, last: bool, now: float) -> None:
+    def _improved(self, program: InFlight, answer: Answer) -> None:
         """Takes deviations and better plans."""
         if isinstance(answer, Deviations):
             program.feed.note_deviations(answer.values)
@@ -293,7 +269,7 @@ class Programs:
         elif isinstance(answer, Improved) and program.outcome is None:
             program.feed.improve(answer)
             self._feed(program)
-        if last:
+        elif not isinstance(answer, Improved):  # the last answer
             self._stop_improving(program)
         self._tell(program)
 
@@ -302,8 +278,8 @@ class Programs:
         self._tell(program)
 
     def _stop_tasks(self, program: InFlight) -> None:
-        self._jobs.abandon(program.improving, self._moment.now)
-        self._jobs.abandon(program.checking, self._moment.now)
+        self._jobs.abandon(program.improving)
+        self._jobs.abandon(program.checking)
         program.improving = program.checking = None
         program.deviates = False
 

@@ -1,32 +1,100 @@
-"""The reports on one program: feedback at its marks, and its one result."""
+"""The reports on one program: its context, feedback at its marks, and its one result."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
 import numpy as np
 
-from controller.manipulator.locked import STATES
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
+from controller.motion.feed import Proof
+from controller.motion.targets import Target, measured_pose
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.arm import Measured
-from controller.planning.core.context import Context, encode_context, with_target
 from controller.planning.core.events import Payload
-from controller.planning.core.poses import Target, measured_pose
-from controller.planning.core.tasks import Proof
-from controller.program import Ended, Settled
+from controller.program import Settled
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator
 
-STATUS_CODES = {
-    "canceled": codes.INVALID_GOAL,
-    "replaced": codes.INVALID_GOAL,
-    "aborted": codes.PATH_TOLERANCE_VIOLATED,
-    "lost": codes.PATH_TOLERANCE_VIOLATED,
-}
+MOST_BYTES = 8_192  # limit of the executor's contract
+
+
+class Context(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What the result of a goal or jog needs.
+
+    Attributes:
+        id: of the goal.
+        waypoints: number of waypoints.
+        last_mark: mark of the last waypoint.
+        position: of the last waypoint, `dimension` coordinates; empty for a jog, which has no target.
+        tolerance: of the position.
+        rotation: nine numbers, row by row; empty: any orientation serves.
+        angle_tolerance: [rad].
+        configuration: in which the arm must end, as text; None: any.
+        bias: tip bias by which the goal was corrected; None: no tracker.
+        sent: time at which the program was made [UNIX s].
+        proof: switches, cost, bound and certificate of the plan; None for a jog.
+        jogged: new state of each actuator of a jog, by index.
+    """
+
+    id: str
+    waypoints: int = 1
+    last_mark: int = 0
+    position: list[float] = []
+    tolerance: float = 0.0
+    rotation: list[float] = []
+    angle_tolerance: float = 0.0
+    configuration: str | None = None
+    bias: list[float] | None = None
+    sent: float = 0.0
+    proof: Proof | None = None
+    jogged: dict[int, int] = {}
+
+    @property
+    def target(self) -> Target | None:
+        """The last waypoint; None for a jog."""
+        if not self.position:
+            return None
+        turned = bool(self.rotation)
+        return Target(
+            np.array(self.position),
+            self.tolerance,
+            np.array(self.rotation).reshape(3, 3) if turned else None,
+            self.angle_tolerance if turned else np.inf,
+            self.configuration,
+        )
+
+
+def with_target(context: Context, target: Target) -> Context:
+    """Returns a context with the target of the last waypoint."""
+    return msgspec.structs.replace(
+        context,
+        position=target.position.tolist(),
+        tolerance=float(target.tolerance),
+        rotation=[] if target.rotation is None else target.rotation.ravel().tolist(),
+        angle_tolerance=float(target.angle_tolerance) if target.rotation is not None else 0.0,
+        configuration=target.configuration,
+    )
+
+
+def encode_context(context: Context) -> bytes:
+    """Returns a context as bytes; omits the configuration and the jogged actuators if it would be too long."""
+    data = msgspec.msgpack.encode(context)
+    if len(data) > MOST_BYTES:
+        data = msgspec.msgpack.encode(msgspec.structs.replace(context, configuration=None, jogged={}))
+    return data
+
+
+def decode_context(data: bytes) -> Context | None:
+    """Returns the context in a result; None if it cannot be decoded, as from another version of the planner."""
+    try:
+        return msgspec.msgpack.decode(data, type=Context)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
+        return None
 
 
 class Outcome(NamedTuple):
@@ -42,14 +110,7 @@ class GoalReport:
     """The reports on a goal.
 
     Attributes:
-        id: of the goal.
-        trajectory: of the goal.
         count: number of waypoints.
-
-    Args:
-        manipulator: the whole arm.
-        goal: its id.
-        trajectory: of the goal.
     """
 
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
@@ -194,99 +255,8 @@ class JogReport:
 Report = GoalReport | JogReport
 
 
-def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> Outcome:
-    """Returns the outcome of a program as the executor ended it, judged by the measured states (A,)."""
-    if ended.status != "done":
-        return Outcome(ended.status, STATUS_CODES[ended.status], ended.message)
-    if context.target is None:
-        return jog_outcome(manipulator, measured, context)
-    where = measured_pose(manipulator, measured, context.target)
-    return last_waypoint_outcome(context.id, context.target, where)
-
-
-def last_waypoint_outcome(goal: str, target: Target, where: Payload) -> Outcome:
-    """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
-    error, angle = where["error"], where["orientation_error"]
-    if target.configuration is not None:
-        reached = where["configuration"] == target.configuration
-        measured = where["configuration"] or "unknown"
-        message = f"the measured configuration is {measured}, not {target.configuration}"
-    else:
-        reached = error is not None and error <= target.tolerance
-        reached = reached and (angle is None or angle <= target.angle_tolerance)
-        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
-        message = f"the measured tip is {away}, tolerance {target.tolerance:g}"
-        if angle is not None:
-            tolerances = f"tolerances {target.tolerance:g} and {target.angle_tolerance:g}"
-            message = f"the measured tip is {away} and turned {angle:.4f} rad, {tolerances}"
-    if reached:
-        return Outcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
-    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
-
-
-def jog_outcome(manipulator: Manipulator, measured: Measured, context: Context) -> Outcome:
-    """Returns whether the actuators of a jog are measured in their new states, as an outcome."""
-    apart = [manipulator.actuators[k] for k, state in sorted(context.jogged.items()) if measured[k] != state]
-    if not apart:
-        return Outcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
-    message = f"not measured in the requested state: {', '.join(apart)}"
-    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
-
-
 def collision_outcome(goal: str, words: str) -> Outcome:
     """Returns the outcome of a goal whose remaining stages would collide."""
     message = f"the planned motion would collide: {words}; the arm holds"
     sentence = f"holding; goal {goal} was aborted: the planned motion would collide: {words}"
     return Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)
-
-
-def result_of(
-    manipulator: Manipulator,
-    ended: Ended,
-    measured: Measured,
-    context: Context,
-    outcome: Outcome,
-    target: Target | None,
-) -> Payload:
-    """Returns the payload of a result.
-
-    The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
-    switches that it speaks of; otherwise `certificate` is "unknown".
-
-    Args:
-        manipulator: the whole arm.
-        ended: the executor's message.
-        measured: actuator states, shape (A,).
-        context: of the program.
-        outcome: of the goal.
-        target: from which the errors are given; None: they are not given.
-    """
-    proof, bias = context.proof, {} if context.bias is None else {"bias": context.bias}
-    shown: Payload = {}
-    if context.jogged or not context.position:
-        labels = manipulator.actuators
-        travels = [
-            {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
-            for travel in ended.travels
-        ]
-        shown = {"travels": travels}
-    elif proof is not None:
-        as_planned = outcome.status == "succeeded" and proof.switches == ended.switches
-        kind = proof.certificate if as_planned else "unknown"
-        known = kind in ("optimal", "bound")
-        shown = {
-            "planned_switches": proof.switches,
-            "optimal": kind == "optimal" if known else None,
-            "lower_bound": proof.bound if known else None,
-            "certificate": kind,
-        }
-    return {
-        "id": context.id,
-        "status": outcome.status,
-        "code": outcome.code,
-        "message": outcome.message,
-        "switches": ended.switches,
-        **measured_pose(manipulator, measured, target),
-        **bias,
-        **shown,
-    }

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from controller.journal import fields_of_result
-from controller.planning.core.arm import ExecutorView, measured_states
-from controller.planning.core.context import Context, decode_context
+from controller.manipulator.locked import STATES
+from controller.motion import codes
+from controller.motion.feed import Proof
+from controller.motion.targets import Target, measured_pose
+from controller.planning.core.arm import Measured, measured_states
 from controller.planning.core.events import (
     Accepted,
-    Action,
     Identity,
     Log,
     OpenGoal,
@@ -24,13 +26,20 @@ from controller.planning.core.events import (
     ToExecutor,
 )
 from controller.planning.core.events import Ended as EndedEntry
-from controller.planning.core.jobs import Moment
-from controller.planning.core.poses import Target
-from controller.planning.core.reports import STATUS_CODES, Outcome, outcome_of, result_of
-from controller.planning.core.tasks import Proof
+from controller.planning.core.parts import Parts
+from controller.planning.core.reports import Context, Outcome, decode_context
 from controller.program import Acknowledge, Ended
 
+if TYPE_CHECKING:
+    from controller.manipulator.manipulator import Manipulator
+
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
+STATUS_CODES = {
+    "canceled": codes.INVALID_GOAL,
+    "replaced": codes.INVALID_GOAL,
+    "aborted": codes.PATH_TOLERANCE_VIOLATED,
+    "lost": codes.PATH_TOLERANCE_VIOLATED,
+}
 
 
 class Known(NamedTuple):
@@ -52,10 +61,8 @@ class Untold:
     """A result on its way.
 
     Attributes:
-        identity: of the program.
         result: number at the executor, which waits for its acknowledgement; None: the executor does not know it.
         accepted: the acceptance, for a ledger that may not have it.
-        payload: of the result.
     """
 
     identity: Identity
@@ -71,22 +78,12 @@ class Results:
     acknowledged when the executor sends its result again.
 
     Args:
-        view: what the executor last said.
-        moment: of the present step.
         published: programs whose results were published before.
         owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
-        act: takes actions.
     """
 
-    def __init__(
-        self,
-        view: ExecutorView,
-        moment: Moment,
-        published: Iterable[Identity],
-        owed: Iterable[OpenGoal],
-        act: Callable[[Action], None],
-    ) -> None:
-        self._view, self._moment, self._act = view, moment, act
+    def __init__(self, parts: Parts, published: Iterable[Identity], owed: Iterable[OpenGoal]) -> None:
+        self._view, self._moment, self._act = parts.view, parts.moment, parts.act
         self._told = dict.fromkeys(published)  # ordered: the oldest are forgotten first
         self._owed = {goal.identity: goal for goal in owed}
         self._last = 0  # number of a publication or of an entry of the ledger
@@ -113,9 +110,10 @@ class Results:
         """Takes the executor's result of a program; `known` is None for a program of an earlier planner process."""
         context, view = decode_context(message.context), self._view
         identity = Identity(view.instance or 0, message.program)
-        if any(untold.identity == identity for untold in (*self._publishing.values(), *self._recording.values())):
-            self._expect(identity, message.result)
-            return
+        for untold in (*self._publishing.values(), *self._recording.values()):
+            if untold.identity == identity:  # on its way; the executor waits for its acknowledgement
+                untold.result = message.result
+                return
         if context is None:
             text = f"the result of program {message.program} has no context that this planner can decode: "
             self._act(Log(logging.WARNING, text + message.message))
@@ -184,13 +182,98 @@ class Results:
         self._recording[number] = untold
         self._act(Record(number, untold.identity, untold.accepted, EndedEntry(self._moment.wall, *fields)))
 
-    def _expect(self, identity: Identity, result: int) -> None:
-        """Notes that the executor waits for the acknowledgement of a result that is on its way."""
-        for untold in (*self._publishing.values(), *self._recording.values()):
-            if untold.identity == identity:
-                untold.result = result
-
 
 def accepted_of(context: Context) -> Accepted:
     """Returns the acceptance of a goal, for a ledger that may not have it."""
     return Accepted(context.id, context.sent, context.waypoints)
+
+
+def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> Outcome:
+    """Returns the outcome of a program as the executor ended it, judged by the measured states (A,)."""
+    if ended.status != "done":
+        return Outcome(ended.status, STATUS_CODES[ended.status], ended.message)
+    if context.target is None:
+        return jog_outcome(manipulator, measured, context)
+    where = measured_pose(manipulator, measured, context.target)
+    return last_waypoint_outcome(context.id, context.target, where)
+
+
+def last_waypoint_outcome(goal: str, target: Target, where: Payload) -> Outcome:
+    """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
+    error, angle = where["error"], where["orientation_error"]
+    if target.configuration is not None:
+        reached = where["configuration"] == target.configuration
+        measured = where["configuration"] or "unknown"
+        message = f"the measured configuration is {measured}, not {target.configuration}"
+    else:
+        reached = error is not None and error <= target.tolerance
+        reached = reached and (angle is None or angle <= target.angle_tolerance)
+        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
+        message = f"the measured tip is {away}, tolerance {target.tolerance:g}"
+        if angle is not None:
+            tolerances = f"tolerances {target.tolerance:g} and {target.angle_tolerance:g}"
+            message = f"the measured tip is {away} and turned {angle:.4f} rad, {tolerances}"
+    if reached:
+        return Outcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
+    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
+
+
+def jog_outcome(manipulator: Manipulator, measured: Measured, context: Context) -> Outcome:
+    """Returns whether the actuators of a jog are measured in their new states, as an outcome."""
+    apart = [manipulator.actuators[k] for k, state in sorted(context.jogged.items()) if measured[k] != state]
+    if not apart:
+        return Outcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
+    message = f"not measured in the requested state: {', '.join(apart)}"
+    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
+
+
+def result_of(
+    manipulator: Manipulator,
+    ended: Ended,
+    measured: Measured,
+    context: Context,
+    outcome: Outcome,
+    target: Target | None,
+) -> Payload:
+    """Returns the payload of a result.
+
+    The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
+    switches that it speaks of; otherwise `certificate` is "unknown".
+
+    Args:
+        manipulator: the whole arm.
+        ended: the executor's message.
+        measured: actuator states, shape (A,).
+        context: of the program.
+        outcome: of the goal.
+        target: from which the errors are given; None: they are not given.
+    """
+    proof, bias = context.proof, {} if context.bias is None else {"bias": context.bias}
+    shown: Payload = {}
+    if context.jogged or not context.position:
+        labels = manipulator.actuators
+        travels = [
+            {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
+            for travel in ended.travels
+        ]
+        shown = {"travels": travels}
+    elif proof is not None:
+        as_planned = outcome.status == "succeeded" and proof.switches == ended.switches
+        kind = proof.certificate if as_planned else "unknown"
+        known = kind in ("optimal", "bound")
+        shown = {
+            "planned_switches": proof.switches,
+            "optimal": kind == "optimal" if known else None,
+            "lower_bound": proof.bound if known else None,
+            "certificate": kind,
+        }
+    return {
+        "id": context.id,
+        "status": outcome.status,
+        "code": outcome.code,
+        "message": outcome.message,
+        "switches": ended.switches,
+        **measured_pose(manipulator, measured, target),
+        **bias,
+        **shown,
+    }

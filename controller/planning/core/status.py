@@ -11,11 +11,10 @@ import msgspec
 
 from controller.journal import fields_of_fault, message_id
 from controller.manipulator.notation import format_configuration, pose
+from controller.motion.targets import measured_tip
 from controller.planning.core.events import Log, Notify, Payload, Publish
 from controller.planning.core.parts import Parts
-from controller.planning.core.poses import measured_tip
-from controller.planning.core.stream import Stream
-from controller.planning.core.tip_bias import TipBiasEstimator
+from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.program import Fault
 
 IN_OBSTACLE, UNKNOWN_STATE, EXECUTOR_LOST = "in-obstacle", "unknown-state", "executor-lost"  # codes
@@ -44,7 +43,6 @@ class Status:
     """Makes and publishes `state` and `diagnostics`.
 
     Args:
-        parts: shared parts of the core.
         stream: of set-points.
         bias: tip bias; None: the arm has no tracker.
         planning: returns the number of requests that wait to be planned.
@@ -134,7 +132,7 @@ class Status:
                 for label, locked in zip(labels, parts.locks.states.tolist(), strict=True)
                 if locked >= 0
             ],
-            **({} if self._bias is None else self._bias.state_fields(now)),
+            **({} if self._bias is None else {"bias": self._bias.bias(now).tolist()}),
         }
 
     def diagnostics(self, now: float, wall: float) -> Payload:
@@ -148,7 +146,7 @@ class Status:
             "loop": {} if latest is None else latest.loop,
             "buses": [] if latest is None else latest.buses,
             "boards": [] if latest is None else latest.boards,
-            "queues": {"inbox": self._parts.jobs.waiting(), "planning": self._planning()},
+            "queues": {"inbox": self._parts.jobs.waiting, "planning": self._planning()},
             "setpoint": self._stream.status(now),
             "switches": switches,
             "counts": [] if latest is None else latest.counts,

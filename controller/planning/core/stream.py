@@ -1,4 +1,4 @@
-"""Follows a moving goal: tracks set-points, and sends single stages to the executor.
+"""Samples of moving goals and of the tip: follows set-points by single stages, and estimates the tip bias.
 
 A stream is a sequence of set-points without a pause longer than the tracker's time-out. A cancel, stop, fault, reset or
 goal ends the present stream. Only a stream that begins later is followed.
@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.motion.codes import Refusal
+from controller.motion.bias import DRIFT, TipBias, Tracker
+from controller.motion.bias import decode as decode_tip
+from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.setpoint import decode
 from controller.motion.tracking import GoalTracker
-from controller.planning.core.admission import Ticket
+from controller.planning.core.arm import obstruction
 from controller.planning.core.events import Log, Payload, ToExecutor
-from controller.planning.core.parts import Parts
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Failed, Followed, FollowSetpoint
 from controller.program import Setpoint
+from controller.settings import TrackerSettings
 
 if TYPE_CHECKING:
     from controller.config import Arm
@@ -36,6 +38,7 @@ NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
 RETRY = 0.1  # [s] after a search that found nothing within tolerance, which takes longest
 SEARCH_TIME = 0.005  # [s] expected for the first search
 SMOOTHING = 0.1  # weight of the latest value in running means
+VALIDITY, SLACK = 1.0, 0.02  # greatest age of a measured tip [s], and greatest lead of a tracker's clock [s]
 LONGEST = 1_000  # characters of a reason
 
 
@@ -44,19 +47,11 @@ class Stream:
 
     Times are monotonic. The tracker compares times with senders' stamps and gets UNIX seconds: monotonic time plus an
     offset that is fixed while a track is alive, so that a change of the wall clock has no effect.
-
-    Args:
-        arm: the arm that follows.
-        tracking: parameters of the tracker.
-        parts: shared parts of the core.
-        bias: returns the tip bias at a time [s], shape (dimension,); None: no tracker.
     """
 
-    def __init__(
-        self, arm: Arm, tracking: Tracking, parts: Parts, bias: Callable[[float], NDArray[np.float64] | None]
-    ) -> None:
+    def __init__(self, arm: Arm, tracking: Tracking, parts: Parts) -> None:
         """Builds the tracker, which takes almost a second."""
-        self._parts, self._bias, self._dimension = parts, bias, arm.manipulator.dimension
+        self._parts, self._dimension = parts, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._lead = arm.travel_time + PERIOD  # of a stage
@@ -74,14 +69,7 @@ class Stream:
     # --- set-points
 
     def take(self, payload: bytes, ticket: Ticket, now: float, wall: float) -> None:
-        """Takes a set-point that has arrived; a refused one is only counted.
-
-        Args:
-            payload: JSON.
-            ticket: of this set-point.
-            now: monotonic time [s].
-            wall: the same time [UNIX s].
-        """
+        """Takes a set-point that has arrived, as JSON; a refused one is only counted. `wall` is `now` in UNIX s."""
         self._received += 1
         try:
             setpoint = decode(payload, self._dimension, self._default_tolerance)
@@ -204,9 +192,9 @@ class Stream:
         configuration = state.configuration
         if configuration is None:
             self._found = None
-            self._set_note(f", which is not possible now: {self._obstruction(state)}", now)
+            self._set_note(f", which is not possible now: {obstruction(state, *self._parts.locks.mode())}", now)
             return
-        bias, tolerance = self._bias(now), self._tolerance
+        bias, tolerance = self._parts.bias(now), self._tolerance
         shift = np.zeros(self._dimension) if bias is None else bias
         tip = self._parts.view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
         lead = max(free_at - now, self._searching) + self._lead
@@ -219,11 +207,11 @@ class Stream:
         task = FollowSetpoint(state.start, position, tolerance, tables, scene, numbers)
         self._job = self._parts.jobs.start(task, self._take_answer), task
 
-    def _take_answer(self, answer: Answer, _last: bool, now: float) -> None:
+    def _take_answer(self, answer: Answer) -> None:
         """Stores the answer of the search for the consideration at the end of this step."""
         assert self._job is not None
         (_, task), self._job = self._job, None
-        self._next_look = now
+        self._next_look = self._parts.moment.now
         if isinstance(answer, Followed):
             self._searching = running_mean(self._searching, answer.seconds)
             self._answer = task, answer
@@ -242,17 +230,10 @@ class Stream:
     def _abandon(self, now: float) -> None:
         """Abandons the search under way, and drops what was found."""
         if self._job is not None:
-            self._parts.jobs.abandon(self._job[0], now)
+            self._parts.jobs.abandon(self._job[0])
         self._job = self._answer = self._found = None
 
     # --- what is told
-
-    def _obstruction(self, state: ArmState) -> str:
-        """Returns why the arm, which is in no known configuration, cannot follow."""
-        if state.unknown_state is not None:
-            return f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
-        mode, reason = self._parts.locks.mode()
-        return f"the arm is {mode}: {reason}"
 
     def _set_note(self, note: str, now: float) -> None:
         """Sets the note that `state` shows on the stream, at most once in NOTE_EVERY."""
@@ -274,6 +255,74 @@ class Stream:
             "jumps": self._tracker.jumps,
             "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard, now) else 0.0,
             "alive": self._alive(self._fitted, now),
+        }
+
+
+class TipBiasEstimator:
+    """The tip bias, estimated from measured tips, and counts of them. A measured tip moves nothing.
+
+    A measured tip counts if the arm was at rest in a known configuration since before the measurement.
+    """
+
+    def __init__(self, parts: Parts, settings: TrackerSettings) -> None:
+        """Builds the filter, which takes almost a second."""
+        drift = settings.drift or DRIFT * settings.noise
+        self._view, self._locks, self._manipulator = parts.view, parts.locks, parts.view.manipulator
+        tracker = Tracker(settings.noise, settings.clamp, drift, settings.hold)
+        self._filter = TipBias(self._manipulator.dimension, tracker)
+        self._received = self._accepted = self._refused = 0
+        self._last_refusal: str | None = None
+
+    def take(self, payload: bytes, now: float, wall: float) -> None:
+        """Takes a measured tip that has arrived, as JSON; a refused one is only counted. `wall` is `now` in UNIX s."""
+        self._received += 1
+        try:
+            self._accepted += self._measure(payload, now, wall)
+        except Refusal as refusal:
+            self._refused += 1
+            self._last_refusal = str(refusal)
+
+    def _measure(self, payload: bytes, now: float, wall: float) -> bool:
+        """Passes a measured tip to the filter; returns False if it is an outlier.
+
+        Raises:
+            Refusal: the sample is malformed, late, early, of a moving arm, or too far from the computed tip.
+        """
+        position, stamp = decode_tip(payload, self._manipulator.dimension)
+        age = wall - stamp
+        if age > VALIDITY:
+            late = f"{age:.3f} s old on arrival, at most {VALIDITY:g} s are accepted"
+            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {late}")
+        if age < -SLACK:
+            ahead = f"{-age:.3f} s in the future, at most {SLACK:g} s are accepted"
+            raise Refusal(INVALID_GOAL, f"stamp: {ahead}; stamps are UNIX seconds")
+        measured_at = now - max(age, 0.0)
+        state, (mode, _) = self._view.state, self._locks.mode()
+        configuration = None if state is None else state.configuration
+        if state is None or configuration is None or mode not in ("ready", "executing"):
+            raise Refusal(INVALID_GOAL, f"the arm is {mode}, or its configuration is not known")
+        if state.snapshot.moving or measured_at < state.snapshot.free_at:
+            raise Refusal(INVALID_GOAL, "stamp: the arm was moving, or not yet settled")
+        computed = self._manipulator.tips(configuration[None])[0, : len(position), 3]
+        return self._filter.measure(position - computed, measured_at)
+
+    def bias(self, now: float) -> NDArray[np.float64]:
+        """Returns the bias that corrects goals, shape (dimension,)."""
+        return self._filter.at(now)
+
+    def status(self, now: float) -> Payload:
+        """Returns the fields for `diagnostics`."""
+        estimate, deviation = self._filter.estimate or (None, None)
+        return {
+            "received": self._received,
+            "accepted": self._accepted,
+            "refused": self._refused,
+            "last_refusal": self._last_refusal,
+            "outliers": self._filter.outliers,
+            "jumps": self._filter.jumps,
+            "estimate": None if estimate is None else estimate.tolist(),
+            "deviation": deviation,
+            "bias": self.bias(now).tolist(),
         }
 
 

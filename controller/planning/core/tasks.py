@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from controller.motion.feed import Improved, PlannedPoint, Proof
 from controller.motion.goal import GoalMessage
 from controller.motion.trajectory import Trajectory
 
@@ -63,12 +64,9 @@ class PlanGoal(NamedTuple):
     """Plan a goal. Answered by `Planned`, `Refused` or `Failed`.
 
     Attributes:
-        message: the goal.
         received: time of arrival [UNIX s].
         start: where the arm is, or where its running stage ends.
         bias: tip bias that corrects the goal, dimension numbers; None: no tracker.
-        tables: solvers.
-        scene: obstacles.
     """
 
     message: GoalMessage
@@ -83,11 +81,8 @@ class ImprovePlan(NamedTuple):
     """Improve a running plan. Answered by `Deviations` first, then by several `Improved`, at last by `Done`.
 
     Attributes:
-        plan: of `Planned`; opaque.
         begin: t = 0 of the trajectory [s, the monotonic clock].
         search: False: only the deviations are wanted.
-        tables: solvers.
-        scene: obstacles.
     """
 
     plan: Any
@@ -101,9 +96,6 @@ class PrepareSearch(NamedTuple):
     """Prepare the next search while no request waits. Answered by `Done`.
 
     Attributes:
-        start: where the arm is.
-        tables: solvers.
-        scene: obstacles.
         rehearsal: a goal to plan without effect, so that the processor's caches are warm; None: none.
     """
 
@@ -135,11 +127,8 @@ class FollowSetpoint(NamedTuple):
     """Search the configuration for a followed set-point. Answered by `Followed` or `Failed`.
 
     Attributes:
-        start: where the arm is.
         position: of the computed tip, dimension numbers.
         tolerance: greatest distance from the set-point; the search uses half of it.
-        tables: solvers.
-        scene: obstacles.
         bias: tip bias that corrects `position`, dimension numbers, for the note; None: no tracker.
     """
 
@@ -155,9 +144,8 @@ class CheckStages(NamedTuple):
     """Check consecutive stages for collisions. Answered by `Checked` or `Failed`.
 
     Attributes:
-        scene: obstacles.
-        before: states before the first stage, with the states of locked actuators.
-        stages: states after each stage, likewise.
+        before: packed states before the first stage, with the states of locked actuators.
+        stages: packed states after each stage, likewise.
     """
 
     scene: Scene
@@ -207,45 +195,12 @@ Task = (
 # --- answers
 
 
-class PlannedPoint(NamedTuple):
-    """The stages to one point of a trajectory.
-
-    Attributes:
-        point: index in the trajectory; the mark of the last stage.
-        stages: packed states after each stage, at least one, with the output bits of locked actuators.
-        deviation: greatest distance of the tip from the straight line; None: not known yet.
-        switches: number of switches of all stages.
-    """
-
-    point: int
-    stages: tuple[bytes, ...]
-    deviation: float | None
-    switches: int
-
-
-class Proof(NamedTuple):
-    """What is proven of a plan's cost, from its start, with all switches of its stages.
-
-    Attributes:
-        switches: number, those of detours included.
-        cost: weighted number.
-        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
-        certificate: "optimal", "bound" or "unknown".
-    """
-
-    switches: int
-    cost: float
-    bound: float
-    certificate: str
-
-
 class Planned(NamedTuple):
     """The plan of a goal.
 
     Attributes:
         trajectory: the goal, corrected by the tip bias.
         points: one for each point of the trajectory.
-        proof: of the whole plan.
         plan: for `ImprovePlan`; opaque.
     """
 
@@ -259,20 +214,6 @@ class Deviations(NamedTuple):
     """The deviations of all points of a plan; None where one is not known."""
 
     values: tuple[float | None, ...]
-
-
-class Improved(NamedTuple):
-    """A better plan: other points from `first` on, the rest as before.
-
-    Attributes:
-        first: index of the first changed point.
-        points: all points from `first` on.
-        proof: of the whole plan.
-    """
-
-    first: int
-    points: tuple[PlannedPoint, ...]
-    proof: Proof
 
 
 class Described(NamedTuple):
@@ -307,7 +248,6 @@ class SceneBuilt(NamedTuple):
     """A new scene.
 
     Attributes:
-        scene: the new one.
         total: number of all obstacles.
         sent: number of those sent.
     """

@@ -12,6 +12,7 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.description import describe_plan
+from controller.motion.feed import Improved, PlannedPoint, Proof, most_stages
 from controller.motion.following import SetpointQuery, find, stages_to
 from controller.motion.goal import check_reach, schedule
 from controller.motion.improvement import Improvement, changed_points
@@ -23,9 +24,8 @@ from controller.motion.trajectory import Trajectory
 from controller.motion.whole import first_time, look_ahead
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.planning.core import tasks
-from controller.planning.core.feed import most_stages
-from controller.planning.core.messages import done
-from controller.planning.core.tasks import ArmStart, PlannedPoint
+from controller.planning.core.events import done
+from controller.planning.core.tasks import ArmStart
 from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.program import MOST_PROGRAM_STAGES
 from controller.search.solver import Solver
@@ -142,9 +142,9 @@ def points_of(
         yield PlannedPoint(point, own, None if callable(source) else source, switches)
 
 
-def proof_of(found: Plan) -> tasks.Proof:
+def proof_of(found: Plan) -> Proof:
     """Returns what is proven of a plan, from the configuration of `start.states`, in Python's own numbers."""
-    return tasks.Proof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
+    return Proof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
 
 
 def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:
@@ -152,7 +152,7 @@ def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:
     return chain.from_iterable(transition.stages for transition in transitions)
 
 
-def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Iterator[tasks.Deviations | tasks.Improved]:
+def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Iterator[tasks.Deviations | Improved]:
     """Yields the deviations of a plan, then each improvement whose stages are clear.
 
     Raises:
@@ -181,7 +181,7 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
             point._replace(deviation=transition.deviation) for point, transition in zip(new, transitions, strict=True)
         ]
         current = better
-        yield tasks.Improved(changed.start, tuple(points[changed.start :]), proof_of(current))
+        yield Improved(changed.start, tuple(points[changed.start :]), proof_of(current))
 
 
 def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed) -> tasks.Done:

@@ -14,9 +14,8 @@ from controller.config import Arm
 from controller.motion.goal_motion import tracking_of
 from controller.planning.core.events import Log, Notify, Publish
 from controller.planning.core.status import Status
-from controller.planning.core.stream import Stream
+from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import PrepareSearch
-from controller.planning.core.tip_bias import TipBiasEstimator
 from controller.program import Diagnostics, Fault
 from controller.settings import TrackerSettings
 from tests.planning.conftest import DOCUMENT
@@ -37,7 +36,7 @@ class StatusBench(PlayedCore):
     def __init__(self, arm: Arm, tracker: TrackerSettings | None = None) -> None:
         super().__init__(arm)
         bias = None if tracker is None else TipBiasEstimator(self.parts, tracker)
-        stream = Stream(arm, tracking_of(arm.manipulator.length, arm.tolerance), self.parts, lambda now: None)
+        stream = Stream(arm, tracking_of(arm.manipulator.length, arm.tolerance), self.parts)
         self.planning = 0
         self.status = Status(self.parts, stream, bias, lambda: self.planning)
 

@@ -13,8 +13,8 @@ import pytest
 
 from controller.config import Arm
 from controller.motion.goal_motion import tracking_of
-from controller.planning.core.admission import Ticket
 from controller.planning.core.events import Abandon, Log, Start
+from controller.planning.core.parts import Ticket
 from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY, Stream
 from controller.planning.core.tasks import Failed, Followed, FollowSetpoint, Scene
 from controller.program import Setpoint
@@ -33,7 +33,8 @@ class StreamBench(PlayedCore):
         self.bias: np.ndarray | None = None
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         self.timeout = tracking.timeout
-        self.stream = Stream(arm, tracking, self.parts, lambda now: self.bias)
+        self.parts.bias = lambda now: self.bias
+        self.stream = Stream(arm, tracking, self.parts)
         self.position: list[float] | None = None
         self.first: Ticket | None = None  # of the last stream
         self.steps, self._next = 0, self.now

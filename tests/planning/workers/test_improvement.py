@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.tasks import Deviations, Improved, ImprovePlan, Planned, PlannedPoint
+from controller.motion.feed import Improved, PlannedPoint
+from controller.planning.core.tasks import Deviations, ImprovePlan, Planned
 from controller.planning.workers import computations
 from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.computations import improve, plan_goal

@@ -7,23 +7,24 @@ are in the arm's unit, angles in radians.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.notation import format_configuration, pose
-from controller.planning.core.events import Payload
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator
-    from controller.planning.core.arm import Measured
 
+Measured = NDArray[np.int8]
+Pose = Mapping[str, Any]
 Frame = NDArray[np.float64]
 
 # The measured pose of an arm in no known configuration.
-UNKNOWN: Payload = dict.fromkeys(("configuration", "position", "orientation", "error", "orientation_error"))
+UNKNOWN: Pose = dict.fromkeys(("configuration", "position", "orientation", "error", "orientation_error"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ def measured_tip(manipulator: Manipulator, measured: Measured) -> Frame | None:
         return None
 
 
-def measured_pose(manipulator: Manipulator, measured: Measured, target: Target | None) -> Payload:
+def measured_pose(manipulator: Manipulator, measured: Measured, target: Target | None) -> Pose:
     """Returns configuration and pose of measured actuator states (A,), and the errors from a target.
 
     All are None if the states spell no configuration; the errors are None without a target.

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from controller.motion.program import unpack_states
+from controller.motion.program import pack_states, unpack_states
 from controller.motion.restaging import restage
-from controller.planning.core.arm import packed
-from controller.planning.core.tasks import Improved, PlannedPoint, Proof
 from controller.program import MOST_BYTES, MOST_STAGES, Replacement, Stage
 
 if TYPE_CHECKING:
@@ -27,6 +25,52 @@ def most_stages(actuators: int) -> int:
     """Returns the number of stages of an arm with so many actuators that fit into one message."""
     room = (MOST_BYTES - OVERHEAD) // (STAGE_OVERHEAD + (actuators + 7) // 8)
     return max(min(MOST_STAGES, room), 1)
+
+
+class PlannedPoint(NamedTuple):
+    """The stages to one point of a trajectory.
+
+    Attributes:
+        point: index in the trajectory; the mark of the last stage.
+        stages: packed states after each stage, at least one, with the output bits of locked actuators.
+        deviation: greatest distance of the tip from the straight line; None: not known yet.
+        switches: number of switches of all stages.
+    """
+
+    point: int
+    stages: tuple[bytes, ...]
+    deviation: float | None
+    switches: int
+
+
+class Proof(NamedTuple):
+    """What is proven of a plan's cost, from its start, with all switches of its stages.
+
+    Attributes:
+        switches: number, those of detours included.
+        cost: weighted number.
+        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
+        certificate: "optimal", "bound" or "unknown".
+    """
+
+    switches: int
+    cost: float
+    bound: float
+    certificate: str
+
+
+class Improved(NamedTuple):
+    """A better plan: other points from `first` on, the rest as before.
+
+    Attributes:
+        first: index of the first changed point.
+        points: all points from `first` on.
+        proof: of the whole plan.
+    """
+
+    first: int
+    points: tuple[PlannedPoint, ...]
+    proof: Proof
 
 
 class Route(NamedTuple):
@@ -274,7 +318,7 @@ class Feed:
         size = len(self._manipulator.actuators)
         planned = np.array([unpack_states(states, size) for states in point.stages])
         stages = restage(self._manipulator, unpack_states(self._before(start), size), planned, self._most)
-        return point._replace(stages=tuple(map(packed, stages)), deviation=None)
+        return point._replace(stages=tuple(pack_states(stages)), deviation=None)
 
     # --- the flat list of stages
 
