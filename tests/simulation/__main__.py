@@ -6,12 +6,14 @@ Each seed has two worlds: one with a scripted planner before the executor, and o
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import time
 from collections import Counter
 from pathlib import Path
 
 from tests.simulation import events
+from tests.simulation.planner_process import LOGS
 from tests.simulation.world import World
 
 KINDS = ("scripted", "whole")
@@ -28,6 +30,8 @@ def main() -> int:
     parser.add_argument("--kind", choices=KINDS, help="only worlds of this kind; without it, both in turn")
     parser.add_argument("--events", type=Path, metavar="FILE", help="replay the recorded events of a process instead")
     options = parser.parse_args()
+    for log in LOGS:
+        log.setLevel(logging.CRITICAL + 1)
     if options.events is not None:
         return events.main(options.events)
     began, steps, seed = time.monotonic(), 0, options.first if options.seed is None else options.seed

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import math
 from collections import deque
 from collections.abc import Callable
@@ -44,8 +43,7 @@ QUIT_WITHIN = 1.5  # [s], after which the process ends without its last results
 SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of those in a row
 UNIX = 1.7e9  # [s] between the two clocks
 
-loop_module.log.setLevel(logging.CRITICAL + 1)  # defects are found by `Complaints`
-link_module.log.setLevel(logging.CRITICAL + 1)
+LOGS = loop_module.log, link_module.log  # silent in a simulation: defects are found by `Complaints`
 
 
 class Killed(BaseException):
