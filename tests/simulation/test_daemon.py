@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from controller.motion.feed import Feed
-from controller.planning.core import goals, jobs, offers
+from controller.planning.core import goals, offers, parts
 from controller.planning.core.arm import ExecutorView
 from controller.planning.core.events import Reply, Request, ToExecutor
 from controller.planning.core.goals import Goals
@@ -38,7 +38,7 @@ def test_a_seed_replays_exactly() -> None:
 
 def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(goals, "LONGEST_PLANNING", 2.0)
-    monkeypatch.setattr(jobs, "HUNG", 2.0)
+    monkeypatch.setattr(parts, "HUNG", 2.0)
     world = World(0, whole=True)
     daemon = world.daemon
     assert daemon is not None
@@ -70,8 +70,8 @@ def _answer_twice(self: Programs, entry: int) -> None:
 
 
 def _forget_published(self: Results, *arguments: Any) -> None:
-    view, moment, _, owed, act = arguments
-    _init_results(self, view, moment, (), owed, act)
+    parts, _, owed = arguments
+    _init_results(self, parts, (), owed)
 
 
 def _acknowledge_first(self: Results, message: Any, known: Any) -> None:
@@ -86,9 +86,9 @@ def _tell_more_switches(self: Results, untold: Any, inherited: bool) -> None:
     _tell(self, untold, inherited)
 
 
-def _claim_optimum(shared: Any, pace: Any, request: Any, planned: Any) -> Any:
+def _claim_optimum(parts: Any, request: Any, planned: Any) -> Any:
     proof = planned.proof._replace(bound=planned.proof.cost, certificate="optimal")
-    return _goal_program(shared, pace, request, planned._replace(proof=proof))
+    return _goal_program(parts, request, planned._replace(proof=proof))
 
 
 def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
@@ -97,8 +97,8 @@ def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
         self._act(ToExecutor(Reset(10**6)))
 
 
-def _take_present_epoch(parts: Any, pace: Any, offer: Any, made: Any) -> Any:
-    run = _in_flight(parts, pace, offer, made)
+def _take_present_epoch(parts: Any, offer: Any, made: Any) -> Any:
+    run = _in_flight(parts, offer, made)
     run.program = msgspec.structs.replace(run.program, epoch=offer.state.snapshot.epoch)
     return run
 
