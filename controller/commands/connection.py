@@ -16,7 +16,7 @@ from controller.strict import InputFaults, read_yaml
 if TYPE_CHECKING:
     import zenoh
 
-    from controller.gateway.client import Client
+    from controller.client import Client
 
 START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 
@@ -36,8 +36,8 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     """
     import zenoh
 
+    from controller.client import Client, Unanswered
     from controller.gateway import session
-    from controller.gateway.client import Client, Unanswered
 
     name = arm_name(arm)
     zenoh.init_log_from_env_or("error")

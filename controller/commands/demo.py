@@ -33,7 +33,7 @@ from controller.manipulator.notation import parse_configuration
 from controller.workspace.densities import Densities
 
 if TYPE_CHECKING:
-    from controller.gateway.client import Client, Message
+    from controller.client import Client, Message
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 36

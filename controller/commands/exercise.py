@@ -27,7 +27,7 @@ from controller.commands.requests import STATES
 from controller.strict import InputFaults
 
 if TYPE_CHECKING:
-    from controller.gateway.client import Client
+    from controller.client import Client
 
 ONLY = "Only these actuators, such as 5.left. Default: all."
 RESERVE = 1.25  # proposed travel time over the longest measured time

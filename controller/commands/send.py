@@ -23,7 +23,7 @@ from controller.commands.connection import connected, read_payload
 from controller.strict import InputFaults
 
 if TYPE_CHECKING:
-    from controller.gateway.client import Client
+    from controller.client import Client
 
 ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from controller.gateway.client import Unanswered
+from controller.client import Unanswered
 from controller.panel.arm_view import ArmView
 from controller.panel.pages import Allowance, Page
 from controller.panel.requests import (

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.config import Arm
+from controller.description import density, description, drawing, file
 from controller.flight_recorder import FlightRecorder
 from controller.motion.pacing import pace_of
 from controller.notify import Notifier
@@ -30,7 +31,6 @@ from controller.planning.core.events import (
     Unsent,
 )
 from controller.planning.core.tasks import BuildScene, BuildTables
-from controller.planning.description import density, description, drawing, file
 from controller.planning.inbox import Inbox
 from controller.planning.ledger import Ledger
 from controller.planning.link import ExecutorLink

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import zenoh
 
+from controller.client import Client
 from controller.gateway import session
 from controller.gateway.arrivals import RepeatedGoals, Reply
-from controller.gateway.client import Client
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
 from controller.motion.codes import INVALID_GOAL, Refusal

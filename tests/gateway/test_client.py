@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from controller.gateway.client import TRIES, Client, Unanswered
+from controller.client import TRIES, Client, Unanswered
 from controller.motion.goal import GoalMessage
 from controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway

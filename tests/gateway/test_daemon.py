@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import zenoh
 
+from controller.client import Client, Unanswered
 from controller.gateway import session
-from controller.gateway.client import Client, Unanswered
 from controller.planning.ledger_file import read
 from tests.waiting import PATIENCE, eventually
 

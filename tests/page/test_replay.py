@@ -9,8 +9,8 @@ import pytest
 import zenoh
 from selenium.webdriver.common.keys import Keys
 
+from controller.client import Client, Unanswered
 from controller.gateway import session
-from controller.gateway.client import Client, Unanswered
 from tests.page.conftest import OPERATOR, Shown, World, eventually, free_endpoint
 from tests.recorder.samples import read_unfinished
 

@@ -13,12 +13,12 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 from controller.config import load
+from controller.description import description, drawing
 from controller.gateway import session
 from controller.manipulator.notation import format_configuration, pose
 from controller.panel.access import Access, Listed, digest_of
 from controller.panel.app import Panel
 from controller.panel.serve import zenoh_configuration
-from controller.planning.description import description, drawing
 from tests.keys import DEPLOY
 from tests.waiting import eventually
 

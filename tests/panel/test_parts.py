@@ -12,11 +12,11 @@ from matplotlib.image import imread
 
 from controller.commands.run import reachable, run
 from controller.config import load
+from controller.description import density, description, drawing
 from controller.panel.access import Access, Listed, Person, TooManyWrong, digest_of, read_people
 from controller.panel.drawing import Drawing, cloud, picture
 from controller.panel.pages import Allowance, Page
 from controller.panel.serve import parse_address, serve, zenoh_configuration
-from controller.planning.description import density, description, drawing
 from controller.strict import InputFaults
 from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from controller.config import Arm, load
-from controller.planning.description import density, drawing, file
+from controller.description import density, drawing, file
 from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 

@@ -10,7 +10,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
 from controller.config import Arm, load
-from controller.planning.description import description, drawing, file
+from controller.description import description, drawing, file
 from controller.recorder.listener import Received
 from tests.keys import DEPLOY
 

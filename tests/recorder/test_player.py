@@ -12,9 +12,9 @@ from unittest import mock
 import pytest
 import zenoh
 
+from controller.client import Client
 from controller.config import Arm
 from controller.gateway import session
-from controller.gateway.client import Client
 from controller.recorder import player
 from controller.recorder.folder import Folder
 from controller.recorder.player import Player, Timeline

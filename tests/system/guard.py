@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from controller.client import Client
 from controller.gateway import session
-from controller.gateway.client import Client
 from controller.planning import planner
 from controller.planning.core.events import Key, Message
 from controller.planning.mailboxes import Receive

@@ -16,10 +16,10 @@ from typing import Any
 import can
 import zenoh
 
+from controller.client import Client
 from controller.config import Arm, load
 from controller.executor.arm import read_arm
 from controller.gateway import daemon, session
-from controller.gateway.client import Client
 from controller.gateway.daemon import Daemon
 from controller.planning.ledger_file import read
 from controller.workspace.cache import load_or_map

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from controller.client import Client
 from controller.gateway import session
-from controller.gateway.client import Client
 from controller.planning.ledger_file import read
 from tests.system import arms
 from tests.system.observer import Observer

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from controller.client import Message
 from controller.config import Arm
-from controller.gateway.client import Message
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.arms import QUICK

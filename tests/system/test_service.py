@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 import zenoh
 
+from controller.client import Client, Message, Unanswered
 from controller.config import Arm
 from controller.gateway import daemon
-from controller.gateway.client import Client, Message, Unanswered
 from controller.gateway.one_daemon import AlreadyRunning
 from controller.gateway.session import configuration
 from controller.planning.ledger import LedgerInUse

@@ -5,15 +5,17 @@ import hashlib
 import math
 import zlib
 from importlib.metadata import version
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from controller.config import Arm
 from controller.manipulator.notation import format_configuration
-from controller.planning.core.events import Payload
 from controller.settings import TransformsSettings
 from controller.workspace.densities import Densities
+
+Payload = dict[str, Any]
 
 
 def description(arm: Arm) -> Payload:
