@@ -49,7 +49,8 @@ class FakePlanner:
             case "jog" if payload.startswith(b"{"):
                 return json.loads(payload).get("actuators")
             case "degrade" if payload.startswith(b"{"):
-                return LockMessage(**json.loads(payload))
+                fields = json.loads(payload)
+                return LockMessage(fields.get("actuator"), fields.get("state"))
             case "cancel":
                 return decode_cancel(payload)
             case "jog" if payload == b'"a defect"':
