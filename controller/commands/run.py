@@ -113,7 +113,7 @@ def serve(
 
     from controller.gateway import session
     from controller.gateway.daemon import running
-    from controller.gateway.one_daemon import AlreadyRunning
+    from controller.gateway.session import AlreadyRunning
     from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
 

@@ -1,9 +1,13 @@
-"""The planner's process: builds its parts from the Zenoh session to the server, and closes them in order."""
+"""The planner's process: builds its parts from the Zenoh session to the server, and closes them in order.
+
+Its own warnings are of the system's clock, the Zenoh network and the ledger; none of them stops the arm.
+"""
 
 import contextlib
 import gc
 import logging
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,19 +17,17 @@ import zenoh
 from controller.config import Arm
 from controller.flight_recorder import FlightRecorder, Label
 from controller.gateway.arrivals import RepeatedGoals
-from controller.gateway.one_daemon import Claim
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
-from controller.gateway.session import lease, reachable
-from controller.gateway.warnings import Warnings
+from controller.gateway.session import Claim, lease, reachable
+from controller.journal import fields_of_fault
 from controller.notify import Notifier
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Recorded
-from controller.planning.inbox import Inbox
-from controller.planning.ledger import Ledger
-from controller.planning.link import ExecutorLink
+from controller.planning.ledger import Ledger, PublishedResults, published_path
+from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.planner import Outside, planning
-from controller.planning.published import PublishedResults, published_path
+from controller.program import Fault
 from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
@@ -34,8 +36,9 @@ log = logging.getLogger(__name__)
 # Zenoh's default of two, all would soon be blocked, and a `stop` from another client would wait.
 RECEIVERS = "(rx: (worker_threads: 16))"
 
-
 RECORDS = 500  # steps of the core that are recorded in one piece at most; the loop writes them when it is calm
+CLOCK_STEP = 0.5  # [s]; a greater jump of the clock was set, not slewed
+REMEMBERED = 10.0  # [s] for which a warning stays after its cause
 
 
 class Daemon:
@@ -113,3 +116,57 @@ def running(
         closing.callback(notifier.send, "STOPPING=1")
         log.info("serving the arm %s", name)
         yield daemon
+
+
+class Warnings:
+    """Detects the causes of warnings. Belongs to one thread.
+
+    Args:
+        reachable: returns whether the session is connected to an endpoint of its configuration.
+        others: returns the active warnings of other parts, such as the ledger.
+        wall: the system's clock, UNIX seconds.
+        clock: a clock that is never set [s].
+    """
+
+    def __init__(
+        self,
+        reachable: Callable[[], bool] = lambda: True,
+        others: Callable[[], tuple[Fault, ...]] = tuple,
+        wall: Callable[[], float] = time.time,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._reachable, self._others, self._wall, self._clock = reachable, others, wall, clock
+        self._offset = wall() - clock()
+        self._set = self._lost = ""  # sentences on the clock and on the network
+        self._set_until = self._lost_until = self._lost_at = 0.0
+        self._logged: set[tuple[str, str]] = set()
+
+    def active(self) -> tuple[Fault, ...]:
+        """Returns the active warnings; logs each when it begins."""
+        now = self._clock()
+        own = (*self._clock_set(now), *self._network_lost(now))
+        for fault in own:
+            if (fault.code, fault.source) not in self._logged:
+                fields = fields_of_fault(fault.code, fault.source)
+                log.warning("%s: %s", fault.code, fault.message, extra={"journal": fields})
+        self._logged = {(fault.code, fault.source) for fault in own}
+        return own + self._others()
+
+    def _clock_set(self, now: float) -> tuple[Fault, ...]:
+        offset = self._wall() - now
+        if abs(by := offset - self._offset) > CLOCK_STEP:
+            self._set = f"the system's clock was set by {by:+.1f} s: stamps follow it, motions do not"
+            self._set_until = now + REMEMBERED
+            self._logged.discard(("clock-set", "system"))  # each setting is logged
+        self._offset = offset
+        return (Fault("clock-set", "system", self._set),) if now < self._set_until else ()
+
+    def _network_lost(self, now: float) -> tuple[Fault, ...]:
+        if not self._reachable():
+            if now >= self._lost_until:
+                self._lost_at = now
+            self._lost_until = now + REMEMBERED
+            self._lost = (
+                f"no peer was connected over Zenoh for {now - self._lost_at:.1f} s: the arm continued by itself"
+            )
+        return (Fault("network-lost", "zenoh", self._lost),) if now < self._lost_until else ()

@@ -1,4 +1,4 @@
-"""The ledger: switches of each actuator, goals and their results, in one SQLite file.
+"""The ledger: switches of each actuator, goals and their results, in one SQLite file; and marks of published results.
 
 The executor's switch journal counts each switch exactly once. The ledger keeps a second copy of the counts. The greater
 of two counts is valid, so losing one of the files loses no counts.
@@ -9,23 +9,28 @@ for each goal would wear flash memory, and each result would wait for the disk. 
 goals of the last seconds, but does not damage the file. The switch journal has the counts up to the last 10 s.
 """
 
+import errno
 import fcntl
 import logging
 import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple
 
-from controller.planning.core.events import OpenGoal, Record
-from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed
+import msgspec
+
+from controller.planning.core.events import Identity, OpenGoal, Record
+from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
 from controller.program import Fault
 
 log = logging.getLogger(__name__)
 
 WRITE_EVERY = 5.0  # [s] between two transactions with counts alone, because each one wears flash memory
+MOST_MARKS = 1_000  # the executor stores no more results
 
 
 def ignore(_: object) -> None:
@@ -197,3 +202,109 @@ class LedgerLock:
         if self._file is not None:
             os.close(self._file)
             self._file = None
+
+
+class Mark(NamedTuple):
+    """A published result, one JSON array in a line.
+
+    Attributes:
+        instance: of the executor.
+        program: number of the program.
+        status: of the result.
+        code: of the result.
+        message: of the result.
+        switches: of all actuators.
+    """
+
+    instance: int
+    program: int
+    status: str
+    code: int
+    message: str
+    switches: int
+
+
+class PublishedResults:
+    """The newest published results, in memory and in a file. After the start for one thread, the outbox's.
+
+    If a planner is killed after it has published a result and before the executor gets the acknowledgement, the next
+    planner finds the mark and does not publish the result again. The file needs no fsync: it survives the death of the
+    process, and a reboot deletes the executor's results as well.
+
+    The file has at most twice MOST_MARKS lines. Lines that are torn, or are no marks, are ignored.
+
+    Args:
+        path: of the file, in a folder in memory, which must exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._warned = path, False
+        try:
+            content = path.read_bytes()
+        except OSError:  # the first start
+            content = b""
+        self._torn = bool(content) and not content.endswith(b"\n")
+        self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
+
+    def known(self) -> frozenset[Identity]:
+        """Returns the programs whose results were published."""
+        return frozenset(self._marks)
+
+    def find(self, identity: Identity) -> Mark | None:
+        """Returns the published result of a program, None if there is none."""
+        return self._marks.get(identity)
+
+    def add(self, identity: Identity, payload: Mapping[str, Any]) -> None:
+        """Notes a result as published, in about 10 us. If the file cannot be written, the note is in memory only."""
+        words = plain(str(payload.get("message", "")))
+        mark = Mark(*identity, payload.get("status", ""), payload.get("code", 0), words, payload.get("switches", 0))
+        self._marks[identity] = mark
+        if len(self._marks) > 2 * MOST_MARKS:
+            self._replace(list(self._marks.values())[-MOST_MARKS:])
+        else:
+            self._write(self._path, os.O_APPEND, b"\n" * self._torn + encoded(mark))
+
+    def _replace(self, marks: list[Mark]) -> None:
+        """Replaces the file."""
+        self._marks = {Identity(*mark[:2]): mark for mark in marks}
+        new = self._path.with_name(f"{self._path.name}.new")
+        self._write(new, os.O_TRUNC, b"".join(map(encoded, marks)), self._path)
+
+    def _write(self, path: Path, flag: int, data: bytes, target: Path | None = None) -> None:
+        """Writes data at once, and renames the file to `target`.
+
+        The file is opened each time: systemd may have deleted the folder with an executor, and made it again.
+        """
+        try:
+            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | flag, 0o600)
+            try:
+                self._torn = os.write(file, data) < len(data)
+            finally:
+                os.close(file)
+            if self._torn:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            if target is not None:
+                os.replace(path, target)
+        except OSError as error:
+            if not self._warned:
+                log.warning("%s: %s; a planner that is killed may publish a result twice", path, error.strerror)
+            self._warned = True
+
+
+def published_path(arm: str, socket: Path) -> Path:
+    """Returns the path of an arm's marks: in systemd's RuntimeDirectory, otherwise beside the executor's socket."""
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    return (Path(folder) if folder else socket.parent) / f"{arm}.published"
+
+
+def encoded(mark: Mark) -> bytes:
+    """Returns the line of a mark."""
+    return msgspec.json.encode(mark) + b"\n"
+
+
+def decoded(line: bytes) -> Mark | None:
+    """Returns the mark of a line, None if the line has none."""
+    try:
+        return msgspec.json.decode(line, type=Mark)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None

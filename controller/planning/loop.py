@@ -4,58 +4,60 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Literal, NamedTuple, Protocol
 
+from controller.flight_recorder import FlightRecorder
 from controller.motion.codes import INVALID_GOAL
-from controller.planning.core.events import (
-    CLOSING,
-    Abandon,
-    Action,
-    Answered,
-    Disconnect,
-    Event,
-    Fail,
-    Log,
-    Notify,
-    Payload,
-    Publish,
-    PublishResult,
-    Record,
-    RecordCounts,
-    Reply,
-    Request,
-    SetpointArrived,
-    Start,
-    Tick,
-    TipArrived,
-    ToExecutor,
-    Wake,
-    Warned,
-    refused,
-)
+from controller.notify import Notifier
+from controller.planning.core import events
+from controller.planning.core.core import Core
 from controller.planning.core.tasks import Failed
-from controller.planning.inbox import Inbox
-from controller.planning.link import ExecutorLink
-from controller.planning.mailboxes import Mailboxes, Receive
-from controller.planning.services import Core, Services
+from controller.planning.ledger import Ledger
+from controller.planning.link import ExecutorLink, Inbox
+from controller.planning.workers.pool import Workers
 from controller.program import Fault
 
 log = logging.getLogger(__name__)
 
 WARNINGS_EVERY = 0.25  # [s]
+LOOK_EVERY = 0.02  # [s] between two looks into the mailboxes
+STREAM_EVERY = 0.005  # [s] the same while set-points come
+STREAM_ENDS = 0.5  # [s] after its last set-point
 
-OnReply = Callable[[Payload], None]
+Receive = Callable[[], bytes | None]
+Arrived = events.SetpointArrived | events.TipArrived
+OnReply = Callable[[events.Payload], None]
 
 
-class Recorder(Protocol):
-    """Records the steps of the core; see `controller.flight_recorder`."""
+class Out(Protocol):
+    """Publishes payloads; no method waits."""
 
-    def __call__(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
-        """Takes a step; `actions` are None after an exception."""
+    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: events.Payload) -> None:
+        """Publishes a payload."""
 
-    def flush(self) -> None:
-        """Writes the steps taken so far."""
+    def publish_result(self, result: events.PublishResult) -> None:
+        """Publishes a result, notes it, and posts `Published`."""
+
+
+class Services(NamedTuple):
+    """What carries out the core's actions.
+
+    Attributes:
+        workers: of the tasks.
+        ledger: of goals and switches.
+        out: sends publications.
+        notifier: notifies systemd.
+        warnings: returns the active warnings of the clock, the network and the ledger.
+        fatal: ends the process with a message.
+    """
+
+    workers: Workers
+    ledger: Ledger
+    out: Out
+    notifier: Notifier
+    warnings: Callable[[], tuple[Fault, ...]]
+    fatal: Callable[[str], None]
 
 
 class PlannerFailed(Exception):
@@ -86,7 +88,7 @@ class Loop:
         inbox: Inbox,
         link: ExecutorLink,
         services: Services,
-        recorder: Recorder | None = None,
+        recorder: FlightRecorder | None = None,
         clocks: tuple[Callable[[], float], Callable[[], float]] = (time.monotonic, time.time),
     ) -> None:
         self.ended = threading.Event()
@@ -112,18 +114,18 @@ class Loop:
         if self._thread.ident is not None:
             self._thread.join(timeout)
         for number in list(self._replies):
-            self._carry_out(Reply(number, refused(INVALID_GOAL, CLOSING)))
+            self._carry_out(events.Reply(number, events.refused(INVALID_GOAL, events.CLOSING)))
 
-    def request(self, request: Request, reply: OnReply) -> None:
+    def request(self, request: events.Request, reply: OnReply) -> None:
         """Posts a request; `reply` is called once, in the loop's thread, and must not wait."""
         self._replies[request.number] = reply
         self._inbox.post(request)
 
-    def post(self, event: Event) -> None:
+    def post(self, event: events.Event) -> None:
         """Posts an event; never waits."""
         self._inbox.post(event)
 
-    def read(self, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
+    def read(self, kind: type[events.SetpointArrived | events.TipArrived], receive: Receive) -> None:
         """Sets the mailbox of a kind of event: `receive` returns the latest payload, or None, and never waits."""
         self._mailboxes.set(kind, receive)
 
@@ -164,7 +166,7 @@ class Loop:
         """Handles the events posted so far."""
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
-            if isinstance(event, Request):  # a set-point that waits has its place before a later request
+            if isinstance(event, events.Request):  # a set-point that waits has its place before a later request
                 self._step_all(self._mailboxes.look(self._clock()))
             self._step(event)
 
@@ -181,7 +183,7 @@ class Loop:
         now = self._clock()
         if now >= self._wake:
             self._wake = math.inf
-            self._step(Tick())
+            self._step(events.Tick())
             self._keep_records()
         if now >= self._mailboxes.due:
             self._step_all(self._mailboxes.look(now))
@@ -197,15 +199,15 @@ class Loop:
             return
         if warnings != self._warned:
             self._warned = warnings
-            self._step(Warned(warnings))
+            self._step(events.Warned(warnings))
 
     # --- the core
 
-    def _step_all(self, events: Iterable[Event]) -> None:
+    def _step_all(self, events: Iterable[events.Event]) -> None:
         for event in events:
             self._step(event)
 
-    def _step(self, event: Event) -> None:
+    def _step(self, event: events.Event) -> None:
         """Passes an event to the core and carries out the actions.
 
         Raises:
@@ -213,7 +215,7 @@ class Loop:
             Exception: of the core.
         """
         now, wall = self._clock(), self._wall()
-        actions: Sequence[Action] | None = None
+        actions: Sequence[events.Action] | None = None
         try:
             actions = self._core.step(event, now, wall)
             for action in actions:
@@ -221,14 +223,13 @@ class Loop:
         finally:
             self._record(event, now, wall, actions)
 
-    def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
+    def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
         """Gives a step to the recorder, until the recorder fails."""
         if self._recorder is not None:
             try:
                 self._recorder(event, now, wall, actions)
             except Exception:
-                self._recorder = None
-                log.exception("the recording of events has ended")
+                self._end_recording()
 
     def _keep_records(self) -> None:
         """Writes what the recorder has taken. Not after each step, because a worker may wait for the GIL then."""
@@ -236,10 +237,13 @@ class Loop:
             try:
                 self._recorder.flush()
             except Exception:
-                self._recorder = None
-                log.exception("the recording of events has ended")
+                self._end_recording()
 
-    def _carry_out(self, action: Action) -> None:
+    def _end_recording(self) -> None:
+        self._recorder = None
+        log.exception("the recording of events has ended")
+
+    def _carry_out(self, action: events.Action) -> None:
         """Carries out an action; logs its exception.
 
         Raises:
@@ -251,42 +255,77 @@ class Loop:
             raise
         except Exception as error:
             log.exception("the action %s failed", type(action).__name__)
-            if isinstance(action, Start):  # no worker will answer
-                self.post(Answered(action.number, Failed(repr(error)), True))
+            if isinstance(action, events.Start):  # no worker will answer
+                self.post(events.Answered(action.number, Failed(repr(error)), True))
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: events.Action) -> None:
         services = self._services
         match action:
-            case Start(number, task):
+            case events.Start(number, task):
                 services.workers.start(number, task)
-            case ToExecutor(message):
+            case events.ToExecutor(message):
                 self._link.send(message)
-            case Reply(number, payload):
+            case events.Reply(number, payload):
                 self._reply(number, payload)
-            case Publish(key, payload):
+            case events.Publish(key, payload):
                 services.out.publish(key, payload)
-            case PublishResult():
+            case events.PublishResult():
                 services.out.publish_result(action)
-            case Record():
+            case events.Record():
                 services.ledger.record(action)
-            case RecordCounts(counts):
+            case events.RecordCounts(counts):
                 services.ledger.counts(counts)
-            case Abandon(number):
+            case events.Abandon(number):
                 services.workers.abandon(number)
-            case Disconnect(reason):
+            case events.Disconnect(reason):
                 self._link.drop(reason)
-            case Wake(at):
+            case events.Wake(at):
                 self._wake = at
-            case Notify(text):
+            case events.Notify(text):
                 services.notifier.send(text)
-            case Log(level, text, fields):
+            case events.Log(level, text, fields):
                 log.log(level, "%s", text, extra={"journal": fields})
-            case Fail(reason):
+            case events.Fail(reason):
                 raise PlannerFailed(reason)
 
-    def _reply(self, number: int, payload: Payload) -> None:
+    def _reply(self, number: int, payload: events.Payload) -> None:
         """Answers a request that was not answered before."""
         if (reply := self._replies.pop(number, None)) is None:
             log.error("request %d is not known, or was answered before", number)
         else:
             reply(payload)
+
+
+class Mailboxes:
+    """The mailboxes, which the loop reads regularly. For the loop's thread, except `set`.
+
+    Attributes:
+        due: time of the next look [s].
+    """
+
+    def __init__(self) -> None:
+        self.due = math.inf
+        self._boxes: Mapping[type[Arrived], Receive] = {}
+        self._stream_until = -math.inf
+
+    def set(self, kind: type[Arrived], receive: Receive) -> None:
+        """Sets the mailbox of a kind: `receive` returns the latest payload, or None, and never waits."""
+        self._boxes = {**self._boxes, kind: receive}
+        self.due = 0.0
+
+    def look(self, now: float) -> list[Arrived]:
+        """Returns what has arrived, and sets `due`."""
+        arrived: list[Arrived] = []
+        for kind, receive in self._boxes.items():
+            try:
+                payload = receive()
+            except Exception:
+                log.exception("a mailbox cannot be read")
+                continue
+            if payload is not None:
+                arrived.append(kind(payload))
+            if payload is not None and kind is events.SetpointArrived:
+                self._stream_until = now + STREAM_ENDS
+        if self._boxes:
+            self.due = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
+        return arrived

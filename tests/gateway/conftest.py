@@ -18,7 +18,7 @@ from controller.gateway.server import Server
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage, parse
 from controller.planning.core.events import LockMessage, Message, Payload, done, refused
-from controller.planning.requests import decode_cancel
+from controller.planning.planner import decode_cancel
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"

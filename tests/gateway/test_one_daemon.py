@@ -9,7 +9,7 @@ import pytest
 import zenoh
 
 from controller.gateway import session
-from controller.gateway.one_daemon import AlreadyRunning, Claim
+from controller.gateway.session import AlreadyRunning, Claim
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 

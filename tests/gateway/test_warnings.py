@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from controller.gateway.warnings import REMEMBERED, Warnings
+from controller.gateway.daemon import REMEMBERED, Warnings
 from controller.program import Fault
 
 

@@ -51,7 +51,7 @@ from controller.planning.core.tasks import (
     PrepareSearch,
     Task,
 )
-from controller.planning.requests import RequestDecoder
+from controller.planning.planner import RequestDecoder
 from controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
 from controller.planning.workers.computations import check_stages, check_standing, describe, follow, improve, plan_goal
 from controller.program import (

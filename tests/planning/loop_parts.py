@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from controller.planning.core.events import Action, Event
-from controller.planning.services import Services
+from controller.planning.loop import Services
 from controller.program import Fault
 from tests.waiting import PATIENCE
 
@@ -68,4 +68,5 @@ class Remembering:
 
     @property
     def services(self) -> Services:
-        return Services(self, self, self, self, self.warnings, self.fatal)
+        each: Any = self
+        return Services(each, each, each, each, self.warnings, self.fatal)

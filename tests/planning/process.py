@@ -8,11 +8,10 @@ from typing import Any
 from controller.config import Arm
 from controller.notify import Notifier
 from controller.planning.core.events import Published, PublishResult, Recorded
-from controller.planning.inbox import Inbox as Events
-from controller.planning.ledger import Ledger
+from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink
+from controller.planning.link import Inbox as Events
 from controller.planning.planner import Outside, planning
-from controller.planning.published import PublishedResults
 from controller.workspace.densities import Densities
 from tests.planning.executor import DIGEST, Inbox
 

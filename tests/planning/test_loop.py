@@ -41,10 +41,8 @@ from controller.planning.core.events import (
     Warned,
 )
 from controller.planning.core.tasks import BuildTables, Done, Failed
-from controller.planning.inbox import Inbox
-from controller.planning.link import ExecutorLink
-from controller.planning.loop import WARNINGS_EVERY, Loop
-from controller.planning.mailboxes import EVERY, STREAM_ENDS, STREAM_EVERY
+from controller.planning.link import ExecutorLink, Inbox
+from controller.planning.loop import LOOK_EVERY, STREAM_ENDS, STREAM_EVERY, WARNINGS_EVERY, Loop
 from controller.program import Answer, Fault, Halt, Hello, Snapshot
 from tests.planning.executor import DIGEST, ScriptedExecutor
 from tests.planning.loop_parts import Remembering, ScriptedCore
@@ -149,14 +147,14 @@ def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> No
     bench.loop.read(TipArrived, lambda: tips.pop() if tips else None)
     mailboxes = bench.loop._mailboxes
     assert bench.handle(Published(1)) == [Published(1), TipArrived(b"t")]
-    assert mailboxes.due == bench.now + EVERY
+    assert mailboxes.due == bench.now + LOOK_EVERY
     setpoints.append(b"s")
     bench.now = mailboxes.due
     assert bench.handle() == [SetpointArrived(b"s")]
     assert mailboxes.due == bench.now + STREAM_EVERY
     bench.now += STREAM_ENDS
     bench.handle()
-    assert mailboxes.due == bench.now + EVERY
+    assert mailboxes.due == bench.now + LOOK_EVERY
 
 
 def test_a_mailbox_that_fails_keeps_nothing_waiting(bench: Bench) -> None:

@@ -22,8 +22,7 @@ from controller.planning.core.events import (
     ToExecutor,
     Unsent,
 )
-from controller.planning.inbox import Inbox
-from controller.planning.link import ExecutorLink
+from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.loop import Loop
 from controller.planning.planner import CANCELED, Planner
 from controller.program import Acknowledge, Cancel, Halt, Hello, Welcome

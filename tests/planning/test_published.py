@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.planning import published
+from controller.planning import ledger as published
 from controller.planning.core.events import Identity
-from controller.planning.published import Mark, PublishedResults, published_path
+from controller.planning.ledger import Mark, PublishedResults, published_path
 
 PAYLOAD = {"id": "a", "status": "aborted", "code": -4, "message": "of \udc80\nlines", "switches": 3, "where": [1.0]}
 
@@ -64,23 +64,12 @@ def test_a_full_memory_loses_no_other_mark(path: Path, monkeypatch: pytest.Monke
     assert PublishedResults(path).known() == {Identity(1, 1), Identity(1, 3)}
 
 
-def test_other_executors_are_dropped_from_a_long_file_only(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(published, "MOST_MARKS", 3)
-    results = PublishedResults(path)
-    add(results, Identity(1, 1), Identity(1, 2), Identity(2, 1))
-    results.keep(2)
-    assert len(PublishedResults(path).known()) == 3
-    add(results, Identity(2, 2))
-    results.keep(2)
-    assert results.known() == PublishedResults(path).known() == {Identity(2, 1), Identity(2, 2)}
-    assert list(path.parent.iterdir()) == [path]
-
-
 def test_the_newest_results_are_kept(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(published, "MOST_MARKS", 3)
     results = PublishedResults(path)
     add(results, *(Identity(1, k) for k in range(7)))
     assert results.known() == PublishedResults(path).known() == {Identity(1, 4), Identity(1, 5), Identity(1, 6)}
+    assert list(path.parent.iterdir()) == [path]
 
 
 def test_the_folder_is_that_of_systemd_or_of_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from controller.config import Arm
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage
 from controller.planning.core.events import CancelMessage, Key, LockMessage, ObstaclesMessage
-from controller.planning.requests import RequestDecoder
+from controller.planning.planner import RequestDecoder
 from tests.fuzz.requests import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT, wrong
 
 KEYS: tuple[Key, ...] = get_args(Key)

@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.motion.codes import Refusal
 from controller.planning.core.events import Key, refused
-from controller.planning.requests import RequestDecoder
+from controller.planning.planner import RequestDecoder
 from controller.program import unpack
 
 if TYPE_CHECKING:

@@ -27,8 +27,7 @@ from controller.planning.core.events import (
 )
 from controller.planning.core.requests import CANCELED
 from controller.planning.core.tasks import Scene, Tables
-from controller.planning.loop import Loop, OnReply, PlannerFailed
-from controller.planning.services import Services
+from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
 from controller.program import Cancel, Halt
 from tests.simulation.invariants import require
 from tests.simulation.network import SimulatedLink

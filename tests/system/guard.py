@@ -11,7 +11,7 @@ from controller.client import Client
 from controller.gateway import session
 from controller.planning import planner
 from controller.planning.core.events import Key, Message
-from controller.planning.mailboxes import Receive
+from controller.planning.loop import Receive
 from controller.planning.planner import Planner
 from tests.keys import certificates, openssl
 from tests.system.observer import Observer

@@ -16,8 +16,7 @@ import zenoh
 from controller.client import Client, Message, Unanswered
 from controller.config import Arm
 from controller.gateway import daemon
-from controller.gateway.one_daemon import AlreadyRunning
-from controller.gateway.session import configuration
+from controller.gateway.session import AlreadyRunning, configuration
 from controller.planning.ledger import LedgerInUse
 from tests.system.motions import Motions
 from tests.system.observer import Observer

@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from controller.gateway import session
-from controller.gateway.warnings import Warnings
+from controller.gateway.daemon import Warnings
 from controller.planning.ledger_file import read
 from controller.planning.loop import Loop
 from tests.system.motions import Motions

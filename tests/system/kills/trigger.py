@@ -25,8 +25,8 @@ from controller.planning.core.events import (
     ToExecutor,
 )
 from controller.planning.core.tasks import BuildScene
+from controller.planning.ledger import PublishedResults
 from controller.planning.loop import Loop
-from controller.planning.published import PublishedResults
 from controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
 
 SOCKET, OUTBOX, MARK = "kills.sock", "kills.outbox", "KILLS"
