@@ -61,9 +61,6 @@ class Outside(NamedTuple):
 class Planner:
     """Passes requests to the core. For any thread; all methods but `end_goals` and `close` return at once.
 
-    Attributes:
-        decode: see `RequestDecoder.decode`.
-
     Args:
         arm: with wiring.
         densities: of the arm reduced by the actuators that its file declares stuck.
@@ -73,8 +70,7 @@ class Planner:
 
     def __init__(self, arm: Arm, densities: Densities, loop: Loop, link: ExecutorLink) -> None:
         self._arm, self._densities, self._loop, self._link = arm, densities, loop, link
-        self.decode = RequestDecoder(arm).decode
-        self._description = description(arm)
+        self._decoder, self._description = RequestDecoder(arm), description(arm)
         self._numbers = itertools.count(1)
 
     def start(self) -> None:
@@ -93,6 +89,14 @@ class Planner:
         self._link.close()
 
     # --- requests
+
+    def decode(self, key: events.Key, payload: bytes) -> events.Message:
+        """Returns the content of a request; see `RequestDecoder.decode`.
+
+        Raises:
+            Refusal: the payload is invalid.
+        """
+        return self._decoder.decode(key, payload)
 
     def request(self, key: events.Key, message: events.Message, reply: OnReply) -> None:
         """Posts a request. A stop, or a cancel without an id, goes to the executor before this method returns.
