@@ -1,7 +1,6 @@
 """Sends answers, feedback, results and states: any thread queues them, one thread sends them."""
 
 import logging
-import math
 import queue
 import threading
 import time
@@ -20,7 +19,6 @@ from controller.planning.core.events import Identity, Payload, Published, Publis
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 1_000  # messages in each lane
-TRANSMITTED = 0.02  # [s] after its put a message has left the process; Zenoh tells nobody when. Measured: 3 ms
 POLL = 0.2  # [s] between two readings of the clock
 RECONNECTED = 5.0  # [s] after a standstill, or after the start; clients reconnect at least every 4 s
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
@@ -85,9 +83,6 @@ class Outbox:
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
         self._latest = dict[str, Payload]()
-        self._sent = deque[
-            tuple[float, PublishResult, bytes]
-        ]()  # results that are not noted yet, and when to note them
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
         self._publishers = {
@@ -108,8 +103,8 @@ class Outbox:
     def publish_result(self, result: PublishResult) -> None:
         """Publishes the result of an accepted goal, notes it as published, and then posts `Published`.
 
-        The note comes TRANSMITTED after the put. A process that is killed meanwhile leaves the result to the next one:
-        it may then come twice, with the same content, but it is never lost.
+        Zenoh tells nobody when a message has left the process: most have after 1 ms, nearly all after 3 ms. A result is
+        lost if the process is killed meanwhile, and published twice if it is killed between the put and the note.
         """
         self._hooks.ended(result.payload.get("id"))
         self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
@@ -165,7 +160,6 @@ class Outbox:
             while (item := self._next()) is not None:
                 self._send(*item)
                 self._last_reading = self._clock()  # waiting for a slow peer is no standstill
-            self._note_sent(math.inf)
         except BaseException as error:
             log.exception("the outbox failed")
             self._fatal(f"the thread that publishes results failed: {type(error).__name__}: {error}")
@@ -173,7 +167,6 @@ class Outbox:
     def _next(self) -> Item | None:
         """Waits for the next message; None at the end."""
         while True:
-            self._note_sent(self._clock())
             results_wait = self._stood_still() and not self._closing
             inherited_wait = results_wait or (self._clock() < self._reached_from and not self._closing)
             if self._inherited and not inherited_wait:
@@ -188,7 +181,7 @@ class Outbox:
             if self._closing:
                 return None
             try:
-                self._wake.get(timeout=TRANSMITTED if self._sent else POLL)
+                self._wake.get(timeout=POLL)
             except queue.Empty:
                 continue
 
@@ -216,14 +209,8 @@ class Outbox:
             log.warning("not sent on %s: %s", key, error)  # the executor keeps a result, for the next planner
             return
         if isinstance(target, PublishResult):
-            self._sent.append((self._clock() + TRANSMITTED, target, data))
-
-    def _note_sent(self, until: float) -> None:
-        """Notes the results as published that were put before a time [s], less TRANSMITTED."""
-        while self._sent and self._sent[0][0] <= until:
-            _, result, data = self._sent.popleft()
-            self._hooks.published(result.identity, msgspec.json.decode(data))
-            self._hooks.posted(Published(result.number))
+            self._hooks.published(target.identity, msgspec.json.decode(data))
+            self._hooks.posted(Published(target.number))
 
 
 def encoded(payload: Payload) -> bytes:
