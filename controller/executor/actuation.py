@@ -174,7 +174,9 @@ class Actuation:
             self._watched |= 1 << k
         self.uncertain &= ~energised
         self._doubtful &= ~energised
-        self._states = self._adopted = states
+        self._states = states
+        if self._adopted is not None:  # a pulse that a start finds may end before the first adoption
+            self._adopted = states
         self._moved(moved, now)
         self.switches += moved.bit_count()
         return moved

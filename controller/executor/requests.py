@@ -145,7 +145,9 @@ class Requests:
             check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
         except Misfit as misfit:
             return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
-        if start != self._motion.actuation.states or self._motion.busy:
+        if self._motion.busy:
+            return Declined(number, "moved", "the boards have not confirmed the last switch yet")
+        if start != self._motion.actuation.states:
             return Declined(number, "moved", "the arm has moved since the program was planned")
         return None
 

@@ -25,12 +25,7 @@ Reply = Callable[[Payload], None]  # must not wait
 
 
 class Rate:
-    """Counts events up to a number within the last second. Threads that count together may count a few more.
-
-    Args:
-        most: number of events.
-        clock: [s].
-    """
+    """Counts events up to `most` within the last second. Threads that count together may count a few more."""
 
     def __init__(self, most: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._times = clock, deque[float](maxlen=most)
@@ -58,48 +53,32 @@ class FloodBrake:
     for other threads. A goal from another client waits for the 256 messages before it in the callback's queue, about
     60 ms.
 
-    Args:
-        clock: [s].
-        pause: sleeps for a time [s].
+    Attributes:
+        refused: counts refused requests.
+        explained: admits refusals that give their reason.
     """
 
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep
     ) -> None:
-        self._refused, self._explained = Rate(MOST_AT_ONCE, clock), Rate(MOST_AT_ONCE, clock)
+        self.refused, self.explained = Rate(MOST_AT_ONCE, clock), Rate(MOST_AT_ONCE, clock)
         self._requests, self._pause = itertools.count(1), pause
-
-    def count_refusal(self) -> None:
-        """Counts a request that was refused; for any thread."""
-        self._refused.add()
-
-    def explains(self) -> bool:
-        """Returns whether another refusal may give its reason."""
-        return self._explained.admits()
 
     def slow_down(self) -> None:
         """Pauses now and then while too many requests are refused; called after each request."""
-        if self._refused.exceeded() and next(self._requests) % PAUSE_EVERY == 0:
+        if self.refused.exceeded() and next(self._requests) % PAUSE_EVERY == 0:
             self._pause(PAUSE)
 
 
 @dataclass(eq=False)
 class Known:
-    """A goal that has arrived.
+    """A goal that has arrived."""
 
-    Attributes:
-        keys: of the table, by which it is recognized.
-        at: time of its last message [s].
-        replies: functions that wait for the answer.
-        answer: None until it is known.
-        ended: whether no result will follow.
-    """
-
-    keys: list[bytes]
-    at: float
-    replies: deque[Reply] = field(default_factory=deque)
+    keys: list[bytes]  # by which it is recognized
+    at: float  # time of its last message [s]
+    replies: deque[Reply] = field(default_factory=deque)  # that wait for the answer
     answer: Payload | None = None
-    ended: bool = False
+    ended: bool = False  # no result will follow
 
     def await_answer(self, reply: Reply) -> None:
         """Replies with the answer, now or when it comes.
@@ -112,9 +91,7 @@ class Known:
 
     def give(self, answer: Payload) -> None:
         """Stores the answer, and replies to all that wait."""
-        self.answer = answer
-        if not answer.get("accepted"):
-            self.ended = True
+        self.answer, self.ended = answer, self.ended or not answer.get("accepted")
         self.reply()
 
     def reply(self) -> None:
@@ -133,16 +110,13 @@ class RepeatedGoals:
     A goal is recognized by the request number that hyperbit's clients attach to it. Goals of other clients are
     recognized by their payload if it has an id. A number always identifies the same request. A payload identifies its
     goal only until the goal has ended, because the same file may be sent again later.
-
-    Args:
-        clock: [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._forget_at = clock, -float("inf")
         self._known: dict[bytes, Known] = {}
 
-    def submit(self, payload: bytes | None, number: bytes, reply: Reply, request: Callable[[Reply], None]) -> None:
+    def submit(self, payload: bytes | None, number: bytes, reply: Reply, request: Callable[[Reply], object]) -> None:
         """Requests a new goal, or repeats the answer to a known one. For any thread.
 
         Args:
@@ -177,23 +151,20 @@ class RepeatedGoals:
                 self._forget_payload(known)
 
     def _answered(self, goal: Known, answer: Payload) -> None:
+        """Gives an answer, and forgets goals that ended long ago, and the oldest ones above MOST."""
         goal.at = self._clock()
         goal.give(answer)
         if goal.ended:
             self._forget_payload(goal)
-        self._forget_old()
+        if goal.at >= self._forget_at:
+            self._forget_at = goal.at + FORGET_EVERY
+            for key, known in self._known.copy().items():
+                if known.ended and known.at + REMEMBERED < goal.at:
+                    self._known.pop(key, None)
+        for key in list(self._known)[:-MOST]:
+            self._known.pop(key, None)
 
     def _forget_payload(self, goal: Known) -> None:
         for key in goal.keys:
             if key.startswith(b"payload") and self._known.get(key) is goal:
                 self._known.pop(key, None)
-
-    def _forget_old(self) -> None:
-        """Drops goals that ended more than REMEMBERED ago, every FORGET_EVERY, and the oldest ones above MOST."""
-        if (now := self._clock()) >= self._forget_at:
-            self._forget_at = now + FORGET_EVERY
-            for key, known in self._known.copy().items():
-                if known.ended and known.at + REMEMBERED < now:
-                    self._known.pop(key, None)
-        for key in list(self._known)[:-MOST]:
-            self._known.pop(key, None)

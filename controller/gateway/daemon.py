@@ -26,7 +26,8 @@ from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Recorded
 from controller.planning.ledger import Ledger, PublishedResults, published_path
 from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.planner import Outside, planning
+from controller.planning.loop import Services
+from controller.planning.planner import planning
 from controller.program import Fault
 from controller.workspace.densities import Densities
 
@@ -59,12 +60,7 @@ class Daemon:
 
 @contextlib.contextmanager
 def running(
-    arm: Arm,
-    densities: Densities,
-    config: zenoh.Config,
-    ledger: Path,
-    socket: Path | Callable[[], Path],
-    digest: str,
+    arm: Arm, densities: Densities, config: zenoh.Config, ledger: Path, socket: Path, digest: str
 ) -> Iterator[Daemon]:
     """Serves an arm while the context lasts.
 
@@ -76,7 +72,7 @@ def running(
         densities: of the arm reduced by locked actuators.
         config: of the Zenoh session.
         ledger: path of the ledger.
-        socket: path of the executor's socket, or a function that returns it for each attempt to connect.
+        socket: path of the executor's socket.
         digest: SHA-256 of the arm's file, in hexadecimal.
 
     Raises:
@@ -92,23 +88,22 @@ def running(
         closing.callback(claim.close)
         book = Ledger(ledger, arm.manipulator.actuators, lambda entry: inbox.post(Recorded(entry)), daemon.fail)
         closing.callback(book.close)
-        published = PublishedResults(published_path(name, socket() if callable(socket) else socket))
+        published = PublishedResults(published_path(name, socket))
         goals, notifier = RepeatedGoals(), Notifier()
         hooks = ResultHooks(goals.ended, published.add, inbox.post)
         outbox = Outbox(session, f"hyperbit/{name}", hooks, daemon.fail, lease(config))
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults)
-        outside = Outside(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
+        services = Services(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
         label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
         recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
         link = ExecutorLink(socket, name, digest)
-        planner = closing.enter_context(planning(arm, densities, link, outside, recorder))
+        planner = closing.enter_context(planning(arm, densities, link, services, recorder))
         claim.confirm()
         server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
-        closing.callback(planner.end_goals)
         closing.callback(server.close)
-        planner.start()  # not before the keys are declared: who receives a state may send a request
+        planner.loop.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)
@@ -137,36 +132,29 @@ class Warnings:
     ) -> None:
         self._reachable, self._others, self._wall, self._clock = reachable, others, wall, clock
         self._offset = wall() - clock()
-        self._set = self._lost = ""  # sentences on the clock and on the network
-        self._set_until = self._lost_until = self._lost_at = 0.0
-        self._logged: set[tuple[str, str]] = set()
+        self._lost_at = 0.0
+        self._own: dict[str, tuple[Fault, float]] = {}  # by code; and when each ends [s]
 
     def active(self) -> tuple[Fault, ...]:
         """Returns the active warnings; logs each when it begins."""
         now = self._clock()
-        own = (*self._clock_set(now), *self._network_lost(now))
-        for fault in own:
-            if (fault.code, fault.source) not in self._logged:
-                fields = fields_of_fault(fault.code, fault.source)
-                log.warning("%s: %s", fault.code, fault.message, extra={"journal": fields})
-        self._logged = {(fault.code, fault.source) for fault in own}
-        return own + self._others()
-
-    def _clock_set(self, now: float) -> tuple[Fault, ...]:
+        self._own = {code: own for code, own in self._own.items() if now < own[1]}
         offset = self._wall() - now
         if abs(by := offset - self._offset) > CLOCK_STEP:
-            self._set = f"the system's clock was set by {by:+.1f} s: stamps follow it, motions do not"
-            self._set_until = now + REMEMBERED
-            self._logged.discard(("clock-set", "system"))  # each setting is logged
+            self._own.pop("clock-set", None)  # each setting is logged
+            message = f"the system's clock was set by {by:+.1f} s: stamps follow it, motions do not"
+            self._warn(Fault("clock-set", "system", message), now)
         self._offset = offset
-        return (Fault("clock-set", "system", self._set),) if now < self._set_until else ()
-
-    def _network_lost(self, now: float) -> tuple[Fault, ...]:
         if not self._reachable():
-            if now >= self._lost_until:
+            if "network-lost" not in self._own:
                 self._lost_at = now
-            self._lost_until = now + REMEMBERED
-            self._lost = (
-                f"no peer was connected over Zenoh for {now - self._lost_at:.1f} s: the arm continued by itself"
-            )
-        return (Fault("network-lost", "zenoh", self._lost),) if now < self._lost_until else ()
+            message = f"no peer was connected over Zenoh for {now - self._lost_at:.1f} s: the arm continued by itself"
+            self._warn(Fault("network-lost", "zenoh", message), now)
+        return (*(fault for _, (fault, _) in sorted(self._own.items())), *self._others())
+
+    def _warn(self, fault: Fault, now: float) -> None:
+        """Begins a warning, or continues it."""
+        if fault.code not in self._own:
+            fields = fields_of_fault(fault.code, fault.source)
+            log.warning("%s: %s", fault.code, fault.message, extra={"journal": fields})
+        self._own[fault.code] = fault, now + REMEMBERED

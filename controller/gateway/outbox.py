@@ -1,5 +1,6 @@
 """Sends answers, feedback, results and states: any thread queues them, one thread sends them."""
 
+import contextlib
 import logging
 import queue
 import threading
@@ -20,11 +21,13 @@ log = logging.getLogger(__name__)
 
 MOST_WAITING = 1_000  # messages in each lane
 POLL = 0.2  # [s] between two readings of the clock
+SENT_WITHIN = 0.05  # [s] after which a put has left the process; Zenoh tells nobody, nearly all have after 3 ms
 RECONNECTED = 5.0  # [s] after a standstill, or after the start; clients reconnect at least every 4 s
 COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
 PUBLISHED = {"result": zenoh.CongestionControl.BLOCK} | dict.fromkeys(
     ("feedback", "state", "diagnostics", "@request"), zenoh.CongestionControl.DROP
 )
+LATEST = ("state", "diagnostics")  # only the latest waits
 JSON = zenoh.Encoding.APPLICATION_JSON
 
 # What is sent: by a query's reply, or published; then its key and payload.
@@ -36,13 +39,13 @@ class ResultHooks(NamedTuple):
 
     Attributes:
         ended: takes the id of the goal, before its result is published.
-        published: notes durably that the result of a program was published; takes what clients receive.
-        posted: takes the event for the planner's core, after that.
+        publishing: marks a result durably, before its put; takes what clients receive.
+        published: takes the event for the planner's core, when the result has left the process.
     """
 
     ended: Callable[[str | None], None]
-    published: Callable[[Identity, Payload], None]
-    posted: Callable[[Published], None]
+    publishing: Callable[[Identity, Payload], None]
+    published: Callable[[Published], None]
 
 
 class Outbox:
@@ -83,6 +86,7 @@ class Outbox:
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
         self._first, self._second, self._inherited = deque[Item](), deque[Item](), deque[Item]()
         self._latest = dict[str, Payload]()
+        self._put_results = deque[tuple[float, int]]()  # when each has left the process [s], and its number
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
         self._publishers = {
@@ -92,30 +96,22 @@ class Outbox:
         self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
         self._thread.start()
 
-    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: Payload) -> None:
-        """Publishes on a key. A `state` or `diagnostics` replaces the one that still waits."""
-        if key == "feedback":
-            self._put(self._first, (None, key, payload))
-        else:
+    def publish(self, key: Literal["state", "diagnostics", "feedback", "result", "@request"], payload: Payload) -> None:
+        """Publishes on a key. A `state` or `diagnostics` replaces the one that waits; a `result` is a put's refusal."""
+        if key in LATEST:
             self._latest[key] = payload
             self._wake_up()
+        else:
+            self._put(self._first if key == "feedback" else self._second, (None, key, payload))
 
     def publish_result(self, result: PublishResult) -> None:
-        """Publishes the result of an accepted goal, notes it as published, and then posts `Published`.
+        """Marks the result of an accepted goal, publishes it, and posts `Published` when it has left the process.
 
-        Zenoh tells nobody when a message has left the process: most have after 1 ms, nearly all after 3 ms. A result is
-        lost if the process is killed meanwhile, and published twice if it is killed between the put and the note.
+        If the process is killed in between, clients may have the result or not. Therefore the next process publishes
+        it again, with the field `repeated`.
         """
         self._hooks.ended(result.payload.get("id"))
         self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
-
-    def publish_refusal(self, payload: Payload) -> None:
-        """Publishes the refusal of a put on `result`."""
-        self._put(self._second, (None, "result", payload))
-
-    def publish_note(self, payload: Payload) -> None:
-        """Publishes a note on a request and its answer."""
-        self._put(self._second, (None, "@request", payload))
 
     def recorded(self) -> bool:
         """Returns whether a peer receives the notes on requests."""
@@ -160,6 +156,7 @@ class Outbox:
             while (item := self._next()) is not None:
                 self._send(*item)
                 self._last_reading = self._clock()  # waiting for a slow peer is no standstill
+            self._post_published(np.inf)
         except BaseException as error:
             log.exception("the outbox failed")
             self._fatal(f"the thread that publishes results failed: {type(error).__name__}: {error}")
@@ -167,23 +164,28 @@ class Outbox:
     def _next(self) -> Item | None:
         """Waits for the next message; None at the end."""
         while True:
+            self._post_published(self._clock())
             results_wait = self._stood_still() and not self._closing
             inherited_wait = results_wait or (self._clock() < self._reached_from and not self._closing)
             if self._inherited and not inherited_wait:
                 return self._inherited.popleft()
             if self._first and not (results_wait and self._first[0][1] == "result"):
                 return self._first.popleft()
-            for key in ("state", "diagnostics"):
+            for key in LATEST:
                 if (latest := self._latest.pop(key, None)) is not None:
                     return None, key, latest
             if self._second:
                 return self._second.popleft()
             if self._closing:
                 return None
-            try:
-                self._wake.get(timeout=POLL)
-            except queue.Empty:
-                continue
+            wait = min(self._put_results[0][0] - self._clock(), POLL) if self._put_results else POLL
+            with contextlib.suppress(queue.Empty):
+                self._wake.get(timeout=max(wait, 0.0))
+
+    def _post_published(self, now: float) -> None:
+        """Posts `Published` for each result that has left the process."""
+        while self._put_results and self._put_results[0][0] <= now:
+            self._hooks.published(Published(self._put_results.popleft()[1]))
 
     def _stood_still(self) -> bool:
         """Returns whether clients may not have reconnected yet after a standstill."""
@@ -199,6 +201,8 @@ class Outbox:
         if key == "diagnostics":
             payload = {**payload, "queues": {**payload.get("queues", {}), "outbox": self.waiting()}}
         data = encoded(payload)
+        if isinstance(target, PublishResult):
+            self._hooks.publishing(target.identity, msgspec.json.decode(data))
         try:
             if target is None or isinstance(target, PublishResult):
                 self._publishers[key].put(data)
@@ -209,27 +213,16 @@ class Outbox:
             log.warning("not sent on %s: %s", key, error)  # the executor keeps a result, for the next planner
             return
         if isinstance(target, PublishResult):
-            self._hooks.published(target.identity, msgspec.json.decode(data))
-            self._hooks.posted(Published(target.number))
+            self._put_results.append((self._clock() + SENT_WITHIN, target.number))
 
 
 def encoded(payload: Payload) -> bytes:
-    """Returns a payload as JSON, or a substitute for a payload that has no JSON form."""
+    """Returns a payload as JSON, numbers that are not finite as null; a substitute for a payload without JSON form."""
     try:
-        return encode(payload)
+        return msgspec.json.encode(payload, enc_hook=plain)
     except Exception:
         log.exception("a payload cannot be encoded as JSON: %r", payload)
-        return encode(without_json(payload))
-
-
-def encode(payload: Payload) -> bytes:
-    """Returns a payload as JSON; numbers that are not finite become null.
-
-    Raises:
-        TypeError: a value has no JSON form.
-        UnicodeEncodeError: a text contains a lone surrogate.
-    """
-    return msgspec.json.encode(payload, enc_hook=plain)
+        return msgspec.json.encode(without_json(payload))
 
 
 def plain(value: object) -> Any:

@@ -4,7 +4,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -74,16 +74,10 @@ def lease(config: zenoh.Config) -> float:
     return float(json.loads(config.get_json("transport/link/tx/lease"))) / 1e3
 
 
-def connects(config: zenoh.Config) -> bool:
-    """Returns whether a session of this configuration connects to an endpoint."""
-    return bool(json.loads(config.get_json("connect/endpoints")))
-
-
 def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
     """Returns a function that returns whether a session is connected to one of its endpoints, if it has any."""
-    if not connects(config):
-        return lambda: True
-    return lambda: bool(session.info.routers_zid() or session.info.peers_zid())
+    endpoints = json.loads(config.get_json("connect/endpoints"))
+    return lambda: not endpoints or bool(session.info.routers_zid() or session.info.peers_zid())
 
 
 def reason(error: zenoh.ZError) -> str:
@@ -111,10 +105,6 @@ class Claim:
 
     Of daemons that start together, the one with the lowest id of its session serves. Each looks for the last time when
     its claim has reached the others. So of two daemons, at least one finds the other.
-
-    Args:
-        session: open session.
-        arm: name of the arm.
     """
 
     def __init__(self, session: zenoh.Session, arm: str) -> None:
@@ -136,7 +126,7 @@ class Claim:
         """
         time.sleep(max(self._declared_at + GRACE - time.monotonic(), 0.0))
         until = time.monotonic() + patience
-        while silent := [*self._silent_claims(), *self._silent_servers()]:
+        while silent := self._silent_tokens():
             if time.monotonic() > until:
                 what = f"another daemon of the arm {self._arm!r} is in the network, and does not say where it runs"
                 raise AlreadyRunning(f"{what}. Look for its host, end it, or rename this arm ({', '.join(silent)})")
@@ -152,44 +142,32 @@ class Claim:
         with query:
             query.reply(query.key_expr, msgspec.json.encode(self._claimant))
 
-    def _silent_claims(self) -> Iterator[str]:
-        """Yields other claims whose owners do not answer.
+    def _silent_tokens(self) -> list[str]:
+        """Returns the tokens of other daemons that do not answer. Daemons of earlier versions have only "alive".
 
         Raises:
             AlreadyRunning: another daemon serves the arm, or its claim comes first.
         """
-        for key in self._tokens("@claim/*"):
-            if (other := key.rpartition("/")[2]) == self._own:
+        silent = []
+        for token in [*self._tokens("@claim/*"), *self._tokens("alive")]:
+            if (other := token.rpartition("/")[2]) == self._own:
                 continue
-            claimants = self._claimants(key)
-            for claimant in claimants:
-                if claimant.serves or other < self._own:
-                    raise self._running(claimant)
+            claimants = self._claimants(f"hyperbit/{self._arm}/arm" if other == "alive" else token)
+            for who in claimants:
+                if who.serves or other < self._own:
+                    what = f"another daemon drives the arm {self._arm!r}: process {who.pid} on {who.host}"
+                    raise AlreadyRunning(f"{what}. End it, or rename this arm")
             if not claimants:
-                yield key
+                silent.append(token)
+        return silent
 
-    def _silent_servers(self) -> Iterator[str]:
-        """Yields the token of daemons that serve the arm, and do not answer; those of earlier versions claim nothing.
-
-        Raises:
-            AlreadyRunning: another daemon serves the arm.
-        """
-        for key in self._tokens("alive"):
-            for claimant in self._claimants(f"hyperbit/{self._arm}/arm"):
-                raise self._running(claimant)
-            yield key
-
-    def _tokens(self, key: str) -> Iterable[str]:
+    def _tokens(self, key: str) -> list[str]:
         replies = self._session.liveliness().get(f"hyperbit/{self._arm}/{key}", timeout=ANSWER)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
-    def _claimants(self, key: str) -> Sequence[Claimant]:
+    def _claimants(self, key: str) -> list[Claimant]:
         replies = self._session.get(key, target=zenoh.QueryTarget.ALL, timeout=ANSWER)
         return [claimant(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
-
-    def _running(self, who: Claimant) -> AlreadyRunning:
-        where = f"process {who.pid} on {who.host}"
-        return AlreadyRunning(f"another daemon drives the arm {self._arm!r}: {where}. End it, or rename this arm")
 
 
 def claimant(answer: bytes) -> Claimant:

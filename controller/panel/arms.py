@@ -139,6 +139,8 @@ class Arms:
         except (msgspec.MsgspecError, RecursionError):
             log.warning("arm %s: a message on %s is not JSON", name, key)
             return
+        if key == "result" and message.get("repeated") and view.record.has_result(message.get("id")):
+            return
         if key == "result":
             self.counters.result(name, message)
         view.hear(key, message)

@@ -46,6 +46,10 @@ class Record:
         self.goals.append(fresh)
         return fresh
 
+    def has_result(self, name: object) -> bool:
+        """Returns whether a goal has ended."""
+        return any(entry["id"] == name and entry["status"] != "running" for entry in self.goals)
+
     def feedback(self, payload: Mapping[str, Any]) -> None:
         """Records feedback: the arm has settled at a waypoint."""
         entry = self.goal(str(payload.get("id")), payload.get("waypoints"))

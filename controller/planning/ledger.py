@@ -19,11 +19,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import msgspec
 
-from controller.planning.core.events import Identity, OpenGoal, Record
+from controller.planning.core.events import Ended, Identity, Record
 from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
 from controller.program import Fault
 
@@ -31,10 +31,6 @@ log = logging.getLogger(__name__)
 
 WRITE_EVERY = 5.0  # [s] between two transactions with counts alone, because each one wears flash memory
 MOST_MARKS = 1_000  # the executor stores no more results
-
-
-def ignore(_: object) -> None:
-    """Does nothing."""
 
 
 class Ledger:
@@ -45,7 +41,8 @@ class Ledger:
     damaged file is renamed; a new file begins with the present counts, but without the goals.
 
     Attributes:
-        path: of the file.
+        owed: the newest thousand goals that had no result when the ledger was opened, the oldest first.
+        known: number of switches of each actuator so far.
         fault: why the file cannot be written now; None if it can.
         damage: what happened to a damaged file; None if no file was damaged.
 
@@ -64,25 +61,20 @@ class Ledger:
         self,
         path: Path,
         actuators: Sequence[str],
-        recorded: Callable[[int], None] = ignore,
-        fatal: Callable[[str], None] = ignore,
+        recorded: Callable[[int], None] = lambda _: None,
+        fatal: Callable[[str], None] = lambda _: None,
         write_every: float = WRITE_EVERY,
     ) -> None:
-        self.path = path
+        self._path, self._lock_file = path, locked_file(path)
         self.fault: str | None = None
         self.damage: str | None = None
-        self._lock_file = LedgerLock(path)
-        known = counted(path)
-        self._counts, self._owed = tuple(known.get(label, 0) for label in actuators), owed(path)
+        counts = counted(path)
+        self.known, self.owed = tuple(counts.get(label, 0) for label in actuators), owed(path)
         self._recorded, self._fatal, self._write_every = recorded, fatal, write_every
         self._file = LedgerFile(path, actuators)
         self._queue: SimpleQueue[Record | None] = SimpleQueue()  # None: the end
         self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
         self._thread.start()
-
-    def owed(self) -> tuple[OpenGoal, ...]:
-        """Returns the newest thousand goals that had no result when the ledger was opened, the oldest first."""
-        return self._owed
 
     def record(self, record: Record) -> None:
         """Records a goal, its result, or both; then `recorded` is called with its number."""
@@ -90,14 +82,10 @@ class Ledger:
 
     def counts(self, counts: Sequence[int]) -> None:
         """Takes the executor's counts, one for each actuator; a count never falls. For one thread."""
-        if len(counts) != len(self._counts):
-            log.error("the executor counts %d actuators, the ledger %d", len(counts), len(self._counts))
+        if len(counts) != len(self.known):
+            log.error("the executor counts %d actuators, the ledger %d", len(counts), len(self.known))
             return
-        self._counts = tuple(map(max, self._counts, counts))
-
-    def known(self) -> tuple[int, ...]:
-        """Returns the number of switches of each actuator so far."""
-        return self._counts
+        self.known = tuple(map(max, self.known, counts))
 
     def faults(self) -> tuple[Fault, ...]:
         """Returns the faults of the file; they do not stop the arm."""
@@ -108,30 +96,27 @@ class Ledger:
         """Writes the rest, and frees the ledger for other processes."""
         self._queue.put(None)
         self._thread.join(timeout)
-        self._lock_file.close()
+        if self._lock_file is not None:
+            self._lock_file.close()
 
     def _run(self) -> None:
+        unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
+        due, closing = 0.0, False  # the first transaction opens the file, and detects damage
         try:
-            self._write_until_closed()
+            while not closing:
+                waiting = self._waiting(due)
+                closing, records = None in waiting, [record for record in waiting if record is not None]
+                unwritten.extend(records)
+                if self._write(unwritten):
+                    unwritten.clear()
+                for record in records:
+                    self._recorded(record.entry)
+                due = time.monotonic() + self._write_every
         except Exception as error:
             log.exception("the ledger's thread ended")
             self._fatal(f"the ledger's thread ended: {error!r}")
         finally:
             self._file.close()
-
-    def _write_until_closed(self) -> None:
-        unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
-        due, closing = 0.0, False  # the first transaction opens the file, and detects damage
-        while not closing:
-            waiting = self._waiting(due)
-            records = [record for record in waiting if record is not None]
-            closing = len(records) < len(waiting)
-            unwritten.extend(records)
-            if self._write(unwritten, self._counts):
-                unwritten.clear()
-            for record in records:
-                self._recorded(record.entry)
-            due = time.monotonic() + self._write_every
 
     def _waiting(self, due: float) -> list[Record | None]:
         """Returns what is in the queue; waits for it until the time `due` [s]."""
@@ -141,24 +126,23 @@ class Ledger:
             return []
         return [first, *(self._queue.get() for _ in range(self._queue.qsize()))]
 
-    def _write(self, records: Iterable[Record], counts: Sequence[int]) -> bool:
-        """Writes the collected data; returns whether that succeeded."""
+    def _write(self, records: Iterable[Record]) -> bool:
+        """Writes records and counts; returns whether that succeeded."""
         for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
-                self._file.write(records, counts)
+                self._file.write(records, self.known)
                 self.fault = None
                 return True
             except Exception as error:
                 self._file.close()
-                if damaged(error) and (renamed := self._file.set_aside()) is not None:
-                    what = f"was damaged ({error}) and renamed to {renamed}; a new one was begun"
-                    self.damage = f"ledger {self.path} {what}"
-                    log.error("%s", self.damage)
-                    continue
-                if self.fault is None:
-                    log.error("ledger %s cannot be written, counting continues in memory: %s", self.path, error)
-                self.fault = f"ledger {self.path} cannot be written: {error}"
-                break
+                if not damaged(error) or (renamed := self._file.set_aside()) is None:
+                    if self.fault is None:
+                        log.error("ledger %s cannot be written, counting continues in memory: %s", self._path, error)
+                    self.fault = f"ledger {self._path} cannot be written: {error}"
+                    return False
+                what = f"was damaged ({error}) and renamed to {renamed}; a new one was begun"
+                self.damage = f"ledger {self._path} {what}"
+                log.error("%s", self.damage)
         return False
 
 
@@ -166,42 +150,30 @@ class LedgerInUse(Exception):
     """Another process has the ledger; the text says which."""
 
 
-class LedgerLock:
-    """A file lock on "<ledger>.lock"; the kernel releases it when the process ends.
+def locked_file(ledger: Path) -> IO[bytes] | None:
+    """Returns the file "<ledger>.lock", locked until it is closed or the process ends; None if it cannot be made.
 
     The ledger itself cannot carry the lock: closing another file descriptor of it would drop SQLite's own locks.
-    Without write access to the folder there is no lock, and the ledger reports that it cannot be written.
 
     Raises:
         LedgerInUse: another process has the lock.
     """
-
-    def __init__(self, ledger: Path) -> None:
-        self._file: int | None = None
-        path = ledger.with_name(f"{ledger.name}.lock")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        except OSError as error:
-            log.warning("%s: no lock on the ledger: %s", path, error.strerror)
-            return
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            owner = os.pread(file, 100, 0).decode(errors="replace").strip() or "unknown"
-            os.close(file)
-            raise LedgerInUse(
-                f"the ledger {ledger} is in use by another daemon, process {owner}: end it first"
-            ) from None
-        os.ftruncate(file, 0)
-        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
-        self._file = file
-
-    def close(self) -> None:
-        """Releases the lock."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+    path = ledger.with_name(f"{ledger.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0)
+    except OSError as error:
+        log.warning("%s: no lock on the ledger: %s", path, error.strerror)
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        with file:
+            owner = file.read(100).decode(errors="replace").strip() or "unknown"
+        raise LedgerInUse(f"the ledger {ledger} is in use by another daemon, process {owner}: end it first") from None
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n".encode())
+    return file
 
 
 class Mark(NamedTuple):
@@ -225,11 +197,14 @@ class Mark(NamedTuple):
 
 
 class PublishedResults:
-    """The newest published results, in memory and in a file. After the start for one thread, the outbox's.
+    """Marks of the newest results, made before each is published, in memory and in a file.
 
-    If a planner is killed after it has published a result and before the executor gets the acknowledgement, the next
-    planner finds the mark and does not publish the result again. The file needs no fsync: it survives the death of the
-    process, and a reboot deletes the executor's results as well.
+    After the start for one thread, the outbox's.
+
+    If a planner is killed before the executor gets the acknowledgement of a result, the next planner finds the mark. If
+    the ledger has the result, that planner does not publish it again; otherwise it tells clients that the result is
+    repeated. The file needs no fsync: it survives the death of the process, and a reboot deletes the executor's results
+    as well.
 
     The file has at most twice MOST_MARKS lines. Lines that are torn, or are no marks, are ignored.
 
@@ -246,16 +221,12 @@ class PublishedResults:
         self._torn = bool(content) and not content.endswith(b"\n")
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
 
-    def known(self) -> frozenset[Identity]:
-        """Returns the programs whose results were published."""
-        return frozenset(self._marks)
-
-    def find(self, identity: Identity) -> Mark | None:
-        """Returns the published result of a program, None if there is none."""
-        return self._marks.get(identity)
+    def known(self) -> dict[Identity, Ended]:
+        """Returns the marked results by program; their times are not known."""
+        return {identity: Ended(0.0, *mark[2:]) for identity, mark in self._marks.items()}
 
     def add(self, identity: Identity, payload: Mapping[str, Any]) -> None:
-        """Notes a result as published, in about 10 us. If the file cannot be written, the note is in memory only."""
+        """Marks a result, in about 10 us. If the file cannot be written, the mark is in memory only."""
         words = plain(str(payload.get("message", "")))
         mark = Mark(*identity, payload.get("status", ""), payload.get("code", 0), words, payload.get("switches", 0))
         self._marks[identity] = mark

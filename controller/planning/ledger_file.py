@@ -49,12 +49,7 @@ FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) -
 
 
 class LedgerFile:
-    """One connection, opened by the first transaction. Belongs to one thread.
-
-    Args:
-        path: of the file.
-        actuators: labels, in the order of the counts.
-    """
+    """One connection, opened by the first transaction. Belongs to one thread. For its arguments see `Ledger`."""
 
     def __init__(self, path: Path, actuators: Sequence[str]) -> None:
         self._path, self._actuators = path, actuators
@@ -91,10 +86,7 @@ class LedgerFile:
     def close(self) -> None:
         """Closes the connection."""
         if self._connection is not None:
-            try:
-                self._connection.close()
-            except sqlite3.Error as error:
-                log.debug("ledger %s: %s", self._path, error)
+            self._connection.close()
             self._connection = None
 
     def set_aside(self) -> str | None:

@@ -1,7 +1,6 @@
 """What the loop waits for: its inbox, and the connection to the executor, without threads and locks."""
 
 import contextlib
-import logging
 import os
 import select
 import socket
@@ -13,8 +12,6 @@ from pathlib import Path
 from controller.planning.core.events import Event, FromExecutor, LinkDown
 from controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hello, Malformed, Welcome, decode_up, encode
 
-log = logging.getLogger(__name__)
-
 RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
 SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read
 MOST_BEHIND = 1.0  # [s] that a message waits in the queue
@@ -24,10 +21,9 @@ UNREAD = "the executor does not read its messages"
 
 
 class Connection:
-    """A connected socket. `shut` ends the connection at once; the socket is closed with the last reference.
+    """A connected socket, which is closed with the last reference.
 
-    A thread that sends holds a reference. Therefore the kernel cannot give the number of the socket to another file
-    while a thread is about to send to this number.
+    A thread that sends holds a reference, so that the kernel cannot give the socket's number to another file meanwhile.
     """
 
     def __init__(self) -> None:
@@ -43,7 +39,7 @@ class Connection:
         self.socket.send(data, socket.MSG_NOSIGNAL)
 
     def shut(self) -> None:
-        """Ends the connection."""
+        """Ends the connection at once."""
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
 
@@ -59,19 +55,13 @@ class ExecutorLink:
         retry_at: time of the next attempt to connect, while there is no connection [s].
 
     Args:
-        path: of the socket, or a function that returns it for each attempt.
+        path: of the socket.
         arm: name of the arm.
         digest: SHA-256 of the arm's file, in hexadecimal.
         clock: of the loop [s].
     """
 
-    def __init__(
-        self,
-        path: Path | Callable[[], Path],
-        arm: str,
-        digest: str,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, path: Path, arm: str, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.retry_at = 0.0
         self._path, self._arm, self._digest, self._clock = path, arm, digest, clock
         self._connection: Connection | None = None
@@ -101,13 +91,10 @@ class ExecutorLink:
         self.retry_at = now + RETRY
         try:
             connection = Connection()
-            connection.socket.connect(str(self._path() if callable(self._path) else self._path))
+            connection.socket.connect(str(self._path))
             connection.send(encode(Hello(VERSION, "planner", self._arm)))
         except OSError as error:
             self._report(f"waiting for the executor at its socket: {error.strerror or error}")
-        except Exception:
-            if self._report("internal error, see the journal"):
-                log.exception("the link to the executor failed")
         else:
             self._connection = connection
 
@@ -163,19 +150,15 @@ class ExecutorLink:
                 return "the executor was started with another version of the arm's file: restart it"
             case Welcome():
                 self._welcomed = self._connection
-            case _:
-                pass
         if self._welcomed is not None:
             self._received.append(FromExecutor(message))
         return None
 
-    def _report(self, reason: str) -> bool:
-        """Reports that there is no connection, if that is new; returns whether it is."""
-        new = self._welcomed is not None or reason != self._reason
-        if new:
+    def _report(self, reason: str) -> None:
+        """Reports that there is no connection, if that is new."""
+        if self._welcomed is not None or reason != self._reason:
             self._received.append(LinkDown(reason))
         self._reason = reason
-        return new
 
     # --- to the executor
 
@@ -230,57 +213,50 @@ class Inbox:
     A post wakes a sleeping thread within about 50 us. A `SimpleQueue` needs 10 us less, but cannot wait for a socket.
 
     Attributes:
-        events: oldest first; only the reading thread removes them.
+        events: oldest first; only the reading thread removes them. Who appends here calls `wake` after that.
     """
 
     def __init__(self) -> None:
         self.events: deque[Event] = deque()
         self._asleep = False  # whether the reading thread must be woken
-        self._woken = self._closed = False  # whether there is a wake-up to read, and whether no more is needed
         self._wakeups = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._poll = select.poll()
-        self._poll.register(self._wakeups, select.POLLIN)
+        self._epoll = select.epoll()
+        # Edge-triggered, so that wake-ups need not be read: each system call releases the GIL.
+        self._epoll.register(self._wakeups, select.EPOLLIN | select.EPOLLET)
         self._watched = (-1, False)
 
     def post(self, event: Event) -> None:
-        """Appends an event. For any thread; never waits."""
+        """Appends an event, and wakes the reading thread. For any thread; never waits."""
         self.events.append(event)
+        self.wake()
+
+    def wake(self) -> None:
+        """Wakes the reading thread if it sleeps, which releases the GIL. For any thread."""
         if self._asleep:
             self._asleep = False  # before the wake-up: the reading thread then sets it again
             os.eventfd_write(self._wakeups, 1)
 
-    def close(self) -> None:
-        """Ends `wait`, from now on. For any thread."""
-        self._closed = True
+    def end_wait(self) -> None:
+        """Ends the present `wait`, or the next one. For any thread."""
         os.eventfd_write(self._wakeups, 1)
 
-    def wait(self, timeout: float, link: int, sending: bool) -> bool:
-        """Waits for an event, or for the link.
-
-        Args:
-            timeout: longest time to wait [s].
-            link: file descriptor to read; -1: none.
-            sending: whether to wait until `link` can be written, too.
-
-        Returns:
-            whether the link is ready.
-        """
-        if self._watched != (link, sending):
-            self._watch(link, sending)
-        if self._woken:  # read only now: the call releases the GIL, and no event should wait for the GIL again
-            os.eventfd_read(self._wakeups)
+    def wait(self, timeout: float, link: ExecutorLink) -> bool:
+        """Waits for an event, or for the link, for at most `timeout` seconds; returns whether the link is ready."""
+        number = link.fileno()
+        if self._watched != (number, link.sending):
+            self._watch(number, link.sending)
         self._asleep = True  # before the look at `events`, so that no event is missed
-        ready = self._poll.poll(0 if self.events or self._closed else timeout * 1000)
+        ready = self._epoll.poll(0 if self.events else timeout)
         self._asleep = False
-        self._woken = any(number == self._wakeups for number, _ in ready)
-        return len(ready) > self._woken
+        return any(file == number for file, _ in ready)
 
-    def _watch(self, link: int, sending: bool) -> None:
+    def _watch(self, number: int, sending: bool) -> None:
         if self._watched[0] >= 0:
-            self._poll.unregister(self._watched[0])
-        if link >= 0:
-            self._poll.register(link, select.POLLIN | (select.POLLOUT if sending else 0))
-        self._watched = (link, sending)
+            with contextlib.suppress(OSError):  # a closed socket is not watched any more
+                self._epoll.unregister(self._watched[0])
+        if number >= 0:
+            self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if sending else 0))
+        self._watched = (number, sending)
 
     def __del__(self) -> None:
         os.close(self._wakeups)  # not earlier, because threads may post until the end

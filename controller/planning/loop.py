@@ -1,5 +1,6 @@
 """The loop around the planner's core: one thread that passes events to the core and carries out its actions."""
 
+import itertools
 import logging
 import math
 import threading
@@ -12,11 +13,12 @@ from controller.motion.codes import INVALID_GOAL
 from controller.notify import Notifier
 from controller.planning.core import events
 from controller.planning.core.core import Core
+from controller.planning.core.requests import CANCELED
 from controller.planning.core.tasks import Failed
-from controller.planning.ledger import Ledger
+from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.workers.pool import Workers
-from controller.program import Fault
+from controller.program import Cancel, Fault, Halt
 
 log = logging.getLogger(__name__)
 
@@ -24,9 +26,9 @@ WARNINGS_EVERY = 0.25  # [s]
 LOOK_EVERY = 0.02  # [s] between two looks into the mailboxes
 STREAM_EVERY = 0.005  # [s] the same while set-points come
 STREAM_ENDS = 0.5  # [s] after its last set-point
+LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
 Receive = Callable[[], bytes | None]
-Arrived = events.SetpointArrived | events.TipArrived
 OnReply = Callable[[events.Payload], None]
 
 
@@ -41,19 +43,21 @@ class Out(Protocol):
 
 
 class Services(NamedTuple):
-    """What carries out the core's actions.
+    """What the planner needs from its process.
 
     Attributes:
-        workers: of the tasks.
+        inbox: of the loop; the others post their events there.
         ledger: of goals and switches.
+        published: marks of published results.
         out: sends publications.
         notifier: notifies systemd.
         warnings: returns the active warnings of the clock, the network and the ledger.
         fatal: ends the process with a message.
     """
 
-    workers: Workers
+    inbox: Inbox
     ledger: Ledger
+    published: PublishedResults
     out: Out
     notifier: Notifier
     warnings: Callable[[], tuple[Fault, ...]]
@@ -61,7 +65,7 @@ class Services(NamedTuple):
 
 
 class PlannerFailed(Exception):
-    """The process must end."""
+    """The core wants the process to end."""
 
 
 class Loop:
@@ -71,13 +75,14 @@ class Loop:
     action is logged, and the next action follows.
 
     Attributes:
+        mailboxes: that the loop reads.
         ended: whether the core has ended and the executor has got all messages, or the loop does not run.
 
     Args:
         core: of the planner.
-        inbox: events of other threads; the loop is its reader.
-        link: to the executor; used by the loop's thread only.
-        services: carry out the actions.
+        link: to the executor; closed with this object. All but `send_now` is for the loop's thread only.
+        workers: carry out the tasks.
+        services: carry out the other actions.
         recorder: takes each event, its times, and the actions, None after an exception; None: nobody records.
         clocks: monotonic [s] and UNIX [s].
     """
@@ -85,18 +90,20 @@ class Loop:
     def __init__(
         self,
         core: Core,
-        inbox: Inbox,
         link: ExecutorLink,
+        workers: Workers,
         services: Services,
         recorder: FlightRecorder | None = None,
         clocks: tuple[Callable[[], float], Callable[[], float]] = (time.monotonic, time.time),
     ) -> None:
         self.ended = threading.Event()
         self.ended.set()
-        self._core, self._inbox, self._link, self._services = core, inbox, link, services
+        self._core, self._inbox, self._link = core, services.inbox, link
+        self._workers, self._services = workers, services
         self._recorder, (self._clock, self._wall) = recorder, clocks
+        self._numbers = itertools.count(1)  # of requests
         self._replies: dict[int, OnReply] = {}
-        self._mailboxes = Mailboxes()
+        self.mailboxes = Mailboxes()
         self._wake, self._warnings_at = math.inf, 0.0
         self._warned: tuple[Fault, ...] = ()
         self._closing = False
@@ -107,27 +114,40 @@ class Loop:
         self.ended.clear()
         self._thread.start()
 
+    def end_goals(self) -> None:
+        """Ends the running goal, and waits for its result; the executor stays connected."""
+        self._inbox.post(events.Quit())
+        self.ended.wait(LAST_RESULTS)
+
     def close(self, timeout: float = 2.0) -> None:
-        """Ends the thread, and refuses the requests that the core has not answered."""
+        """Ends the thread and the connection, and refuses the requests that the core has not answered."""
         self._closing = True
-        self._inbox.close()
+        self._inbox.end_wait()
         if self._thread.ident is not None:
             self._thread.join(timeout)
         for number in list(self._replies):
             self._carry_out(events.Reply(number, events.refused(INVALID_GOAL, events.CLOSING)))
+        self._link.close()
 
-    def request(self, request: events.Request, reply: OnReply) -> None:
-        """Posts a request; `reply` is called once, in the loop's thread, and must not wait."""
-        self._replies[request.number] = reply
-        self._inbox.post(request)
+    def request(self, key: events.Key, message: events.Message, reply: OnReply) -> int:
+        """Posts a request; returns its number. `reply` is called once, in the loop's thread, and must not wait.
 
-    def post(self, event: events.Event) -> None:
-        """Posts an event; never waits."""
-        self._inbox.post(event)
-
-    def read(self, kind: type[events.SetpointArrived | events.TipArrived], receive: Receive) -> None:
-        """Sets the mailbox of a kind of event: `receive` returns the latest payload, or None, and never waits."""
-        self._mailboxes.set(kind, receive)
+        Simultaneous requests may reach the core in another order than their numbers. A stop, or a cancel without an id,
+        goes to the executor before the loop is woken: in a flood of requests, a thread that wakes another one may wait
+        for the GIL for some milliseconds.
+        """
+        number = next(self._numbers)
+        self._replies[number] = reply
+        self._inbox.events.append(events.Request(number, key, message, self._wall()))
+        unsent = None
+        if key == "stop":
+            unsent = self._link.send_now(Halt(number))
+        elif key == "cancel" and message == events.CancelMessage():
+            unsent = self._link.send_now(Cancel(number, None, CANCELED))
+        if unsent is not None:
+            self._inbox.events.append(events.Unsent(number, unsent))
+        self._inbox.wake()
+        return number
 
     # --- the thread
 
@@ -167,16 +187,15 @@ class Loop:
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
             if isinstance(event, events.Request):  # a set-point that waits has its place before a later request
-                self._step_all(self._mailboxes.look(self._clock()))
+                self._step_all(self.mailboxes.look(self._clock()))
             self._step(event)
 
     def _wait(self) -> bool:
         """Waits for events or the next time; returns whether the link is ready."""
-        due = min(self._wake, self._warnings_at, self._mailboxes.due)
-        if (number := self._link.fileno()) < 0:
+        due = min(self._wake, self._warnings_at, self.mailboxes.due)
+        if self._link.fileno() < 0:
             due = min(due, self._link.retry_at)
-        timeout = 0.0 if self._link.pending else max(due - self._clock(), 0.0)
-        return self._inbox.wait(timeout, number, self._link.sending)
+        return self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
 
     def _handle_times(self) -> None:
         """Handles what is due."""
@@ -184,22 +203,18 @@ class Loop:
         if now >= self._wake:
             self._wake = math.inf
             self._step(events.Tick())
-            self._keep_records()
-        if now >= self._mailboxes.due:
-            self._step_all(self._mailboxes.look(now))
+        if now >= self.mailboxes.due:
+            self._step_all(self.mailboxes.look(now))
         if now >= self._warnings_at:
             self._warnings_at = now + WARNINGS_EVERY
-            self._look_for_warnings()
-
-    def _look_for_warnings(self) -> None:
-        try:
-            warnings = self._services.warnings()
-        except Exception:
-            log.exception("the warnings are not known")
-            return
-        if warnings != self._warned:
-            self._warned = warnings
-            self._step(events.Warned(warnings))
+            warnings = self._warned
+            try:
+                warnings = self._services.warnings()
+            except Exception:
+                log.exception("the warnings are not known")
+            if warnings != self._warned:
+                self._warned = warnings
+                self._step(events.Warned(warnings))
 
     # --- the core
 
@@ -208,12 +223,7 @@ class Loop:
             self._step(event)
 
     def _step(self, event: events.Event) -> None:
-        """Passes an event to the core and carries out the actions.
-
-        Raises:
-            PlannerFailed: the core wants the process to end.
-            Exception: of the core.
-        """
+        """Passes an event to the core and carries out the actions; raises what the core raises, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
         actions: Sequence[events.Action] | None = None
         try:
@@ -225,30 +235,18 @@ class Loop:
 
     def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
         """Gives a step to the recorder, until the recorder fails."""
-        if self._recorder is not None:
-            try:
-                self._recorder(event, now, wall, actions)
-            except Exception:
-                self._end_recording()
-
-    def _keep_records(self) -> None:
-        """Writes what the recorder has taken. Not after each step, because a worker may wait for the GIL then."""
-        if self._recorder is not None:
-            try:
+        if self._recorder is None:
+            return
+        try:
+            self._recorder(event, now, wall, actions)
+            if isinstance(event, events.Tick):  # not after each step, because a worker may wait for the GIL then
                 self._recorder.flush()
-            except Exception:
-                self._end_recording()
-
-    def _end_recording(self) -> None:
-        self._recorder = None
-        log.exception("the recording of events has ended")
+        except Exception:
+            self._recorder = None
+            log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
-        """Carries out an action; logs its exception.
-
-        Raises:
-            PlannerFailed: the action is `Fail`.
-        """
+        """Carries out an action, and logs its exception; only PlannerFailed is raised."""
         try:
             self._act(action)
         except PlannerFailed:
@@ -256,17 +254,20 @@ class Loop:
         except Exception as error:
             log.exception("the action %s failed", type(action).__name__)
             if isinstance(action, events.Start):  # no worker will answer
-                self.post(events.Answered(action.number, Failed(repr(error)), True))
+                self._inbox.post(events.Answered(action.number, Failed(repr(error)), True))
 
     def _act(self, action: events.Action) -> None:
         services = self._services
         match action:
             case events.Start(number, task):
-                services.workers.start(number, task)
+                self._workers.start(number, task)
             case events.ToExecutor(message):
                 self._link.send(message)
             case events.Reply(number, payload):
-                self._reply(number, payload)
+                if (reply := self._replies.pop(number, None)) is not None:
+                    reply(payload)
+                else:
+                    log.error("request %d is not known, or was answered before", number)
             case events.Publish(key, payload):
                 services.out.publish(key, payload)
             case events.PublishResult():
@@ -276,7 +277,7 @@ class Loop:
             case events.RecordCounts(counts):
                 services.ledger.counts(counts)
             case events.Abandon(number):
-                services.workers.abandon(number)
+                self._workers.abandon(number)
             case events.Disconnect(reason):
                 self._link.drop(reason)
             case events.Wake(at):
@@ -288,34 +289,23 @@ class Loop:
             case events.Fail(reason):
                 raise PlannerFailed(reason)
 
-    def _reply(self, number: int, payload: events.Payload) -> None:
-        """Answers a request that was not answered before."""
-        if (reply := self._replies.pop(number, None)) is None:
-            log.error("request %d is not known, or was answered before", number)
-        else:
-            reply(payload)
-
 
 class Mailboxes:
-    """The mailboxes, which the loop reads regularly. For the loop's thread, except `set`.
-
-    Attributes:
-        due: time of the next look [s].
-    """
+    """The mailboxes, which the loop reads regularly. For the loop's thread, except `set`."""
 
     def __init__(self) -> None:
-        self.due = math.inf
-        self._boxes: Mapping[type[Arrived], Receive] = {}
+        self.due = math.inf  # time of the next look [s]
+        self._boxes: Mapping[type[events.Arrived], Receive] = {}
         self._stream_until = -math.inf
 
-    def set(self, kind: type[Arrived], receive: Receive) -> None:
+    def set(self, kind: type[events.Arrived], receive: Receive) -> None:
         """Sets the mailbox of a kind: `receive` returns the latest payload, or None, and never waits."""
         self._boxes = {**self._boxes, kind: receive}
         self.due = 0.0
 
-    def look(self, now: float) -> list[Arrived]:
+    def look(self, now: float) -> list[events.Arrived]:
         """Returns what has arrived, and sets `due`."""
-        arrived: list[Arrived] = []
+        arrived: list[events.Arrived] = []
         for kind, receive in self._boxes.items():
             try:
                 payload = receive()
@@ -324,8 +314,8 @@ class Mailboxes:
                 continue
             if payload is not None:
                 arrived.append(kind(payload))
-            if payload is not None and kind is events.SetpointArrived:
-                self._stream_until = now + STREAM_ENDS
+                if kind is events.SetpointArrived:
+                    self._stream_until = now + STREAM_ENDS
         if self._boxes:
             self.due = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
         return arrived

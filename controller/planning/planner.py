@@ -1,13 +1,10 @@
 """The planner as the gateway uses it."""
 
 import contextlib
-import itertools
 import json
 import math
-import time
 import uuid
 from collections.abc import Callable, Collection, Iterator
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,113 +16,28 @@ from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, Refusal
 from controller.motion.goal import GoalMessage, Id, parse
 from controller.motion.pacing import pace_of
 from controller.motion.requests import decode_degrade, decode_jog, decode_obstacles
-from controller.notify import Notifier
 from controller.obstacles.obstacles import NONE
 from controller.planning.core import events
 from controller.planning.core.core import Beginning, Core
 from controller.planning.core.tasks import BuildScene, BuildTables
-from controller.planning.ledger import Ledger, PublishedResults
-from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.loop import Loop, OnReply, Out, Receive, Services
+from controller.planning.link import ExecutorLink
+from controller.planning.loop import Loop, Services
 from controller.planning.workers.arm_model import build_scene, build_tables
 from controller.planning.workers.pool import Workers
-from controller.program import Cancel, Fault, Halt
 from controller.workspace.densities import Densities
-
-CANCELED = "canceled; the arm holds"
-LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
-
-
-class Outside(NamedTuple):
-    """What the planner needs from its process.
-
-    Attributes:
-        inbox: of the loop; the others post their events there.
-        ledger: of goals and switches.
-        published: marks of published results.
-        out: sends publications.
-        notifier: notifies systemd.
-        warnings: returns the active warnings of the clock, the network and the ledger.
-        fatal: ends the process with a message.
-    """
-
-    inbox: Inbox
-    ledger: Ledger
-    published: PublishedResults
-    out: Out
-    notifier: Notifier
-    warnings: Callable[[], tuple[Fault, ...]]
-    fatal: Callable[[str], None]
 
 
 class Planner:
-    """Passes requests to the core. For any thread; all methods but `end_goals` and `close` return at once.
+    """The planner as the gateway uses it; made by `planning`. For any thread.
 
-    Args:
-        arm: with wiring.
-        densities: of the arm reduced by the actuators that its file declares stuck.
-        loop: around the core; started and closed with this object.
-        link: of the loop.
+    Attributes:
+        loop: receives requests.
+        decoder: of requests.
     """
 
-    def __init__(self, arm: Arm, densities: Densities, loop: Loop, link: ExecutorLink) -> None:
-        self._arm, self._densities, self._loop, self._link = arm, densities, loop, link
-        self._decoder, self._description = RequestDecoder(arm), description(arm)
-        self._numbers = itertools.count(1)
-
-    def start(self) -> None:
-        """Starts the loop, which connects to the executor."""
-        self._loop.start()
-
-    def end_goals(self) -> None:
-        """Ends the running goal, and waits for its result; the executor stays connected."""
-        self._loop.post(events.Quit())
-        self._loop.ended.wait(LAST_RESULTS)
-
-    def close(self) -> None:
-        """Ends goals, the loop, and the connection to the executor."""
-        self.end_goals()
-        self._loop.close()
-        self._link.close()
-
-    # --- requests
-
-    def decode(self, key: events.Key, payload: bytes) -> events.Message:
-        """Returns the content of a request; see `RequestDecoder.decode`.
-
-        Raises:
-            Refusal: the payload is invalid.
-        """
-        return self._decoder.decode(key, payload)
-
-    def request(self, key: events.Key, message: events.Message, reply: OnReply) -> None:
-        """Posts a request. A stop, or a cancel without an id, goes to the executor before this method returns.
-
-        Simultaneous requests of several threads may reach the core in another order than their numbers.
-
-        Args:
-            key: of the interface.
-            message: of `decode`.
-            reply: takes the answer, once, in the loop's thread; must not wait.
-        """
-        number = next(self._numbers)
-        self._loop.request(events.Request(number, key, message, time.time()), reply)
-        if key == "stop":
-            reason = self._link.send_now(Halt(number))
-        elif key == "cancel" and message == events.CancelMessage():
-            reason = self._link.send_now(Cancel(number, None, CANCELED))
-        else:
-            return
-        if reason is not None:
-            self._loop.post(events.Unsent(number, reason))
-
-    def read_setpoints(self, receive: Receive) -> None:
-        """Sets the mailbox of set-points: `receive` returns the latest, or None, and never waits."""
-        self._loop.read(events.SetpointArrived, receive)
-
-    def read_measured_tips(self, receive: Receive) -> None:
-        """Sets the mailbox of measured tips; see `read_setpoints`."""
-        self._loop.read(events.TipArrived, receive)
+    def __init__(self, arm: Arm, densities: Densities, loop: Loop) -> None:
+        self.loop, self.decoder = loop, RequestDecoder(arm)
+        self._arm, self._densities, self._description = arm, densities, description(arm)
 
     def description(self, wanted: Collection[str] = ()) -> events.Payload:
         """Returns the parts of the payload of `arm` that do not change.
@@ -143,33 +55,25 @@ class Planner:
 
 @contextlib.contextmanager
 def planning(
-    arm: Arm, densities: Densities, link: ExecutorLink, outside: Outside, recorder: FlightRecorder | None = None
+    arm: Arm, densities: Densities, link: ExecutorLink, services: Services, recorder: FlightRecorder | None = None
 ) -> Iterator[Planner]:
-    """A planner with its core and workers; at the end all are closed. `recorder` takes each step of the core."""
-    known = outside.ledger.known()
+    """A planner with its core and workers; at the end goals end, and all are closed. `recorder` takes each step."""
+    known = services.ledger.known
     weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
-    tables = build_tables(arm, densities, weights, BuildTables(0, arm.locked.astype(np.uint8).tobytes())).tables
-    built, published = build_scene(arm, BuildScene(0, NONE)), outside.published.known()
-    owed = tuple(goal for goal in outside.ledger.owed() if not recorded(goal, outside))
-    beginning = Beginning(uuid.uuid4().hex[:8], tables, built.scene, built.total, known, published, owed)
-    workers = Workers(arm, densities, weights, outside.inbox.post, outside.fatal)
-    with contextlib.closing(workers):
-        services = Services(workers, outside.ledger, outside.out, outside.notifier, outside.warnings, outside.fatal)
-        core = Core(arm, pace_of(arm.settings), beginning)
-        if recorder is not None:
-            recorder.begin(core, lambda count: True)
-        loop = Loop(core, outside.inbox, link, services, recorder)
-        with contextlib.closing(Planner(arm, densities, loop, link)) as planner:
-            yield planner
-
-
-def recorded(goal: events.OpenGoal, outside: Outside) -> bool:
-    """Records a result that an earlier process published and did not record; returns whether there is one."""
-    mark = outside.published.find(goal.identity)
-    if mark is not None:
-        ended = events.Ended(time.time(), mark.status, mark.code, mark.message, mark.switches)
-        outside.ledger.record(events.Record(0, goal.identity, None, ended))
-    return mark is not None
+    tables = build_tables(arm, densities, weights, BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
+    built, published = build_scene(arm, BuildScene(0, NONE)), services.published.known()
+    name, owed = uuid.uuid4().hex[:8], services.ledger.owed
+    beginning = Beginning(name, tables, built.scene, built.total, known, published, owed)
+    core = Core(arm, pace_of(arm.settings), beginning)
+    if recorder is not None:
+        recorder.begin(core, lambda count: True)
+    with contextlib.ExitStack() as closing:
+        workers = Workers(arm, densities, weights, services.inbox.post, services.fatal)
+        closing.callback(workers.close)
+        loop = Loop(core, link, workers, services, recorder)
+        closing.callback(loop.close)
+        closing.callback(loop.end_goals)
+        yield Planner(arm, densities, loop)
 
 
 class _NamedGoal(msgspec.Struct):
@@ -179,11 +83,7 @@ class _NamedGoal(msgspec.Struct):
 
 
 class RequestDecoder:
-    """Decodes requests. For any thread.
-
-    Args:
-        arm: that the requests are for.
-    """
+    """Decodes the requests for one arm. For any thread."""
 
     def __init__(self, arm: Arm) -> None:
         manipulator, tracker = arm.manipulator, arm.settings.tracker
@@ -193,11 +93,7 @@ class RequestDecoder:
         self._tolerance = arm.tolerance
 
     def decode(self, key: events.Key, payload: bytes) -> events.Message:
-        """Returns the content of a request, in microseconds; None for keys without a content.
-
-        Args:
-            key: of the interface.
-            payload: as it came, any bytes.
+        """Returns the content of a request with any payload, in microseconds; None for keys without a content.
 
         Raises:
             Refusal: the payload is invalid; the message names the field. No other exception is raised.

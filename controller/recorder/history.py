@@ -85,7 +85,7 @@ def history(past: RecordingReader) -> list[Goal | Change]:
                 states.append((message.get("stamp", 0.0), message))
             case "feedback":
                 feedback[name][-1][message.get("waypoint", -1)] = message.get("configuration")
-            case "result":
+            case "result" if not (message.get("repeated") and results[name]):
                 results[name].append(message)
                 feedback[name].append({})  # an id may be used again
     steps: list[Goal | Change] = list(initial_changes(past, states[0][1] if states else {}))

@@ -64,7 +64,9 @@ TOPICS: dict[str, Schema] = {
         degraded=array(fields(actuator=TEXT, state=INTEGER)),
     ),
     "feedback": fields(id=TEXT, waypoint=INTEGER, waypoints=INTEGER, switches=INTEGER, stages=INTEGER, **REACHED),
-    "result": fields(id=optional(TEXT), status=TEXT, code=INTEGER, message=TEXT, switches=INTEGER, **REACHED),
+    "result": fields(
+        id=optional(TEXT), status=TEXT, code=INTEGER, message=TEXT, switches=INTEGER, repeated=BOOLEAN, **REACHED
+    ),
     "diagnostics": fields(
         stamp=NUMBER,
         loop=fields(),

@@ -28,7 +28,7 @@ class FakeMaster:
         self.up = self.answers = True
         self.back = False
         self.known = 0
-        self.booting = self.committing = self.collecting = False
+        self.booting = self.committing = self.collecting = self.boots_long = False
         self.boots = (0,) * len(nodes)
         self.booted = 0
         self.boot_faults: list[Fault] = []
@@ -57,7 +57,7 @@ class FakeMaster:
     def tick(self, now: float) -> None:
         self.ticks.append(now)
         self._break("tick")
-        if self.booting:
+        if self.booting and not self.boots_long:
             self.booting = False
             self.known = 0 if self.boot_faults else self.all
         for due, k, state in list(self._arrivals):

@@ -1,4 +1,7 @@
-"""An executor with a fake master, on a clock that the test sets, with a planner that the test plays."""
+"""The executor's core alone, for tests of its rules: a master without boards, and a planner that the test plays.
+
+`tests/executor/world.py` has the executor with buses and boards. Both have the clock of the simulation.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,7 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.wire.events import Ignored
 from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
+from tests.simulation.agenda import Agenda
 
 SIZE = 6
 TRAVEL, MARGIN = 0.05, 0.03
@@ -78,7 +82,7 @@ class Rig:
     """An executor and its actions; `go` advances the time while the planner is alive."""
 
     def __init__(self, **fields: Any) -> None:
-        self.now = 1000.0
+        self.agenda = Agenda()
         self.arm = small_arm(**fields)
         self.journal = MemoryJournal(SIZE)
         self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
@@ -89,6 +93,10 @@ class Rig:
         self.fields: list[Mapping[str, str]] = []  # of the same lines, for the journal
         self.alive = False
         self._programs = 0
+
+    @property
+    def now(self) -> float:
+        return self.agenda.now
 
     def do(self, event: Any) -> None:
         for action in self.core.step(event, self.now):
@@ -114,7 +122,7 @@ class Rig:
 
     def go(self, seconds: float = PERIOD) -> None:
         for _ in range(max(round(seconds / PERIOD), 1)):
-            self.now += PERIOD
+            self.agenda.run(PERIOD)
             if self.alive:
                 self.send(Alive())
             self.do(Tick())

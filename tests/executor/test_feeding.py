@@ -83,7 +83,7 @@ def test_replacements_without_stages_do_not_prolong_a_program(rig: Rig) -> None:
 def test_a_halted_executor_does_not_count_against_the_planner(rig: Rig) -> None:
     rig.run(A, final=False)
     rig.go(0.5)
-    rig.now += 2 * FED_WITHIN
+    rig.agenda.run(2 * FED_WITHIN)
     rig.go()
     assert (rig.mode, rig.results) == ("executing", [])
 

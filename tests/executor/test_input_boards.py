@@ -5,19 +5,17 @@ from __future__ import annotations
 import pytest
 
 from controller.program import Answer, Ended, Reset, Snapshot, unpack
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import BoardId
-from drivers.simulation.fault_commands import perform
 from tests.executor.rig import SIZE
-from tests.executor.test_on_boards import A, B, World
+from tests.executor.world import A, B, World, ready
 
 ALL = (1 << SIZE) - 1
 BOARDS = [BoardId("can0", 9), BoardId("can1", 1)]  # the second has the node id of a board of outputs
 
 
 def up(board: BoardId) -> World:
-    world = World(input_board=board, channel={"input_contracted": True})
-    world.go(2.0)
-    assert world.mode == "ready", world.logged
+    world = ready(input_board=board, channel={"input_contracted": True})
     assert unpack(world.last(Snapshot).known) == ALL
     return world
 
@@ -37,7 +35,7 @@ def test_a_program_moves_actuators_and_their_arrival_is_measured_on_the_other_bo
 @pytest.mark.parametrize("board", BOARDS, ids=str)
 def test_a_stuck_actuator_is_found_by_its_end_stop(board: BoardId) -> None:
     world = up(board)
-    perform(world.boards, "stick", "2.left", 0)
+    world.fault("stick", "2.left", 0)
     world.run(1, ALL)
     world.go(1.0)
     assert world.mode == "fault"
@@ -47,16 +45,15 @@ def test_a_stuck_actuator_is_found_by_its_end_stop(board: BoardId) -> None:
 @pytest.mark.parametrize("board", BOARDS, ids=str)
 def test_a_lost_message_of_end_stops_is_made_good_by_a_question_to_their_board(board: BoardId) -> None:
     world = up(board)
-    take = world.boards._take
-    lost: list[int] = []
+    lost: list[Frame] = []
 
-    def lossy(bus: str, frame) -> None:  # type: ignore[no-untyped-def]
-        if bus == board.bus and frame.id == 0x180 + board.node:
-            lost.append(frame.id)
-        else:
-            take(bus, frame)
+    def lossy(bus: str, frame: Frame) -> bool:
+        if bus != board.bus or frame.id != 0x180 + board.node:
+            return False
+        lost.append(frame)
+        return True
 
-    world.boards._take = lossy
+    world.lost = lossy
     world.run(1, A)
     world.go(1.0)
     assert lost
@@ -67,7 +64,7 @@ def test_a_lost_message_of_end_stops_is_made_good_by_a_question_to_their_board(b
 @pytest.mark.parametrize("verb", ["cut_wires", "short_wires", "lose_sensor"])
 def test_faulty_wires_of_end_stops_are_found_on_the_other_board(verb: str) -> None:
     world = up(BOARDS[0])
-    perform(world.boards, verb, "1.left")
+    world.fault(verb, "1.left")
     world.run(1, A)
     world.go(1.0)
     assert world.mode == "fault"
@@ -79,13 +76,13 @@ def test_without_the_board_of_end_stops_nothing_is_known_and_the_arm_recovers_wi
     world = up(board)
     world.run(1, A)
     world.go(1.0)
-    world.boards.silence(str(board))
+    world.fault("silence", str(board))
     world.go(1.0)
     assert world.mode == "fault"
     assert f"board {board}" in world.core.modes.reason
     assert unpack(world.last(Snapshot).known) == 0, "the boards of the outputs are ready, but no end-stop is read"
     syncs = len(world.syncs)
-    world.boards.unsilence(str(board))
+    world.fault("unsilence", str(board))
     world.go(3.0)
     if world.mode == "fault":
         world.send(Reset(1))
@@ -101,8 +98,7 @@ def test_without_the_board_of_end_stops_nothing_is_known_and_the_arm_recovers_wi
 
 def test_the_arm_does_not_start_without_the_board_of_its_end_stops() -> None:
     world = World(input_board=BOARDS[0])
-    world.boards.silence(str(BOARDS[0]))
-    world.go(6.0)
-    assert world.mode == "fault"
+    world.fault("silence", str(BOARDS[0]))
+    world.agenda.until(lambda: world.mode == "fault")
     assert "can0/9" in world.core.modes.reason
     assert unpack(world.last(Snapshot).known) == 0

@@ -62,7 +62,7 @@ def act(rig: Rig, name: str, argument: object) -> None:
         case "lock":
             rig.send(Lock(1, *argument))  # type: ignore[misc]
         case "stall":
-            rig.now += argument  # type: ignore[operator]
+            rig.agenda.run(argument)  # type: ignore[operator]
 
 
 @given(st.lists(acts, max_size=30), st.sampled_from([None, 2, 6]), st.sampled_from([0.0, 0.1]))

@@ -150,7 +150,7 @@ def test_a_halted_process_acts_on_nothing_old(rig: Rig) -> None:
     rig.run(A, B)
     rig.go(0.05)
     late = rig.program(B, start=A)
-    rig.now += 3
+    rig.agenda.run(3)
     rig.master.halt = Fault("halted", "executor", "halted for 3 s")
     rig.send(late)
     assert (rig.mode, rig.last(Declined).cause, rig.last(Ended).message) == ("fault", "mode", "halted for 3 s")

@@ -112,6 +112,15 @@ def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, cause: 
     assert (rig.mode, rig.switched, rig.results) == ("ready", [], [])
 
 
+def test_a_program_during_a_switch_is_declined_with_this_reason(rig: Rig) -> None:
+    rig.master.slow_sync = True
+    rig.run(A)
+    rig.go(PERIOD)
+    rig.run(B, start=0)
+    declined = rig.last(Declined)
+    assert (declined.cause, declined.reason) == ("moved", "the boards have not confirmed the last switch yet")
+
+
 def test_stages_over_the_inrush_limit_are_declined_and_others_wait_for_the_previous_stage() -> None:
     rig = ready(inrush=2)
     rig.run(A)

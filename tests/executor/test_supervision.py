@@ -55,7 +55,7 @@ def test_a_stall_of_the_executor_is_no_delay_of_an_actuator(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(1)
     rig.go(PERIOD)
-    rig.now += 0.3
+    rig.agenda.run(0.3)
     rig.go(PERIOD)
     assert rig.mode != "fault"
     rig.master.inputs |= 1

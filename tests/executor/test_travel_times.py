@@ -13,21 +13,16 @@ from controller.executor.kinds import Ends
 from controller.executor.switch_journal import MemoryJournal
 from controller.executor.travel_times import TravelTimes
 from controller.program import Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
-from drivers.canopen.wire.events import Received
 from drivers.simulation.buses import _LEAST_PULSE
-from drivers.simulation.fault_commands import perform
-from tests.executor.rig import SIZE, small_arm
-from tests.executor.test_on_boards import PLANNER, World
+from tests.executor.rig import PLANNER, SIZE, small_arm
+from tests.executor.world import STEP, World, ready
 
 BOTH = {"input_contracted": True}
 
 
 def world(contract: float, extend: float, **channel: object) -> World:
     """Boards whose actuators take these times, half of the greatest [s]."""
-    made = World(channel={**BOTH, **channel, "travel": (2 * contract, 2 * extend)})
-    made.go(2.0)
-    assert made.mode == "ready", made.logged
-    return made
+    return ready(channel={**BOTH, **channel, "travel": (2 * contract, 2 * extend)})
 
 
 def travels(made: World) -> list[tuple[int, int, float]]:
@@ -51,7 +46,7 @@ def test_each_way_of_each_actuator_is_measured(contract: float, extend: float, c
 
 def test_the_travel_time_of_a_slow_actuator_is_measured() -> None:
     made = world(0.05, 0.05)
-    perform(made.boards, "slow", "1.left", 1.6)
+    made.fault("slow", "1.left", 1.6)
     made.run(1, 0b1)
     made.go(0.5)
     assert travels(made) == [(0, 1, pytest.approx(0.08, rel=0.1))]
@@ -59,9 +54,9 @@ def test_the_travel_time_of_a_slow_actuator_is_measured() -> None:
 
 def test_frames_that_are_read_late_give_the_same_times() -> None:
     made = world(0.04, 0.04)
-    made.boards._take = lambda bus, frame: made.events.append(Received(bus, frame, made.now))
     made.run(1, 0b1)
-    made.stall(0.07)
+    made.go(STEP)
+    made.executor.stall(0.07)
     made.go(0.5)
     assert travels(made) == [(0, 1, pytest.approx(0.04, rel=0.1))]
 
@@ -97,8 +92,7 @@ def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: fl
 
 
 def test_a_way_to_an_end_without_an_end_stop_is_not_measured() -> None:
-    made = World(channel={"travel": (0.08, 0.08)})
-    made.go(2.0)
+    made = ready(channel={"travel": (0.08, 0.08)})
     made.run(1, 0b1)
     made.go(0.5)
     assert len(travels(made)) == 1

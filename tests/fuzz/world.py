@@ -1,28 +1,30 @@
-"""An executor's core, its CAN bus and simulated boards in one thread on one simulated clock, so that runs reproduce.
+"""An executor with its buses, boards and process of the simulation, a planner, and an intruder on the bus.
 
-Core, CANopen master, decoding of python-can's messages, and simulated firmware are the real code. The bus delivers each
-frame at once. Time advances only on request.
+An input advances the time by what its frames and ticks take, so that runs reproduce.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
-from typing import Any, Literal
+from random import Random
+from typing import Literal
 
 import can
 
 from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Action, Client, ClientGone, FromClient, Log, Send, Tick, ToClient
-from controller.executor.switch_journal import MemoryJournal
-from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, pack
+from controller.executor.events import Client, ClientGone, Event, FromClient
+from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
+from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Ignored, Received
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
-from drivers.simulation.buses import SimulatedBuses
 from tests.executor.rig import LABELS, SIZE, small_arm
+from tests.fuzz.decoder import Decoder
 from tests.fuzz.judge import Judge, Moved, Wedged
+from tests.simulation.bus_model import OnItsWay
+from tests.simulation.hardware import Hardware
+from tests.simulation.process import WAKE_UP, ExecutorProcess, Witness
 
 NODES = (5, 9)
 TRAVEL = 0.02
@@ -38,116 +40,113 @@ COMMANDS = {cia301.NMT, cia301.SYNC, *RPDOS, *(cia301.SDO_REQUEST + node for nod
 PLANNER, OPERATOR = Client(1, 4001), Client(2, 4002)
 
 
-class Wire(CanBus):
-    """The executor's bus; it checks sent frames and queues received ones."""
-
-    def __init__(self, world: World) -> None:
-        super().__init__(BUS, lambda: world.now)
-        self._world = world
-        self.waiting: deque[can.Message] = deque()
-        self.open()
-
-    def _open(self) -> Any:
-        return self
-
-    def recv(self, timeout: float) -> can.Message | None:
-        return self.waiting.popleft() if self.waiting else None
-
-    def send(self, frame: Frame) -> str | None:
-        """Answers are there before this returns."""
-        world = self._world
-        world.judge.judge(frame, world.core, lambda node: world.boards.board(f"can0/{node}").pins)
-        self.waiting.append(message(frame, own=True))
-        self._world.ambush(frame)
-        return None
-
-    def shutdown(self) -> None:
-        pass
+HEARD_WITHIN = cia301.wire_bits(8) / BUS.bitrate + WAKE_UP  # [s], from a frame on the free bus to its end
 
 
-class World:
+class World(Hardware, Witness):
     """One arm of two boards with executor, bus, planner, and an intruder on the bus.
 
     Attributes:
-        now: [s].
         judge: checks all frames of the executor.
+        boots: number of boots of the boards.
         lines: of the log.
         last: line of the log.
         dirty: whether the intruder may have commanded the boards.
     """
 
     def __init__(self) -> None:
-        self.now = 1000.0
         self.arm = replace(small_arm(), wiring=Wiring((BUS,), CHANNELS), timing=TIMING)
-        self.boards = SimulatedBuses(self.arm.wiring, TIMING, lambda _, frame: self.wire.waiting.append(message(frame)))
-        self.wire = Wire(self)
-        self.core = Executor(self.arm, MemoryJournal(SIZE), instance=1)
-        self.master = self.core._master
+        super().__init__(self.arm.wiring, TIMING, lambda event: self.executor.post(event))
         self.judge = Judge(self.arm.wiring)
         self.boots = self.lines = 0
         self.last, self.dirty = "", True
+        self._decoder, self._random = Decoder(BUS), Random(0)
         self._answers: list[tuple[int, int, bytes]] = []
         self._booting = False
-        self._turned_away = [PLANNER, OPERATOR]
-        self.connect()
+        self._event: Event | None = None
+        self._turned_away: list[Client] = []
+        self.executor = ExecutorProcess(self.arm, self.agenda, self._random, self.buses, self)
+        self.executor.connect(self._hear, lambda: None)
+        self.executor.start()
+        self._greet(PLANNER)
+        self._greet(OPERATOR)
+        self._keep_alive()
         self.recover()
 
-    # --- events
+    @property
+    def core(self) -> Executor:
+        assert self.executor.core is not None
+        return self.executor.core
 
-    def do(self, event: Any) -> None:
-        """Passes an event to the core, and carries out the resulting actions."""
+    @property
+    def master(self) -> Master:
+        return self.core._master
+
+    # --- what the judge sees
+
+    def told(self, event: Event) -> None:
+        self._end_event()
+        self._event, self._before = event, (self.master._network.measured, self.master.known)
         self.judge.begin()
-        events = deque([event])
-        while events:
-            actions = self.core.step(events.popleft(), self.now)
-            for action in sorted(actions, key=lambda it: isinstance(it, Send)):
-                self._act(action)
-            events += self.wire.poll()
+        if isinstance(event, FromClient) and event.client == PLANNER:
+            self.judge.proposed(event.message)
+
+    def _end_event(self) -> None:
+        """Checks what the last event has changed."""
+        event, self._event = self._event, None
+        if event is None:
+            return
+        measured, known = self.master._network.measured, self.master.known
+        if isinstance(event, Ignored) and (measured, known) != self._before:
+            raise AssertionError(f"taken for the state of a board: {event}")
+        wrong_length = isinstance(event, Received) and event.frame.id in TPDOS and len(event.frame.data) != 1
+        if wrong_length and measured != self._before[0]:
+            raise AssertionError(f"taken for inputs: {event}")
         self.boots += self.master.booting and not self._booting
         self._booting = self.master.booting
         self.judge.end(self.core.modes.mode == "executing")
 
-    def _act(self, action: Action) -> None:
-        match action:
-            case Send():
-                self.wire.send(action.frame)
-            case ToClient(message=Goodbye()):
-                self._turned_away.append(action.client)
-            case ToClient(client=client) if client == PLANNER:
-                self.judge.heard(action.message)
-            case Log():
-                self.lines += 1
-                self.last = action.text
-                assert "internal error" not in action.text, action.text
+    def sends(self, bus: str, frame: Frame) -> None:
+        self.judge.judge(frame, self.core, lambda node: self.boards.board(f"can0/{node}").pins)
+
+    def logs(self, level: int, text: str) -> None:
+        self.lines += 1
+        self.last = text
+        assert "internal error" not in text, text
+
+    def _hear(self, client: Client, message: Up) -> None:
+        if isinstance(message, Goodbye):
+            self._turned_away.append(client)
+        elif client == PLANNER:
+            self.judge.heard(message)
 
     # --- time
 
     def go(self, ticks: int = 1) -> None:
         """Advances the time of all parts by a number of periods."""
-        for _ in range(ticks):
-            self.now += PERIOD
-            self.boards.step(self.now)
-            self.send(Alive())
-            self.do(Tick())
+        self.agenda.run(ticks * PERIOD)
+        self._end_event()
+
+    def _keep_alive(self) -> None:
+        self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
+        self.agenda.after(PERIOD, self._keep_alive)
 
     # --- the planner
 
-    def connect(self) -> None:
-        """Connects the clients, at the start or after a refusal."""
-        for client in self._turned_away:
-            self.do(ClientGone(client))
-        gone, self._turned_away = self._turned_away, []
-        for client in gone:
-            role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
-            self.send(Hello(VERSION, role, self.arm.name), client)
+    def _greet(self, client: Client) -> None:
+        role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
+        self.executor.hear(client, FromClient(client, Hello(VERSION, role, self.arm.name)))
 
     def send(self, message: Down, client: Client = PLANNER) -> None:
-        """Sends a message of a client; programs of an operator must be refused."""
-        if client == PLANNER:
-            self.judge.proposed(message)
-        self.do(FromClient(client, message))
-        if self._turned_away:
-            self.connect()
+        """Sends a message of a client, which connects again after a refusal. An operator may send no program."""
+        self.executor.hear(client, FromClient(client, message))
+        self.agenda.run(WAKE_UP)
+        gone, self._turned_away = self._turned_away, []
+        for one in gone:
+            self.executor.hear(one, ClientGone(one))
+            self._greet(one)
+        self.agenda.run(WAKE_UP)
+        self._end_event()
 
     def program(self, *stages: int, step: float = 0.04) -> None:
         """Sends a program that begins at the arm's present states."""
@@ -161,32 +160,26 @@ class World:
     def attack(self, it: can.Message) -> None:
         """Sends a frame of the intruder to the executor and to the boards."""
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
-        self.dirty |= standard and it.arbitration_id in COMMANDS
-        means_nothing = not (standard or it.is_error_frame)
-        wrong_length = standard and it.arbitration_id in TPDOS and it.dlc != 1
-        self._hear_all()
-        before = self.master._network.measured, self.master.known
-        self.wire.waiting.append(it)
-        self._hear_all()
-        if means_nothing and (self.master._network.measured, self.master.known) != before:
-            raise AssertionError(f"taken for the state of a board: {it}")
-        if wrong_length and self.master._network.measured != before[0]:
-            raise AssertionError(f"taken for inputs: {it}")
-        if standard:
-            self.boards.receive("can0", Frame(it.arbitration_id, bytes(it.data)), self.now)
-            self._hear_all()
-
-    def _hear_all(self) -> None:
-        for event in self.wire.poll():
-            self.do(event)
+        events = self._decoder.decode(it)
+        if standard != any(isinstance(event, Received) for event in events):
+            raise AssertionError(f"taken for {events}: {it}")
+        for event in events:
+            if isinstance(event, Received):
+                self.dirty |= event.frame.id in COMMANDS
+                self.buses["can0"].from_other(event.frame)
+            else:
+                self.executor.post(event)
+        self.agenda.run(HEARD_WITHIN)
+        self._end_event()
 
     def arm_ambush(self, mode: int, index: int, data: bytes) -> None:
         """Queues an SDO answer of the intruder to the master's next request for an object; 0: any object."""
         self._answers.append((mode, index, data))
 
-    def ambush(self, frame: Frame) -> None:
-        """Delivers a frame of the master to the boards; the intruder may answer before them or instead of them."""
-        if self._answers and frame.id & 0x780 == cia301.SDO_REQUEST and frame.data[0] != 0x80:
+    def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
+        """Delivers a frame to the boards; the intruder may answer before them or instead of them."""
+        frame = sent.frame
+        if self._answers and frame.id & 0x780 == cia301.SDO_REQUEST and frame.data[:1] not in (b"", b"\x80"):
             asked = int.from_bytes(frame.data[1:3], "little")
             place = next((k for k, (_, index, _) in enumerate(self._answers) if index in (0, asked)), None)
             if place is not None:
@@ -194,16 +187,14 @@ class World:
                 if mode & 1:  # an answer to the question
                     data = data[:1] + frame.data[1:4] + data[4:]
                 self.dirty = True  # the master may believe that the outputs are others
-                answer = Frame(frame.id - cia301.SDO_REQUEST + cia301.SDO_ANSWER, data)
-                self.wire.waiting.append(message(answer))
-                if mode & 2:
-                    return
-        self.boards.receive("can0", frame, self.now)
+                self.buses[bus].from_other(Frame(frame.id - cia301.SDO_REQUEST + cia301.SDO_ANSWER, data))
+                lost = bool(mode & 2)
+        super()._to_boards(bus, sent, lost)
 
     def supply(self, node: int, on: bool) -> None:
         """Switches a board's supply off or on."""
         self.dirty = True
-        (self.boards.power_on if on else self.boards.power_cut)(f"can0/{node}")
+        self.fault("power_on" if on else "power_cut", f"can0/{node}")
 
     # --- what must hold
 
@@ -211,11 +202,14 @@ class World:
         """Compares the boards' outputs with the master's commands, unless the intruder commanded them.
 
         Raises:
-            Moved: they differ.
+            Moved: they differ, and that is not because of a commit that is on its way.
         """
-        drives = sum(drive << k for k, drive in enumerate(self.boards.drives()))
-        if not self.dirty and drives != self.master.outputs:
-            raise Moved(f"the outputs are {drives:06b}, switched to {self.master.outputs:06b}")
+        for _ in range(5):
+            drives = sum(drive << k for k, drive in enumerate(self.boards.drives()))
+            if self.dirty or drives == self.master.outputs:
+                return
+            self.agenda.run(HEARD_WITHIN)
+        raise Moved(f"the outputs are {drives:06b}, switched to {self.master.outputs:06b}")
 
     def recover(self) -> None:
         """Removes all faults, resets, and checks that the arm becomes ready.
@@ -229,7 +223,7 @@ class World:
                 self.supply(node, on=False)
                 self.supply(node, on=True)
             self.go(8)
-        self.wire.waiting.append(can.Message(arbitration_id=0x100, is_error_frame=True))  # the controller is restarted
+        self.buses["can0"].restart()
         self.send(Cancel(1, None, "over"))
         self.go(12)
         for k in range(SIZE):
@@ -243,8 +237,5 @@ class World:
             raise Wedged(f"{self.core.modes.mode} after a reset: {self.core.modes.reason}")
         self.dirty = False
         self.check_outputs()
-
-
-def message(frame: Frame, own: bool = False) -> can.Message:
-    """Returns a frame as a message of python-can."""
-    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False, is_rx=not own)
+        self.agenda.run(self.executor._next_tick - self.now)
+        self._random.seed(0)  # an input finds the same delays at each run

@@ -17,7 +17,7 @@ from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage, parse
-from controller.planning.core.events import LockMessage, Message, Payload, done, refused
+from controller.planning.core.events import LockMessage, Message, Payload, SetpointArrived, TipArrived, done, refused
 from controller.planning.planner import decode_cancel
 from tests.waiting import PATIENCE, eventually
 
@@ -40,6 +40,7 @@ class FakePlanner:
         self.holding = threading.Event()
         self.waiting: list[tuple[Reply, Payload]] = []
         self.receive: dict[str, Callable[[], bytes | None]] = {}
+        self.loop = self.decoder = self.mailboxes = self
 
     def decode(self, key: str, payload: bytes) -> Message:
         self.decoded.append(key)
@@ -84,11 +85,8 @@ class FakePlanner:
     def keys(self) -> list[str]:
         return [key for key, _ in self.heard if key != "arm"]
 
-    def read_setpoints(self, receive: Callable[[], bytes | None]) -> None:
-        self.receive["setpoint"] = receive
-
-    def read_measured_tips(self, receive: Callable[[], bytes | None]) -> None:
-        self.receive["measured_tip"] = receive
+    def set(self, kind: type[SetpointArrived | TipArrived], receive: Callable[[], bytes | None]) -> None:
+        self.receive["setpoint" if kind is SetpointArrived else "measured_tip"] = receive
 
     def description(self, wanted: Collection[str] = ()) -> Payload:
         return {"name": ARM, "dimension": 2, **{key: {} for key in wanted if key != "running"}}

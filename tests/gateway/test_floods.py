@@ -15,13 +15,13 @@ def test_a_flood_is_refused_briefly_and_slowed_down() -> None:
     time = Time()
     brake, explained = time.brake(), 0
     for _ in range(MOST_AT_ONCE + 10 * PAUSE_EVERY):
-        explained += brake.explains()
-        brake.count_refusal()
+        explained += brake.explained.admits()
+        brake.refused.add()
         brake.slow_down()
     assert explained == MOST_AT_ONCE
     assert time.pauses == [PAUSE] * 10
     time.now += 1.0
-    assert brake.explains()
+    assert brake.explained.admits()
     brake.slow_down()
     assert len(time.pauses) == 10
 
@@ -30,7 +30,7 @@ def test_requests_that_are_accepted_are_not_slowed_down() -> None:
     time = Time()
     brake = time.brake()
     for _ in range(MOST_AT_ONCE - 1):
-        brake.count_refusal()
+        brake.refused.add()
     for _ in range(10 * PAUSE_EVERY):
         brake.slow_down()
     assert time.pauses == []

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.gateway.outbox import MOST_WAITING, RECONNECTED, Outbox, ResultHooks, encode
+from controller.gateway.outbox import MOST_WAITING, RECONNECTED, SENT_WITHIN, Outbox, ResultHooks, encoded
 from controller.planning.core.events import Identity, Published, PublishResult
 from tests.waiting import PATIENCE, eventually
 
@@ -103,21 +103,35 @@ def stall(session: FakeSession, outbox: Outbox) -> None:
     assert session.waiting.wait(PATIENCE)
 
 
-def test_a_result_is_published_then_noted_then_posted(session: FakeSession, results: Results) -> None:
+def test_a_result_is_marked_then_published_then_posted(session: FakeSession, results: Results) -> None:
     outbox = results.outbox()
     outbox.publish_result(result("a", error=np.float64("nan")))
     outbox.close(PATIENCE)
     assert session.sent == [("p/result", {"id": "a", "status": "succeeded", "error": None})]
-    assert results.told == [("a", 0), ((Identity(1, 2), "succeeded"), 1), (Published(7), 1)]
+    assert results.told == [("a", 0), ((Identity(1, 2), "succeeded"), 0), (Published(7), 1)]
 
 
-def test_a_result_that_was_not_sent_is_not_noted(session: FakeSession, results: Results) -> None:
+def test_a_result_counts_as_published_when_it_has_left_the_process(session: FakeSession, results: Results) -> None:
+    now = 100.0
+    outbox = results.outbox(clock=lambda: now)
+    outbox.publish_result(result("a"))
+    eventually(lambda: len(results.told) == 2)
+    outbox.publish("feedback", {})
+    eventually(lambda: len(session.sent) == 2)
+    assert len(results.told) == 2
+    now += SENT_WITHIN
+    eventually(lambda: results.told[2:] == [(Published(7), 2)])
+    outbox.close(PATIENCE)
+
+
+def test_a_result_that_was_not_sent_does_not_count_as_published(session: FakeSession, results: Results) -> None:
     outbox = results.outbox()
     outbox._publishers["result"].put = lambda data: 1 / 0  # type: ignore[method-assign]
     outbox.publish_result(result())
     outbox.publish("feedback", {"n": 1})
     outbox.close(PATIENCE)
-    assert (session.sent, results.told, results.fatal) == ([("p/feedback", {"n": 1})], [("a", 0)], [])
+    marked = [("a", 0), ((Identity(1, 2), "succeeded"), 0)]
+    assert (session.sent, results.told, results.fatal) == ([("p/feedback", {"n": 1})], marked, [])
 
 
 def test_a_thread_that_dies_says_so(session: FakeSession, results: Results) -> None:
@@ -164,7 +178,7 @@ def test_a_result_overtakes_states_refusals_and_other_answers(session: FakeSessi
     outbox.answer(FakeQuery(session), "goal", {"accepted": False})
     outbox.answer(FakeQuery(session), "plan", {"accepted": True})
     outbox.answer(FakeQuery(session), "arm", {"name": "a"})
-    outbox.publish_refusal({"status": "refused"})
+    outbox.publish("result", {"status": "refused"})
     outbox.publish("state", {})
     outbox.publish_result(result())
     outbox.answer(FakeQuery(session), "stop", {"accepted": True})
@@ -180,7 +194,7 @@ def test_for_a_slow_peer_only_the_latest_state_and_diagnostics_wait(session: Fak
     for k in range(100):
         outbox.publish("state", {"k": k})
         outbox.publish("diagnostics", {"k": k, "queues": {"planning": 2}})
-        outbox.publish_note({})
+        outbox.publish("@request", {})
     session.taking.set()
     outbox.close(PATIENCE)
     assert session.on("state") == [{"k": 99}]
@@ -201,7 +215,7 @@ def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession, res
     stall(session, outbox)
     for _ in range(2 * MOST_WAITING):
         outbox.answer(FakeQuery(session), "arm", {})
-        outbox.publish_refusal({"status": "refused"})
+        outbox.publish("result", {"status": "refused"})
         outbox.publish("feedback", {})
     assert outbox.waiting() == 2 * MOST_WAITING
     outbox.publish_result(result())
@@ -213,7 +227,7 @@ def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession, res
 
 def test_messages_of_many_threads_are_all_sent(session: FakeSession, results: Results) -> None:
     outbox, number = results.outbox(), MOST_WAITING // 5
-    queue = [threading.Thread(target=lambda: [outbox.publish_note({}) for _ in range(number)]) for _ in range(4)]
+    queue = [threading.Thread(target=lambda: [outbox.publish("@request", {}) for _ in range(number)]) for _ in range(4)]
     for thread in queue:
         thread.start()
     for thread in queue:
@@ -260,7 +274,7 @@ def test_numpy_is_written_as_numbers_and_nan_as_null() -> None:
         "f": np.array([np.nan]), "g": np.bool_(True),
     }  # fmt: skip
     expected = {"a": 1.5, "b": 3, "c": [1, 2], "d": None, "e": None, "f": [None], "g": True}
-    assert json.loads(encode(payload)) == expected
+    assert json.loads(encoded(payload)) == expected
 
 
 def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: FakeSession, results: Results) -> None:

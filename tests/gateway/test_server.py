@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from controller.gateway.arrivals import Rate
-from controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, PutRefusals, content
+from controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
 from controller.planning.core.events import CancelMessage
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
@@ -155,12 +155,11 @@ def test_malformed_goals_reach_nobody_and_a_good_one_after_a_flood_does(gateway:
 
 def test_a_flood_of_bad_puts_is_not_published_in_full(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
     published: list[Any] = []
-    monkeypatch.setattr(gateway.outbox, "publish_refusal", published.append)
-    refusals = PutRefusals(gateway.outbox)
-    refusals._published = Rate(MOST_REFUSALS, lambda: 1e9)
+    monkeypatch.setattr(gateway.outbox, "publish", lambda key, payload: published.append((key, payload["status"])))
+    gateway.server._refusals = Rate(MOST_REFUSALS, lambda: 1e9)
     for _ in range(1000):
-        refusals.publish({"accepted": False, "message": "bad"})
-    assert len(published) == MOST_REFUSALS
+        gateway.server._publish_refusal({"accepted": False, "message": "bad"})
+    assert published == [("result", "refused")] * MOST_REFUSALS
 
 
 def test_a_cancel_of_one_goal_must_name_the_arm(gateway: Gateway) -> None:

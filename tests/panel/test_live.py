@@ -103,6 +103,10 @@ def test_goals_are_planned_drawn_and_sent(site: Site) -> None:
     assert (entry["id"], entry["status"]) == (answer["id"], "running")
     site.daemon.put("result", {"id": answer["id"], "status": "succeeded", "message": "reached", "error": 0.001})
     page.until("goals", lambda told: told["goals"][-1]["status"] == "succeeded")
+    site.daemon.put("result", {"id": answer["id"], "status": "aborted", "message": "again", "repeated": True})
+    site.daemon.put("result", {"id": "lost", "status": "aborted", "message": "in doubt", "repeated": True})
+    told = page.until("goals", lambda told: told["goals"][-1]["id"] == "lost")["goals"]
+    assert [goal["status"] for goal in told] == ["succeeded", "aborted"]
 
 
 def test_a_file_is_read_strictly(site: Site) -> None:

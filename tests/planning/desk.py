@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterator
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from controller.config import Arm
@@ -47,129 +47,45 @@ from controller.planning.core.tasks import (
     BuildTables,
     Done,
     Failed,
-    ImprovePlan,
-    PrepareSearch,
+    Refused,
     Task,
 )
 from controller.planning.planner import RequestDecoder
-from controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
-from controller.planning.workers.computations import check_stages, check_standing, describe, follow, improve, plan_goal
-from controller.program import (
-    Accepted,
-    Alive,
-    Begun,
-    Cancel,
-    Counts,
-    Declined,
-    Down,
-    Ended,
-    Halt,
-    Program,
-    Settled,
-    Snapshot,
-    Up,
-    Welcome,
-    pack,
-    unpack,
-)
-from controller.program import (
-    Answer as ExecutorAnswer,
-)
+from controller.program import Alive, Cancel, Counts, Down, Halt, Up, Welcome, pack, unpack
 from controller.workspace.densities import Densities
-
-T = TypeVar("T", bound=Down)
+from tests.planning.played_executor import PlayedExecutor
+from tests.planning.prompt_workers import PromptWorkers
 
 FAR = 1e9  # [s], so far ahead that look-ahead never decides a point early
 
 
-class PlayedExecutor:
-    """The executor, played by the test.
+class DeskExecutor(PlayedExecutor):
+    """The executor of a desk.
 
     Attributes:
-        state: the latest snapshot; `show` changes and sends it.
         messages: of the planner, but keep-alives and counts.
     """
 
     def __init__(self, desk: Desk, actuators: int) -> None:
-        self._desk, self.actuators, self.instance = desk, actuators, 1
-        full, none = (1 << actuators) - 1, bytes((actuators + 7) // 8)
-        known = pack(full, actuators)
-        self.state = Snapshot(
-            desk.now, "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
-        )
-        self.messages = deque[Down]()
-        self._results = 0
+        self._desk, self.messages = desk, deque[Down]()
+        super().__init__(actuators)
 
     def greet(self, greatest: int = 0) -> None:
         """Accepts the planner, and shows the arm."""
         self.send(Welcome(1, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
         self.show()
 
-    def expect(self, kind: type[T], *passing: type[Any]) -> T:
-        """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
-        while self.messages:
-            message = self.messages.popleft()
-            if isinstance(message, kind):
-                return message
-            assert isinstance(message, passing), f"{message} came where {kind.__name__} was expected"
-        raise AssertionError(f"no {kind.__name__} came")
-
-    def nothing(self, kind: type[Any]) -> bool:
-        """Whether no message of a kind has come."""
-        return not any(isinstance(message, kind) for message in self.messages)
+    def now(self) -> float:
+        return self._desk.now
 
     def send(self, message: Up) -> None:
         self._desk.post(FromExecutor(message))
 
-    def show(self, **changes: Any) -> None:
-        """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""
-        if isinstance(bits := changes.get("outputs"), int):
-            changes["outputs"] = pack(bits, self.actuators)
-        if "outputs" in changes and "measured" not in changes:
-            changes["measured"] = changes["outputs"]
-        self.state = msgspec.structs.replace(self.state, at=self._desk.now, **changes)
-        self.send(self.state)
+    def take(self) -> Down | None:
+        return self.messages.popleft() if self.messages else None
 
-    def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
-        """Answers a request as the executor does: it begins a new epoch if needed, and sends a snapshot."""
-        ends = not isinstance(message, Cancel) or message.program is None
-        self.send(ExecutorAnswer(message.request, accepted, text))
-        self.show(epoch=self.state.epoch + (ends and accepted), **changes)
-
-    def accept(self, program: Program) -> None:
-        self.send(Accepted(program.program, program.begin or self._desk.now))
-        self.show(mode="executing", reason=program.name, program=program.program)
-
-    def decline(self, program: Program, cause: Any, reason: str = "because") -> None:
-        self.send(Declined(program.program, cause, reason))
-
-    def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
-        """Carries out a stage of a program, and settles its mark if it has one."""
-        states = program.stages[stage]
-        self.send(Begun(program.program, stage, switches))
-        self.show(outputs=states.states, measured=measured or states.states)
-        if states.mark >= 0:
-            at = measured or states.states
-            self.send(Settled(program.program, states.mark, at, self.state.known, switches, 1, True))
-
-    def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
-        """Sends the result of a program."""
-        self._results += 1
-        ended = Ended(
-            self._results,
-            program.program,
-            program.context,
-            status,
-            message,
-            fields.get("mark", program.stages[-1].mark),
-            fields.get("switches", 1),
-            fields.get("measured", self.state.measured),
-            self.state.known,
-            fields.get("travels", ()),
-        )
-        self.send(ended)
-        self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
-        return ended
+    def waiting(self) -> deque[Down]:
+        return self.messages
 
 
 class Inbox:
@@ -207,30 +123,29 @@ class Desk:
         held: kinds of tasks that are not answered, until `release`.
         failing: kinds of tasks that fail.
         storing: whether results are noted as published, and entries as recorded, at once.
+        workers: of the planner.
 
     Args:
         arm: the arm.
         densities: of it.
-        published: programs whose results were published before.
+        published: results that were published before, by program.
         owed: goals that earlier planner processes accepted.
     """
 
-    def __init__(self, arm: Arm, densities: Densities, published: Any = (), owed: Any = ()) -> None:
+    def __init__(self, arm: Arm, densities: Densities, published: Any = MappingProxyType({}), owed: Any = ()) -> None:
         self.arm, self.now, self.wall = arm, FAR, 2 * FAR
         self.inbox, self.published, self.entries = Inbox(), dict[str, Any](), list[tuple[Any, ...]]()
         self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
         self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
-        self._densities, self._decode = densities, RequestDecoder(arm).decode
+        self._decode = RequestDecoder(arm).decode
         self._events, self._queued = deque[Event](), dict[int, Task]()
         self._names, self._numbers, self._wake = dict[int, str](), 0, float("inf")
-        self._weights = arm.weights({})
-        locked = arm.locked.astype(np.uint8).tobytes()
-        tables = build_tables(arm, densities, self._weights, BuildTables(0, locked)).tables
-        built = build_scene(arm, BuildScene(0, NONE))
-        self._models = {kind: ArmModel(arm, kind) for kind in ("goals", "queries", "setpoints")}  # type: ignore[arg-type]
+        self.workers = PromptWorkers(arm, densities)
+        [tables] = self.workers.perform(BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
+        [built] = self.workers.perform(BuildScene(0, NONE))
         self.beginning = Beginning("t", tables, built.scene, built.total, self.counts, published, owed)
         self.core = Core(arm, pace_of(arm.settings), self.beginning)
-        self.executor = PlayedExecutor(self, len(arm.manipulator.actuators))
+        self.executor = DeskExecutor(self, len(arm.manipulator.actuators))
         self._waiting = list[Action]()  # publications and records that are held back
 
     # --- the shell
@@ -336,44 +251,13 @@ class Desk:
 
     def _answers(self, task: Task) -> Iterator[Answer]:
         try:
-            yield from self.perform(task)
+            if type(task) in self.failing:
+                raise MemoryError("no memory")
+            yield from self.workers.perform(task)
         except Refusal as refusal:
-            from controller.planning.core.tasks import Refused
-
             yield Refused(refusal.code, str(refusal))
         except Exception as error:
             yield Failed(repr(error))
-
-    def perform(self, task: Task) -> Iterator[Answer]:
-        """Yields the answers to a task."""
-        if type(task) in self.failing:
-            raise MemoryError("no memory")
-        match task:
-            case ImprovePlan():
-                yield from improve(self._models["goals"], task, lambda: None)
-                yield Done()
-            case PrepareSearch():
-                yield Done()
-            case BuildScene():
-                yield build_scene(self.arm, task)
-            case BuildTables():
-                yield build_tables(self.arm, self._densities, self._weights, task)
-            case _:
-                yield self._computed(task)
-
-    def _computed(self, task: Any) -> Answer:
-        name, proceed = type(task).__name__, lambda: None
-        match name:
-            case "PlanGoal":
-                return plan_goal(self._models["goals"], task, proceed)
-            case "DescribePlan":
-                return describe(self._models["queries"], task, proceed, lambda: False)
-            case "FollowSetpoint":
-                return follow(self._models["setpoints"], task)
-            case "CheckStages":
-                return check_stages(task, proceed)
-            case _:
-                return check_standing(task)
 
     # --- clients
 

@@ -5,41 +5,20 @@ import queue
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import msgspec
-
-from controller.program import (
-    Accepted,
-    Alive,
-    Answer,
-    Begun,
-    Cancel,
-    Counts,
-    Declined,
-    Down,
-    Ended,
-    Hello,
-    Program,
-    Settled,
-    Snapshot,
-    Up,
-    Welcome,
-    decode_down,
-    encode,
-    pack,
-)
+from controller.program import Alive, Counts, Down, Hello, Up, Welcome, decode_down, encode
+from tests.planning.played_executor import PlayedExecutor
 from tests.waiting import PATIENCE
-
-T = TypeVar("T", bound=Down)
 
 DIGEST = "d" * 64
 
 
-class ScriptedExecutor:
+class ScriptedExecutor(PlayedExecutor):
     """Listens on a socket. The test receives each message with `expect`, and answers it.
 
     Attributes:
@@ -48,14 +27,8 @@ class ScriptedExecutor:
     """
 
     def __init__(self, path: Path, actuators: int, name: str = "small") -> None:
-        self.actuators, self.name, self.greets = actuators, name, True
-        self.instance, self.greatest = 1, 0
-        full, none = (1 << actuators) - 1, bytes((actuators + 7) // 8)
-        known = pack(full, actuators)
-        self.state = Snapshot(
-            time.monotonic(), "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
-        )  # fmt: skip
-        self._results = 0
+        super().__init__(actuators)
+        self.name, self.greets, self.greatest = name, True, 0
         self._messages: queue.Queue[Down] = queue.Queue()
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.bind(str(path))
@@ -66,72 +39,23 @@ class ScriptedExecutor:
         for work in (self._serve, self._stay_alive):
             threading.Thread(target=work, daemon=True).start()
 
-    # --- messages of the planner
-
-    def expect(self, kind: type[T], *passing: type[Any]) -> T:
-        """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
-        while True:
-            message = self._messages.get(timeout=PATIENCE)
-            if isinstance(message, kind):
-                return message
-            assert isinstance(message, passing), f"{message} came where {kind.__name__} was expected"
-
-    def nothing(self, kind: type[Any]) -> bool:
-        """Whether no message of a kind has come."""
-        return not any(isinstance(message, kind) for message in list(self._messages.queue))
-
-    # --- messages of the executor
+    def now(self) -> float:
+        return time.monotonic()
 
     def send(self, message: Up) -> None:
         assert self._client is not None
         self._client.send(encode(message))
 
+    def take(self) -> Down:
+        """Waits for the next message."""
+        return self._messages.get(timeout=PATIENCE)
+
+    def waiting(self) -> list[Down]:
+        return list(self._messages.queue)
+
     def show(self, **changes: Any) -> None:
-        """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""
-        if isinstance(bits := changes.get("outputs"), int):
-            changes["outputs"] = pack(bits, self.actuators)
-        if "outputs" in changes and "measured" not in changes:
-            changes["measured"] = changes["outputs"]
         with self._lock:
-            self.state = msgspec.structs.replace(self.state, at=time.monotonic(), **changes)
-            self.send(self.state)
-
-    def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
-        """Answers a request as the executor does: it begins a new epoch if needed, and sends a snapshot."""
-        ends = not isinstance(message, Cancel) or message.program is None
-        self.send(Answer(message.request, accepted, text))
-        self.show(epoch=self.state.epoch + ends, **changes)
-
-    def accept(self, program: Program) -> None:
-        begin = program.begin or time.monotonic()
-        self.send(Accepted(program.program, begin))
-        self.show(mode="executing", reason=program.name, program=program.program)
-
-    def decline(self, program: Program, cause: Any, reason: str = "because") -> None:
-        self.send(Declined(program.program, cause, reason))
-
-    def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
-        """Carries out a stage of a program, and settles its mark if it has one."""
-        states = program.stages[stage]
-        self.send(Begun(program.program, stage, switches))
-        self.show(outputs=states.states, measured=measured or states.states)
-        if states.mark >= 0:
-            known = self.state.known
-            at = measured or states.states
-            self.send(Settled(program.program, states.mark, at, known, switches, 1, True))
-
-    def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
-        """Sends the result of a program."""
-        self._results += 1
-        last = program.stages[-1]
-        ended = Ended(
-            self._results, program.program, program.context, status, message, fields.get("mark", last.mark),
-            fields.get("switches", 1), fields.get("measured", self.state.measured), self.state.known,
-            fields.get("travels", ()),
-        )  # fmt: skip
-        self.send(ended)
-        self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
-        return ended
+            super().show(**changes)
 
     # --- the connection
 
@@ -208,6 +132,7 @@ class Inbox:
 
     def __init__(self) -> None:
         self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
+        self._feedback = deque[dict[str, Any]]()  # that came before a reply, which waits for the ledger
 
     def put(self, key: str, payload: Any) -> None:
         self._queue.put((key, dict(payload)))
@@ -216,8 +141,13 @@ class Inbox:
         return lambda payload: self.put(name, payload)
 
     def next(self, key: str) -> dict[str, Any]:
-        """Returns the next payload, and checks its key."""
+        """Returns the next payload, and checks its key; feedback may come before a reply."""
+        if key == "feedback" and self._feedback:
+            return self._feedback.popleft()
         came, payload = self._queue.get(timeout=PATIENCE)
+        while key == "reply" and came == "feedback":
+            self._feedback.append(payload)
+            came, payload = self._queue.get(timeout=PATIENCE)
         assert came == key, f"{came} {payload} came where {key} was expected"
         return payload
 

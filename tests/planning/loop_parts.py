@@ -5,7 +5,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from controller.planning.core.events import Action, Event
-from controller.planning.loop import Services
+from controller.planning.link import ExecutorLink, Inbox
+from controller.planning.loop import Loop, Services
 from controller.program import Fault
 from tests.waiting import PATIENCE
 
@@ -66,7 +67,8 @@ class Remembering:
             raise RuntimeError("the session is closed")
         return self.faults
 
-    @property
-    def services(self) -> Services:
-        each: Any = self
-        return Services(each, each, each, each, self.warnings, self.fatal)
+    def loop(self, core: ScriptedCore, inbox: Inbox, link: ExecutorLink, *others: Any) -> Loop:
+        """Returns a loop whose actions are calls of this object; for the other arguments see `Loop`."""
+        all_calls: Any = self
+        services = Services(inbox, all_calls, all_calls, all_calls, all_calls, self.warnings, self.fatal)
+        return Loop(core, link, all_calls, services, *others)  # type: ignore[arg-type]

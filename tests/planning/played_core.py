@@ -67,16 +67,15 @@ class PlayedCore:
     """The parts of a core with a small arm at rest.
 
     Attributes:
-        now: monotonic time [s].
-        wall: the same time [UNIX s].
         actions: those not taken by `take`.
     """
 
     def __init__(self, arm: Arm) -> None:
-        self.arm, self.now, self.wall, self.actions = arm, 100.0, 1e9, list[Action]()
+        self.arm, self.actions = arm, list[Action]()
         self.view = ExecutorView(arm.manipulator, arm.travel_time, pace_of(arm.settings))
         self.parts = Parts(self.view, pace_of(arm.settings), "played", self.actions.append)
-        self.admission, self.jobs, self.numbers = self.parts.admission, self.parts.jobs, self.parts.numbers
+        self.moment, self.admission, self.jobs = self.parts.moment, self.parts.admission, self.parts.jobs
+        self.moment.now, self.moment.wall = 100.0, 1e9
         self.locks, self.obstacles, self.programs = PlayedLocks(self.view), PlayedObstacles(), PlayedPrograms()
         self.parts.locks, self.parts.obstacles, self.parts.programs = self.locks, self.obstacles, self.programs
         size = len(arm.manipulator.actuators)
@@ -93,8 +92,17 @@ class PlayedCore:
         self.view.take(self.snapshot)
         self.admission.snapshot(self.snapshot.epoch)
 
+    @property
+    def now(self) -> float:
+        return self.moment.now
+
+    @property
+    def wall(self) -> float:
+        return self.moment.wall
+
     def advance(self, seconds: float) -> None:
-        self.now, self.wall = self.now + seconds, self.wall + seconds
+        self.moment.now += seconds
+        self.moment.wall += seconds
 
     def take(self, kind: type[T]) -> list[T]:
         """Returns the actions of a kind since the last call, or the messages of a kind to the executor."""
@@ -111,7 +119,6 @@ class PlayedCore:
         return number, task
 
     def answer(self, number: int, answer: Answer) -> None:
-        self.parts.moment.now = self.now
         self.jobs.answered(number, answer, True)
 
     def states(self, *configuration: int) -> bytes:

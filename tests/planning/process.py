@@ -11,7 +11,8 @@ from controller.planning.core.events import Published, PublishResult, Recorded
 from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink
 from controller.planning.link import Inbox as Events
-from controller.planning.planner import Outside, planning
+from controller.planning.loop import Services
+from controller.planning.planner import planning
 from controller.workspace.densities import Densities
 from tests.planning.executor import DIGEST, Inbox
 
@@ -37,12 +38,12 @@ class RunningPlanner:
         )
         self._published = PublishedResults(folder / "published")
         self.link = ExecutorLink(socket, "small", DIGEST)
-        outside = Outside(
+        services = Services(
             self._events, self.ledger, self._published, self, Notifier(), lambda: (), self.failures.append
         )
         self._end = ExitStack()
-        self.planner = self._end.enter_context(planning(arm, densities, self.link, outside))
-        self.planner.start()
+        self.planner = self._end.enter_context(planning(arm, densities, self.link, services))
+        self.planner.loop.start()
 
     def close(self) -> None:
         self._end.close()
@@ -51,14 +52,13 @@ class RunningPlanner:
 
     def vanish(self) -> None:
         """Ends like a process that is killed: it says nothing more."""
-        self.planner._loop.close()
-        self.planner._link.close()
+        self.planner.loop.close()
         self.ledger.close()
 
     def ask(self, key: Any, payload: Any = None, name: str = "reply") -> None:
         data = b"" if payload is None else json.dumps(payload).encode()
-        message = self.planner.decode(key, data)
-        self.planner.request(key, message, lambda answer: self._inbox.put(name, answer))
+        message = self.planner.decoder.decode(key, data)
+        self.planner.loop.request(key, message, lambda answer: self._inbox.put(name, answer))
 
     # --- what is published
 

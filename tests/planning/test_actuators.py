@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from controller.config import Arm
 from controller.planning.core.tasks import BuildTables
 from controller.program import (
@@ -151,6 +153,33 @@ def test_a_state_that_is_no_configuration_is_left_by_single_actuators(
     assert desk.inbox.next("result")["status"] == "succeeded"
     desk.settle()
     assert desk.state()["faults"] == []
+
+
+@pytest.fixture
+def joints(read: Callable[[Any], Arm], make_desk: Callable[..., Desk]) -> tuple[Desk, int]:
+    """An arm of two joints, whose two actuators have one pair of states that is no configuration, and this pair."""
+    desk = make_desk(read({**DOCUMENT, "modules": [JOINT]}))
+    used = {int(row @ [1, 2]) for row in desk.arm.manipulator.modules[0].bits}
+    return desk, next(bits for bits in range(4) if bits not in used)
+
+
+def test_a_locked_actuator_is_unlocked_in_a_state_that_is_no_configuration(joints: tuple[Desk, int]) -> None:
+    desk, unused = joints
+    desk.show(outputs=unused | unused << 2, locked=b"\x04", locks=1)
+    assert "unknown-state" in [fault["code"] for fault in desk.state()["faults"]]
+    degrade(desk, desk.arm.manipulator.actuators[2], None)
+    lock = desk.executor.expect(Lock)
+    assert (lock.actuator, lock.state) == (2, -1)
+
+
+def test_a_goal_during_a_jog_to_a_state_that_is_no_configuration_is_refused_with_this_cause(
+    joints: tuple[Desk, int],
+) -> None:
+    desk, unused = joints
+    desk.show(outputs=unused, moving=True, mode="executing", reason="jog jog-1")
+    desk.ask("goal", {"waypoints": [{"position": [0.2, 0.0]}]})
+    message = desk.inbox.next("reply")["message"]
+    assert message.startswith("unknown state: the arm moves to states that are no configuration (jog jog-1)")
 
 
 def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_only_its_own(

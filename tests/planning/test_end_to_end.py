@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from controller.config import Arm
+from controller.planning.core.events import SetpointArrived
 from controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT
 from tests.planning.core_executor import CoreExecutor
@@ -68,7 +69,7 @@ def test_goals_one_after_the_other(chain: Chain) -> None:
         result = chain.inbox.next("result")
         assert (result["id"], result["status"]) == (f"g{k}", "succeeded"), result
         assert result["error"] <= 0.002
-        assert chain.planner.ledger.known() == tuple(chain.executor.journal.counts), "no diagnostics are needed"
+        assert chain.planner.ledger.known == tuple(chain.executor.journal.counts), "no diagnostics are needed"
         done += result["switches"]
     assert sum(chain.executor.journal.counts) == done
     eventually(lambda: chain.planner.diagnostics["counts"] == tuple(chain.executor.journal.counts))
@@ -171,14 +172,15 @@ def test_stop_and_reset(chain: Chain) -> None:
 
 def test_set_points_are_followed(chain: Chain) -> None:
     wanted = [(1, 2)]
-    chain.planner.planner.read_setpoints(
-        lambda: json.dumps({"position": chain.arm.manipulator.tip(np.array(wanted[0]))[:2, 3].tolist()}).encode()
+    chain.planner.planner.loop.mailboxes.set(
+        SetpointArrived,
+        lambda: json.dumps({"position": chain.arm.manipulator.tip(np.array(wanted[0]))[:2, 3].tolist()}).encode(),
     )
     for goal in (A, C, (0, 0)):
         wanted[0] = goal
         eventually(lambda: chain.error(wanted[0]) < 0.003)
     assert chain.planner.state["mode"] == "executing"
-    chain.planner.planner.read_setpoints(lambda: None)
+    chain.planner.planner.loop.mailboxes.set(SetpointArrived, lambda: None)
     eventually(lambda: chain.planner.state["mode"] == "ready")
 
 

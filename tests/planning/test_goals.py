@@ -94,12 +94,14 @@ def test_a_goal_is_sent_again_from_where_the_arm_has_moved_to(desk: Desk) -> Non
     assert (result["certificate"], result["lower_bound"]) == ("optimal", switches)
 
 
-def test_a_goal_that_never_catches_up_is_refused(desk: Desk) -> None:
+@pytest.mark.parametrize("moves", [0, 1])
+def test_a_goal_that_never_catches_up_is_refused_with_the_executors_reason(desk: Desk, moves: int) -> None:
     desk.goal(A)
     for k in range(10):
-        desk.executor.decline(desk.executor.expect(Program), "moved")
-        desk.executor.show(outputs=desk.bits(k % 8, 0, 0, 0))
-    assert "moved each time" in desk.inbox.next("reply")["message"]
+        desk.executor.decline(desk.executor.expect(Program), "moved", "its reason")
+        desk.executor.show(outputs=desk.bits(moves * k % 8, 0, 0, 0))
+    assert desk.inbox.next("reply")["message"] == "its reason, 10 times in a row; send it again"
+    assert desk.executor.nothing(Program)
 
 
 @pytest.mark.parametrize(
@@ -299,7 +301,7 @@ def test_the_numbers_of_a_proof_are_pythons(desk: Desk) -> None:
     desk.held.add(PlanGoal)
     desk.goal(A)
     (task,) = [task for task in desk._queued.values() if isinstance(task, PlanGoal)]
-    (planned,) = desk.perform(task)
+    (planned,) = desk.workers.perform(task)
     assert [type(value) for value in planned.proof] == [int, float, float, str]
 
 
@@ -307,7 +309,7 @@ def test_a_plan_that_cannot_be_offered_is_an_internal_error_and_ends_nothing(des
     desk.held.add(PlanGoal)
     desk.goal(A)
     ((number, task),) = [(n, task) for n, task in desk._queued.items() if isinstance(task, PlanGoal)]
-    (planned,) = desk.perform(task)
+    (planned,) = desk.workers.perform(task)
     desk.post(Answered(number, planned._replace(proof=object()), True))
     assert desk.inbox.next("reply")["message"] == "internal error, see the journal"
     assert "Traceback" in desk.logs[-2]

@@ -59,14 +59,14 @@ def configuration_text(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]
 def test_counts_are_absolute_and_never_fall(ledger: Ledger, path: Path) -> None:
     ledger.counts([3, 0, 5])
     ledger.counts([2, 1, 6])
-    assert ledger.known() == (3, 1, 6)
+    assert ledger.known == (3, 1, 6)
     ledger.close()
     assert read(path)[0] == {"1.left": 3, "1.diagonal": 1, "1.right": 6}
 
 
 def test_counts_of_another_arm_are_not_taken(ledger: Ledger) -> None:
     ledger.counts([3, 0])
-    assert ledger.known() == (0, 0, 0)
+    assert ledger.known == (0, 0, 0)
 
 
 def test_goals_have_their_results(ledger: Ledger, path: Path) -> None:
@@ -88,13 +88,13 @@ def test_goals_have_their_results(ledger: Ledger, path: Path) -> None:
 
 def test_the_next_run_owes_the_results_of_the_last_and_finds_their_goals(path: Path) -> None:
     ledger = Ledger(path, NAMES)
-    assert ledger.owed() == ()
+    assert ledger.owed == ()
     for program in (7, 8, 9):
         ledger.record(accepted(program, f"g{program}", waypoints=program))
     ledger.record(ended(8))
     ledger.close()
     again = Ledger(path, NAMES)
-    assert again.owed() == tuple(OpenGoal(Identity(EXECUTOR, n), f"g{n}", 1.8e9, n) for n in (7, 9))
+    assert again.owed == tuple(OpenGoal(Identity(EXECUTOR, n), f"g{n}", 1.8e9, n) for n in (7, 9))
     again.record(ended(7))
     again.record(ended(10))  # of nobody
     again.close()
@@ -157,7 +157,7 @@ def test_it_continues_with_the_counts_of_before(ledger: Ledger, path: Path) -> N
     ledger.counts([4, 0, 1])
     ledger.close()
     again = Ledger(path, ("1.right", "1.left", "2.left"))
-    assert again.known() == (1, 4, 0)
+    assert again.known == (1, 4, 0)
     again.close()
 
 
@@ -195,7 +195,7 @@ def test_counts_alone_wait(path: Path) -> None:
     eventually(lambda: written)
     ledger.counts([1, 0, 0])
     ledger.counts([2, 0, 0])
-    assert ledger.known() == (2, 0, 0)
+    assert ledger.known == (2, 0, 0)
     assert read(path)[0] == {}
     ledger.close()
     assert read(path)[0] == {"1.left": 2}
@@ -226,7 +226,7 @@ def test_a_file_that_is_no_ledger_is_moved_aside_and_the_counts_come_from_the_ex
     path.write_text("a letter, far longer than the head of any database would be" * 20)
     ledger = Ledger(path, NAMES, write_every=SOON)
     eventually(lambda: ledger.damage)
-    assert ledger.known() == (0, 0, 0)
+    assert ledger.known == (0, 0, 0)
     ledger.counts([5, 6, 7])
     assert [fault.code for fault in ledger.faults()] == ["ledger-damaged"]
     ledger.close()
@@ -310,8 +310,8 @@ def test_a_ledger_of_an_earlier_version_is_taken_over(path: Path, missing: str) 
     connection.close()
     assert statuses(path)[-2:] == [("open", None), ("a", "aborted")]
     ledger = Ledger(path, NAMES, write_every=SOON)
-    assert ledger.known() == (5, 0, 0)
-    assert ledger.owed() == ()
+    assert ledger.known == (5, 0, 0)
+    assert ledger.owed == ()
     ledger.record(accepted(1, "new"))
     ledger.record(ended(1))
     ledger.close()
@@ -347,8 +347,8 @@ def test_one_process_has_the_ledger_and_a_killed_one_frees_it_and_loses_nothing(
         holder.send_signal(signal.SIGKILL)
         holder.communicate()
     again = Ledger(path, NAMES)
-    assert again.known() == (7, 0, 0)
-    assert again.owed() == (OpenGoal(Identity(3, 1), "a", 1.8e9, 2),)
+    assert again.known == (7, 0, 0)
+    assert again.owed == (OpenGoal(Identity(3, 1), "a", 1.8e9, 2),)
     again.close()
 
 

@@ -48,7 +48,8 @@ from tests.planning.executor import DIGEST, ScriptedExecutor
 from tests.planning.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
 
-REQUEST = Request(1, "reset", None, 0.0)
+WALL = 1e9  # [UNIX s]
+REQUEST = Request(1, "reset", None, WALL)
 TASK = BuildTables(1, b"")
 
 
@@ -62,8 +63,8 @@ class Bench:
         self.loop = self.make()
 
     def make(self) -> Loop:
-        clocks = (lambda: self.now, lambda: 1e9)
-        return Loop(self.core, self.inbox, self.link, self.services.services, self.record, clocks)
+        clocks = (lambda: self.now, lambda: WALL)
+        return self.services.loop(self.core, self.inbox, self.link, self.record, clocks)
 
     def record(self, *step: Any) -> None:
         self.recorded.append(step)
@@ -72,7 +73,7 @@ class Bench:
         """Posts events, runs the loop once, and returns what the core has seen but snapshots."""
         before = len(self.core.steps)
         for event in events:
-            self.loop.post(event)
+            self.inbox.post(event)
         self.loop._round()
         return [event for event in self.core.steps[before:] if "Snapshot" not in str(event)]
 
@@ -115,8 +116,8 @@ def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: B
 
 def test_a_setpoint_that_waits_comes_before_a_request(bench: Bench) -> None:
     box = [b"1"]
-    bench.loop.read(SetpointArrived, lambda: box.pop() if box else None)
-    bench.loop.read(TipArrived, lambda: None)
+    bench.loop.mailboxes.set(SetpointArrived, lambda: box.pop() if box else None)
+    bench.loop.mailboxes.set(TipArrived, lambda: None)
     assert bench.handle(Published(1), REQUEST) == [Published(1), SetpointArrived(b"1"), REQUEST]
 
 
@@ -143,9 +144,9 @@ def test_it_ticks_at_the_last_wake(bench: Bench) -> None:
 
 def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> None:
     setpoints, tips = list[bytes](), [b"t"]
-    bench.loop.read(SetpointArrived, lambda: setpoints.pop() if setpoints else None)
-    bench.loop.read(TipArrived, lambda: tips.pop() if tips else None)
-    mailboxes = bench.loop._mailboxes
+    bench.loop.mailboxes.set(SetpointArrived, lambda: setpoints.pop() if setpoints else None)
+    bench.loop.mailboxes.set(TipArrived, lambda: tips.pop() if tips else None)
+    mailboxes = bench.loop.mailboxes
     assert bench.handle(Published(1)) == [Published(1), TipArrived(b"t")]
     assert mailboxes.due == bench.now + LOOK_EVERY
     setpoints.append(b"s")
@@ -161,8 +162,8 @@ def test_a_mailbox_that_fails_keeps_nothing_waiting(bench: Bench) -> None:
     def fail() -> bytes:
         raise RuntimeError("closed")
 
-    bench.loop.read(SetpointArrived, fail)
-    bench.loop.read(TipArrived, lambda: b"t")
+    bench.loop.mailboxes.set(SetpointArrived, fail)
+    bench.loop.mailboxes.set(TipArrived, lambda: b"t")
     assert bench.handle(REQUEST) == [TipArrived(b"t"), REQUEST]
 
 
@@ -193,7 +194,7 @@ def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptur
         RecordCounts((1, 2)), ToExecutor(Halt(1)), Abandon(1), Notify("WATCHDOG=1"),
         Log(logging.WARNING, "100 % moved", {"HYPERBIT_GOAL": "a"}), Wake(0.0),
     ]  # fmt: skip
-    bench.loop.request(REQUEST, lambda payload: bench.services.calls.append(("reply", payload)))
+    bench.loop.request("reset", None, lambda payload: bench.services.calls.append(("reply", payload)))
     assert bench.handle()[:2] == [REQUEST, Tick()]
     assert bench.services.calls == [
         ("start", 1, TASK), ("reply", {"accepted": True}), ("publish", "state", {"mode": "ready"}),
@@ -221,8 +222,8 @@ def test_a_failing_action_stops_no_other(bench: Bench, caplog: pytest.LogCapture
     bench.core.script[Request] = lambda event: [Reply(event.number, {}), Publish("state", {})]
     bench.services.broken = {"publish"}
     answered: list[Any] = []
-    bench.loop.request(REQUEST, fail)
-    bench.loop.request(REQUEST._replace(number=2), answered.append)
+    bench.loop.request("reset", None, fail)
+    bench.loop.request("reset", None, answered.append)
     bench.handle()
     assert answered == [{}]
     assert [record.getMessage() for record in caplog.records].count("the action Reply failed") == 1
@@ -232,7 +233,7 @@ def test_a_failing_action_stops_no_other(bench: Bench, caplog: pytest.LogCapture
 def test_a_request_is_answered_at_most_once(bench: Bench) -> None:
     answered: list[Any] = []
     bench.core.script[Request] = [Reply(1, {"first": True}), Reply(1, {"first": False})]
-    bench.loop.request(REQUEST, answered.append)
+    bench.loop.request("reset", None, answered.append)
     bench.handle()
     assert answered == [{"first": True}]
 
@@ -247,7 +248,7 @@ def test_the_recorder_gets_each_step_until_it_fails(bench: Bench) -> None:
     bench.core.script[Request] = [Notify("a")]
     bench.recorded.clear()
     bench.handle(REQUEST)
-    assert bench.recorded == [(REQUEST, 100.0, 1e9, [Notify("a")])]
+    assert bench.recorded == [(REQUEST, 100.0, WALL, [Notify("a")])]
     bench.loop._recorder = fail
     bench.handle(REQUEST, REQUEST)
     assert len(failed) == 1
@@ -268,18 +269,18 @@ def test_an_exception_of_the_core_ends_the_process(bench: Bench, caplog: pytest.
         raise KeyError(event.number)
 
     bench.core.script[Request] = fail
-    bench.loop.post(REQUEST)
-    bench.loop.post(Unsent(1, "it is not handled any more"))
+    bench.inbox.post(REQUEST)
+    bench.inbox.post(Unsent(1, "it is not handled any more"))
     run(bench)
     assert bench.services.calls == [("fatal", "the planner failed: KeyError(1)")]
     assert "Traceback" in caplog.text
     assert bench.core.steps[-1] == REQUEST
-    assert bench.recorded[-1] == (REQUEST, 100.0, 1e9, None)
+    assert bench.recorded[-1] == (REQUEST, 100.0, WALL, None)
 
 
 def test_the_core_can_end_the_process(bench: Bench) -> None:
     bench.core.script[Recorded] = [Fail("the worker for goals does not answer"), Notify("WATCHDOG=1")]
-    bench.loop.post(Recorded(1))
+    bench.inbox.post(Recorded(1))
     run(bench)
     assert bench.services.calls == [("fatal", "the worker for goals does not answer")]
 
@@ -299,7 +300,7 @@ def test_it_says_when_the_core_has_ended(bench: Bench) -> None:
 
 def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     answered: list[Any] = []
-    bench.loop.request(REQUEST, answered.append)
+    bench.loop.request("reset", None, answered.append)
     bench.loop.close()
     bench.loop.close()
     assert [payload["message"] for payload in answered] == [CLOSING]
@@ -313,7 +314,7 @@ def test_no_event_is_missed(bench: Bench) -> None:
 
     def post(sender: int) -> None:
         for k in range(count):
-            bench.loop.post(Answered(sender * count + k, Done(), True))
+            bench.inbox.post(Answered(sender * count + k, Done(), True))
 
     bench.loop = bench.make()
     bench.loop._warnings_at = bench.link.retry_at = 1e5  # nothing is due: only wake-ups end the waiting
@@ -332,7 +333,7 @@ def test_a_thread_serves_requests(bench: Bench) -> None:
     bench.loop = bench.make()
     bench.loop.start()
     answered = threading.Event()
-    bench.loop.request(REQUEST, lambda payload: answered.set())
+    bench.loop.request("reset", None, lambda payload: answered.set())
     assert answered.wait(PATIENCE)
     bench.loop.close()
     assert not bench.loop._thread.is_alive()

@@ -22,9 +22,9 @@ from controller.planning.core.events import (
     ToExecutor,
     Unsent,
 )
+from controller.planning.core.requests import CANCELED
 from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.loop import Loop
-from controller.planning.planner import CANCELED, Planner
+from controller.planning.planner import Planner
 from controller.program import Acknowledge, Cancel, Halt, Hello, Welcome
 from controller.workspace.densities import Densities
 from tests.planning.executor import DIGEST, ScriptedExecutor
@@ -39,12 +39,12 @@ class Bench:
         self.core, self.services, inbox = ScriptedCore(), Remembering(), Inbox()
         link = ExecutorLink(path, "small", DIGEST)
         self.core.script[Request] = lambda event: [Reply(event.number, {"number": event.number})]
-        self.planner = Planner(arm, densities, Loop(self.core, inbox, link, self.services.services), link)
+        self.planner = Planner(arm, densities, self.services.loop(self.core, inbox, link))
         self.replies: queue.Queue[Any] = queue.Queue()
 
     def request(self, key: Key, message: Message) -> Request:
         """Sends a request, waits for its reply, and returns the event."""
-        self.planner.request(key, message, self.replies.put)
+        self.planner.loop.request(key, message, self.replies.put)
         event = self.core.expect(Request)
         assert self.replies.get(timeout=PATIENCE) == {"number": event.number}
         return event
@@ -52,6 +52,11 @@ class Bench:
     def welcome(self) -> None:
         while not isinstance(self.core.expect(FromExecutor).message, Welcome):
             pass
+
+    def end_in_order(self) -> None:
+        """Ends goals and the loop, as `planning` does."""
+        self.planner.loop.end_goals()
+        self.planner.loop.close()
 
     def end(self, event: Quit) -> list[Any]:
         """Ends the core, with a last message."""
@@ -63,9 +68,9 @@ class Bench:
 def bench(small: Arm, small_densities: Densities, tmp_path: Path) -> Iterator[Bench]:
     bench = Bench(small, small_densities, tmp_path / "small.sock")
     bench.core.script[Quit] = bench.end
-    bench.planner.start()
+    bench.planner.loop.start()
     yield bench
-    bench.planner.close()
+    bench.end_in_order()
 
 
 @pytest.fixture
@@ -102,14 +107,14 @@ def test_a_stop_that_cannot_be_sent_is_told_after_its_request(bench: Bench) -> N
 
 
 def test_a_request_is_decoded_by_its_key(bench: Bench) -> None:
-    assert bench.planner.decode("cancel", b'{"id": "a"}') == CancelMessage("a")
-    assert bench.planner.decode("stop", b"\xff") is None
+    assert bench.planner.decoder.decode("cancel", b'{"id": "a"}') == CancelMessage("a")
+    assert bench.planner.decoder.decode("stop", b"\xff") is None
 
 
 def test_mailboxes_are_read(bench: Bench) -> None:
-    bench.planner.read_setpoints(lambda: b"setpoint")
+    bench.planner.loop.mailboxes.set(SetpointArrived, lambda: b"setpoint")
     assert bench.core.expect(SetpointArrived) == SetpointArrived(b"setpoint")
-    bench.planner.read_measured_tips(lambda: b"tip")
+    bench.planner.loop.mailboxes.set(TipArrived, lambda: b"tip")
     assert bench.core.expect(TipArrived) == TipArrived(b"tip")
 
 
@@ -123,14 +128,14 @@ def test_the_description_has_the_wanted_parts(bench: Bench) -> None:
 def test_goals_end_before_the_connection(executor: ScriptedExecutor, bench: Bench) -> None:
     bench.welcome()
     executor.expect(Hello)
-    bench.planner.end_goals()
+    bench.planner.loop.end_goals()
     assert bench.core.expect(Quit) == Quit()
     assert executor.expect(Acknowledge).result == 7
-    bench.planner.close()
+    bench.end_in_order()
     assert bench.services.calls == []
 
 
 def test_an_end_without_a_start_does_not_wait(small: Arm, small_densities: Densities, tmp_path: Path) -> None:
     bench = Bench(small, small_densities, tmp_path / "small.sock")
-    bench.planner.close()
+    bench.end_in_order()
     assert bench.core.steps == []

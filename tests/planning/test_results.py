@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.events import Identity, OpenGoal
+from controller.planning.core.events import Ended, Identity, OpenGoal
 from controller.program import Acknowledge, Cancel, Program, Replacement
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
 
 Make = Callable[..., Desk]
+REACHED = Ended(0.0, "succeeded", 0, "reached", 4)
 
 
 @pytest.fixture
@@ -33,16 +34,30 @@ def test_a_goal_is_answered_after_the_ledger_has_it(desk: Desk) -> None:
     assert desk.inbox.next("reply")["accepted"]
 
 
-def test_a_goal_that_ends_before_the_ledger_has_it_is_answered_before_its_result(desk: Desk) -> None:
+def test_a_goal_that_ends_before_the_ledger_has_it_is_answered_and_ended_when_the_ledger_has_it(desk: Desk) -> None:
     desk.storing = False
     desk.goal(A)
     desk.executor.accept(program := desk.executor.expect(Program))
-    desk.executor.end(program)
+    ended = desk.executor.end(program)
+    assert desk.inbox.empty, "after a kill of both processes nobody would know the goal"
+    desk.store()  # the acceptance
     assert desk.inbox.next("reply")["accepted"]
     assert desk.inbox.next("result")["id"] == "a"
-    desk.store()
-    desk.store()
+    desk.store()  # published
+    desk.store()  # recorded
     assert desk.inbox.empty, "the goal is answered once"
+    assert desk.executor.expect(Acknowledge, Replacement).result == ended.result
+
+
+def test_a_goal_whose_executor_dies_before_the_ledger_has_it_ends_when_the_ledger_has_it(desk: Desk) -> None:
+    desk.storing = False
+    desk.goal(A)
+    desk.executor.accept(desk.executor.expect(Program))
+    desk.drop()
+    assert desk.inbox.empty
+    desk.store()
+    assert desk.inbox.next("reply")["accepted"]
+    assert desk.inbox.next("result")["status"] == "aborted"
 
 
 def test_a_result_is_acknowledged_after_it_was_published_and_recorded(desk: Desk) -> None:
@@ -73,9 +88,9 @@ def test_a_result_that_comes_again_on_its_way_is_published_once(desk: Desk) -> N
     assert desk.executor.expect(Acknowledge, Replacement).result == ended.result
 
 
-def test_what_an_earlier_process_has_published_is_recorded_and_acknowledged_only(desk: Desk, make: Make) -> None:
+def test_what_an_earlier_process_has_published_and_recorded_is_acknowledged_only(desk: Desk, make: Make) -> None:
     program = taken(desk, A)
-    later = make(published=[Identity(1, program.program)])
+    later = make(published={Identity(1, program.program): REACHED})
     ended = later.executor.end(program)
     assert later.inbox.empty
     assert kinds(later) == ["accepted+ended"]
@@ -107,11 +122,35 @@ def test_what_the_same_executor_owes_is_waited_for(desk: Desk, make: Make) -> No
     assert later.inbox.empty
 
 
-def test_what_was_published_as_lost_before_a_kill_is_not_published_again(make: Make) -> None:
-    owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
-    later = make(owed=[owed], published=[owed.identity])
+def test_what_an_earlier_process_may_have_published_in_vain_is_repeated_with_the_same_outcome(
+    desk: Desk, make: Make
+) -> None:
+    program, own = taken(desk, A), Ended(0.0, "aborted", -4, "the planned motion would collide", 3)
+    identity = Identity(1, program.program)
+    later = make(owed=[OpenGoal(identity, "a", 12.0, 1)], published={identity: own})
+    ended = later.executor.end(program, "canceled", "canceled", switches=3)
+    result = later.inbox.next("inherited")
+    assert result["repeated"]
+    assert (result["status"], result["code"], result["message"], result["switches"]) == own[1:]
+    assert later.executor.expect(Acknowledge).result == ended.result
+    later.executor.send(ended)
     assert later.inbox.empty
+
+
+def test_what_another_executor_owed_is_repeated_as_it_was_published(make: Make) -> None:
+    owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
+    later = make(owed=[owed], published={owed.identity: REACHED})
+    result = later.inbox.next("result")
+    assert result["repeated"]
+    assert (result["id"], result["status"], result["message"], result["switches"]) == ("old", "succeeded", "reached", 4)
     assert kinds(later) == ["accepted+ended"]
+
+
+def test_a_result_is_not_repeated_if_no_process_has_published_it(desk: Desk, make: Make) -> None:
+    program = taken(desk, A)
+    later = make(owed=[OpenGoal(Identity(1, program.program), "a", 12.0, 1)])
+    later.executor.end(program)
+    assert "repeated" not in later.inbox.next("inherited")
 
 
 def test_a_goal_that_was_refused_gets_no_result(desk: Desk) -> None:

@@ -155,6 +155,7 @@ def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
         recorder.take(heard(1.0, "state", {"stamp": 1.0, "mode": "ready", "configuration": "A", "degraded": locked}))
         recorder.take(heard(2.1, "state", {"stamp": 2.1, "mode": "executing", "configuration": "A"}))
         recorder.take(heard(2.2, "result", {"id": "x", "status": "succeeded", "configuration": "B"}))
+        recorder.take(heard(2.25, "result", {"id": "x", "status": "succeeded", "repeated": True}))
         answer = {"accepted": True, "id": "x"}
         recorder.take(heard(2.3, "request", {"stamp": 2.0, "key": "goal", "payload": GOAL, "answer": answer}))
         recorder.take(heard(2.4, "request", {"stamp": 2.15, "key": "goal", "payload": GOAL, "answer": answer}))
@@ -171,6 +172,8 @@ def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
     assert isinstance(far, Goal)
     assert (first.start, first.moving, first.incomparable) == ("A", False, None)
     assert second.incomparable == "it began while the arm moved"
+    assert (first.result or {})["configuration"] == "B"
+    assert second.result is None, "a repeated result belongs to no other goal"
     assert change == Change("degrade", {"a": 1})
     assert (far.accepted, far.incomparable) == (False, None)
 

@@ -29,6 +29,21 @@ class Agenda:
         self._number += 1
         heapq.heappush(self._entries, (max(time, self.now), self._number, happen))
 
+    def run(self, seconds: float) -> None:
+        """Runs all events of a time [s]."""
+        end = self.now + seconds
+        while self._entries and self._entries[0][0] <= end:
+            self.step()
+        self.now = end
+
+    def until(self, holds: Callable[[], object], longest: float = 20.0) -> float:
+        """Runs events until something holds; returns the time taken [s]."""
+        begun = self.now
+        while not holds():
+            assert self.now - begun < longest, f"waited {longest:g} s in vain"
+            self.step()
+        return self.now - begun
+
     def step(self) -> None:
         """Runs the next event."""
         self.now, _, happen = heapq.heappop(self._entries)

@@ -7,19 +7,19 @@ from collections.abc import Callable, Mapping
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.buses import SimulatedBuses
-from drivers.simulation.fault_commands import perform
 from drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
+from tests.simulation.boards import AttachedBoards
 from tests.simulation.bus_model import OnItsWay
 from tests.simulation.facts import Commit, Energised, Switch
 from tests.simulation.record import Record
 
+FOREIGN_START = "foreign START"
 LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
 
 
-class BoardSide:
-    """All boards of an arm.
+class BoardSide(AttachedBoards):
+    """All boards of an arm, seen by the record.
 
     Attributes:
         names: mask of the actuators of each board, by the board's name.
@@ -51,14 +51,13 @@ class BoardSide:
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self._buses = SimulatedBuses(wiring, timing, send, variants)
-        self._agenda, self._record = agenda, record
+        self._record = record
         self._paired = sum(1 << k for k in wiring.paired)
-        self._drives, self._coils = self._valves(), 0
+        self._drives, self._coils = -1, 0  # unknown
         self._interlocks = tuple(lock.name for lock in wiring.interlocks)
         self.opened: set[str] = set()
-        self._timer = float("inf")
-        self._step()
+        super().__init__(wiring, timing, variants, agenda, send)
+        self._drives = self._valves()
 
     def drives(self) -> int:
         """Returns the end to which each actuator is driven, or was driven last, as a mask."""
@@ -70,10 +69,10 @@ class BoardSide:
 
     def both_on(self) -> list[int]:
         """Returns how often both coils of each actuator were on at once, shape (A,)."""
-        return self._buses.both_on()
+        return self.simulated.both_on()
 
     def _valves(self) -> int:
-        return sum(drive << k for k, drive in enumerate(self._buses.drives()))
+        return sum(drive << k for k, drive in enumerate(self.simulated.drives()))
 
     def _driven(self, coils: list[tuple[int, int]]) -> int:
         """Returns the ends to which the actuators are driven; with two coils, by the last coil that was on."""
@@ -85,14 +84,13 @@ class BoardSide:
 
     def door(self, name: str, is_open: bool) -> None:
         """Opens or closes an interlock."""
-        perform(self._buses, "open" if is_open else "close", name)
+        super().fault("open" if is_open else "close", name)
         (self.opened.add if is_open else self.opened.discard)(name)
         self._record.doors(bool(self.opened))
-        self._set_timer()
 
     def positions(self) -> int:
         """Returns the nearer end of each actuator, as a mask."""
-        return sum(round(position) << k for k, position in enumerate(self._buses.positions()))
+        return sum(round(position) << k for k, position in enumerate(self.simulated.positions()))
 
     def hear(self, bus: str, sent: OnItsWay, lost: bool) -> None:
         """Takes a sent frame of the executor; `lost` if the boards do not receive it."""
@@ -101,37 +99,26 @@ class BoardSide:
         missing = sum(mask for name, mask in boards.items() if lost or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
         if not lost:
-            self._buses.step(self._agenda.now)
-            self._see("time")
-            self._buses.receive(bus, frame, self._agenda.now)
-            commit = sent.belongs_to if isinstance(sent.belongs_to, Commit) else None
-            self._see(_words(frame), commit)
-            self._set_timer()
+            self.receive(bus, frame, _words(frame), sent.belongs_to)
 
     def hear_tool(self, bus: str, frame: Frame) -> None:
         """Takes a frame of another program; what it changes is a fault."""
-        self._step()
-        self._buses.receive(bus, frame, self._agenda.now)
-        self._see("fault")
-        self._set_timer()
+        self.receive(bus, frame, FOREIGN_START if frame.data[:1] == bytes([Command.START]) else "fault")
 
-    def fault(self, verb: str, name: str, *numbers: float) -> None:
+    def fault(self, verb: str, name: str, *numbers: float | str) -> None:
         """Causes or ends a fault of a board or an actuator."""
-        self._step()
-        if verb == "power_on" and self._buses.board(name).state is not None:
+        if verb == "power_on" and self.simulated.board(name).state is not None:
             return
-        perform(self._buses, verb, name, *numbers)
         if verb in LIES:
-            self._record.lying |= 1 << self._buses.labels.index(name)
+            self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
-            self._record.lying &= ~(1 << self._buses.labels.index(name))
-        self._see("fault")
-        self._set_timer()
-        self.silent = any(self._buses.board(board).silent for board in self.names)
+            self._record.lying &= ~(1 << self.simulated.labels.index(name))
+        super().fault(verb, name, *numbers)
+        self.silent = any(self.simulated.board(board).silent for board in self.names)
 
     def emergency(self, board: str, code: int) -> None:
         """Makes a board send an emergency."""
-        self._buses.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
+        self.simulated.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
 
     def mend(self) -> None:
         """Ends all faults."""
@@ -140,7 +127,7 @@ class BoardSide:
                 self.fault("power_cut", board)
             self.fault("power_on", board)
             self.fault("unsilence", board)
-        for label in self._buses.labels:
+        for label in self.simulated.labels:
             self.fault("release", label)
             self.fault("slow", label, 1)
             self.fault("restore_sensor", label)
@@ -149,33 +136,20 @@ class BoardSide:
 
     def _mute(self, name: str) -> bool:
         """Returns whether a board is stopped and has no heartbeat time: it answers nothing until a power-cycle."""
-        board = self._buses.board(name)
+        board = self.simulated.board(name)
         return board.state == State.STOPPED and not board.objects.number(0x1017, 0)
 
     def takes_part(self, name: str) -> bool:
         """Returns whether a board is operational and connected."""
-        board = self._buses.board(name)
+        board = self.simulated.board(name)
         return not board.silent and board.state == State.OPERATIONAL
 
-    def _step(self) -> None:
-        self._buses.step(self._agenda.now)
-        self._see("time")
-        self._set_timer()
-
-    def _set_timer(self) -> None:
-        due = self._buses.next_due()
-        if due < self._timer - 1e-12:
-            self._timer = due
-            self._agenda.at(due, lambda: self._ring(due))
-
-    def _ring(self, due: float) -> None:
-        if due == self._timer:
-            self._timer = float("inf")
-            self._step()
-
-    def _see(self, cause: str, commit: Commit | None = None) -> None:
+    def see(self, cause: str, belongs_to: object = None) -> None:
         """Records the changes of the outputs since the last call."""
-        coils = self._buses.coils()
+        if self._drives < 0:
+            return
+        commit = belongs_to if isinstance(belongs_to, Commit) else None
+        coils = self.simulated.coils()
         after = self._driven(coils)
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
         came, self._coils = on & ~self._coils | on & (after ^ self._drives), on

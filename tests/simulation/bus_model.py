@@ -7,13 +7,13 @@ from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import Frame, split, wire_bits
+from drivers.canopen.wire.cia301 import REMOTE, Frame, split, wire_bits
 from drivers.canopen.wire.events import Changed, Echoed, Event, Received
 from tests.simulation.agenda import Agenda
 
 MAILBOXES = 3  # of the controller; frames in them compete by identifier
 CAPACITY = 13  # frames in mailboxes and queue; Linux gives a CAN interface a queue of 10 frames
-SDO_ANSWER = 0x580
+SDO_ANSWER, HEARTBEAT, MASTER_HEARTBEAT = 0x580, 0x700, 0x77F
 RPDOS = range(0x200, 0x580, 0x100)  # function codes of RPDO 1 to 4
 TPDOS = range(0x180, 0x580, 0x100)  # function codes of TPDO 1 to 4
 
@@ -29,10 +29,16 @@ class BusModel:
     """One bus: one frame at a time, the lowest identifier first, each as long as its bits.
 
     Frames of the executor wait in a queue in front of the controller's mailboxes. Its faults are attributes that the
-    world changes, and the four methods at the end.
+    world changes, and the methods below. Boards hear each other, but no SDO answers and heartbeats of each other.
 
     Attributes:
+        bitrate: [bit/s].
         capacity: frames of the executor that may wait; a further one is refused.
+        mailboxes: number of the first of them that compete by identifier.
+        room: number of the next frames of the executor that are taken; None: as many as fit.
+        stuck: whether the executor's frames stay in the controller, which hears all others.
+        echoes: whether the executor gets its own frames back.
+        log: frames that have left; None: they are not logged.
         acknowledged: whether any node acknowledges the executor's frames; if not, they stay in the controller,
             and it hears none.
         loss: share of the frames that their receiver loses after they have left.
@@ -61,14 +67,16 @@ class BusModel:
         to_executor: Callable[[Event], None],
     ) -> None:
         self.name, self.state = name, "active"
-        self.capacity, self.acknowledged = CAPACITY, True
+        self.capacity, self.mailboxes, self.acknowledged = CAPACITY, MAILBOXES, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.mute, self.tpdos_to_lose, self.tpdo_lost_at = False, 0, 0.0
-        self._bitrate, self._agenda, self._random = bitrate, agenda, random
+        self.bitrate, self.room, self.stuck, self.echoes = bitrate, None, False, True
+        self.log: list[Frame] | None = None
+        self._agenda, self._random = agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
         self._at_rpdo: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
-        self._boards: deque[Frame] = deque()
+        self._others: deque[Frame] = deque()
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
 
     @property
@@ -80,18 +88,29 @@ class BusModel:
     def _connected(self) -> bool:
         return self.state in ("active", "passive") and self.acknowledged
 
+    @property
+    def _sends(self) -> bool:
+        return self._connected and not self.stuck
+
     def send(self, frame: Frame, belongs_to: object = None) -> str | None:
         """Takes a frame of the executor; returns why it cannot be sent, or None."""
         if self.state == "down":
             return "Network is down"
-        if len(self._queue) >= self.capacity:
+        if len(self._queue) >= self.capacity or self.room == 0:
             return "No buffer space available"
+        if self.room is not None:
+            self.room -= 1
         if split(frame.id)[0] in RPDOS:
             happen, self._at_rpdo = self._at_rpdo, lambda: None
             happen()
         self._queue.append(OnItsWay(frame, belongs_to))
-        self._begin()
+        self.begin()
         return None
+
+    def from_other(self, frame: Frame) -> None:
+        """Takes a frame of another program or an unknown board."""
+        self._others.append(frame)
+        self.begin()
 
     def from_board(self, frame: Frame) -> None:
         """Takes a frame of a board."""
@@ -102,9 +121,9 @@ class BusModel:
             self.tpdos_to_lose -= 1
             self.tpdo_lost_at = self._agenda.now
         elif self.answer_delay and function == SDO_ANSWER:
-            self._agenda.after(self._random.uniform(0.0, self.answer_delay), lambda: self._enqueue(frame))
+            self._agenda.after(self._random.uniform(0.0, self.answer_delay), lambda: self.from_other(frame))
         else:
-            self._enqueue(frame)
+            self.from_other(frame)
 
     # --- faults and their ends
 
@@ -112,9 +131,18 @@ class BusModel:
         """Calls a function once, when the executor hands out an RPDO."""
         self._at_rpdo = happen
 
+    def drop(self) -> None:
+        """Loses the frames that wait in queue and controller."""
+        self._queue.clear()
+
+    def restart(self) -> None:
+        """Restarts the controller, without its waiting frames."""
+        self.drop()
+        self._change("active", "")
+
     def go_down(self) -> None:
         """Takes the interface down: waiting frames are lost."""
-        self._queue.clear()
+        self.drop()
         self._change("down", "the interface is down")
 
     def go_off(self) -> None:
@@ -134,52 +162,64 @@ class BusModel:
         """Ends all faults of the bus."""
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
+        self.room, self.stuck, self.echoes = None, False, True
         self.mute, self.tpdos_to_lose = False, 0
         if self.state != "active":
             self._change("active", "")
-        self._begin()
+        self.begin()
 
     def _change(self, state: str, why: str) -> None:
         self.state = state
         self._to_executor(Changed(self.name, state, why, (128, 0) if state == "passive" else None))
-        self._begin()
+        self.begin()
 
     # --- the wire
 
-    def _enqueue(self, frame: Frame) -> None:
-        self._boards.append(frame)
-        self._begin()
-
-    def _begin(self) -> None:
+    def begin(self) -> None:
         """Puts the next frame on the wire if the wire is free."""
         if self._on_wire is not None:
             return
-        ours = list(self._queue)[:MAILBOXES] if self._connected else []
-        first = min(ours, key=lambda waiting: waiting.frame.id, default=None)
-        other = min(self._boards, key=lambda frame: frame.id, default=None)
-        if first is not None and (other is None or first.frame.id <= other.id):
+        ours = list(self._queue)[: self.mailboxes] if self._sends else []
+        first = min(ours, key=lambda waiting: _rank(waiting.frame), default=None)
+        other = min(self._others, key=_rank, default=None)
+        if first is not None and (other is None or _rank(first.frame) <= _rank(other)):
             self._queue.remove(first)
             self._on_wire, size = first, len(first.frame.data)
         elif other is not None:
-            self._boards.remove(other)
+            self._others.remove(other)
             self._on_wire, size = other, len(other.data)
         else:
             return
-        self._agenda.after(wire_bits(size) / self._bitrate, self._finish)
+        self._agenda.after(wire_bits(size) / self.bitrate, self._finish)
 
     def _finish(self) -> None:
         """Delivers the frame on the wire."""
         on_wire, self._on_wire = self._on_wire, None
         lost = self._random.random() < self.loss
         twice = not lost and self._random.random() < self.duplication
-        if isinstance(on_wire, OnItsWay) and not self._connected:
+        if isinstance(on_wire, OnItsWay) and not self._sends:
             if self.state != "down":
                 self._queue.appendleft(on_wire)  # it stays in the controller
         elif isinstance(on_wire, OnItsWay):
-            self._to_executor(Echoed(self.name, on_wire.frame))
+            self._note(on_wire.frame)
+            if self.echoes:
+                self._to_executor(Echoed(self.name, on_wire.frame, self._agenda.now))
             for _ in range(1 + twice):
                 self._to_boards(self.name, on_wire, lost)
-        elif on_wire is not None and self._connected and not lost:
+        elif on_wire is not None:
+            self._note(on_wire)
             for _ in range(1 + twice):
-                self._to_executor(Received(self.name, on_wire))
-        self._begin()
+                if self._connected and not lost:
+                    self._to_executor(Received(self.name, on_wire, self._agenda.now))
+                if on_wire.id == MASTER_HEARTBEAT or split(on_wire.id)[0] not in (SDO_ANSWER, HEARTBEAT):
+                    self._to_boards(self.name, OnItsWay(on_wire, None), lost)
+        self.begin()
+
+    def _note(self, frame: Frame) -> None:
+        if self.log is not None:
+            self.log.append(frame)
+
+
+def _rank(frame: Frame) -> tuple[int, bool]:
+    """Returns the place of a frame in arbitration: by identifier, data frames before remote frames."""
+    return frame.id & ~REMOTE, bool(frame.id & REMOTE)

@@ -12,15 +12,17 @@ from controller.motion.codes import Refusal
 from controller.planning.core.events import Key, refused
 from controller.planning.planner import RequestDecoder
 from controller.program import unpack
+from tests.simulation.configurations import first_touched
 
 if TYPE_CHECKING:
     from tests.simulation.daemon import Daemon
 
 ACTS = {
-    **{"goal": 30, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
-    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 3, "many goals": 0.5, "wait": 20},
+    **{"goal": 40, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
+    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 3, "many goals": 0.5, "wait": 10},
 }
 LATENCY = 0.005  # [s], longest delay of the network
+MOTION = 0.15  # [s], mean time between a motion and its obstacles
 STATES = ("contracted", "extended")
 
 
@@ -44,7 +46,8 @@ class Clients:
         self._setpoint: bytes | None = None
         self._tip: bytes | None = None
         self._streams_until = 0.0
-        self._rate = random.choice([2.0, 10.0])
+        self._rate = random.choice([2.0, 10.0, 20.0])
+        self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
         self._agenda.after(1.0, self._act)
 
     # --- the network
@@ -95,10 +98,12 @@ class Clients:
         match act:
             case "goal":
                 self.ask("goal", self.goal())
+                self._crowd_in(1)
             case "plan":
                 self.ask("plan", self.goal())
             case "jog":
                 self.ask("jog", {"actuators": self._some_states()})
+                self._crowd_in(1)
             case "cancel" | "stop" | "reset" | "arm":
                 self.ask(act)
             case "cancel goal":
@@ -112,6 +117,7 @@ class Clients:
             case "stream":
                 self._streams_until = self._agenda.now + self._random.uniform(0.1, 3.0)
                 self._stream(self._random.choice([0.01, 0.03, 0.2]))
+                self._crowd_in(3)
             case "tip":
                 self._measure()
             case "garbage":
@@ -123,6 +129,16 @@ class Clients:
                 for _ in range(20):
                     self.ask("goal", self.goal())
         self._agenda.after(self._random.expovariate(self._rate), self._act)
+
+    def _crowd_in(self, times: int) -> None:
+        """Sends obstacles soon, perhaps: they come while a motion is planned, offered, under way or replaced."""
+        random = self._random
+        for _ in range(times if random.random() < self._crowd else 0):
+            self._agenda.after(random.expovariate(1 / MOTION), self._change_obstacles)
+
+    def _change_obstacles(self) -> None:
+        if not self.calm:
+            self.ask("obstacles", {"regions": self._regions()})
 
     def goal(self) -> dict[str, Any]:
         """Returns a goal of 1 to 5 waypoints, few of which cannot be reached."""
@@ -147,17 +163,25 @@ class Clients:
     def simple_goal(self) -> dict[str, Any]:
         """Returns a goal that the arm can reach with its locked actuators."""
         self._numbers += 1
-        space, locked, states = self._daemon.space, 0, 0
-        if self._daemon.snapshot is not None:
-            locked, states = unpack(self._daemon.snapshot.locked), unpack(self._daemon.snapshot.measured)
-        fitting = [k for code, k in space.index.items() if not (code ^ states) & locked]
-        tip = space.tips[self._random.choice(fitting)]
+        tip = self._daemon.space.tips[self._random.choice(self._free())]
         return {"id": f"g{self._numbers}", "waypoints": [{"position": [float(x) for x in tip]}]}
 
+    def _free(self) -> list[int]:
+        """Returns the configurations with the present locks that touch no obstacle."""
+        locked, states, cubes = 0, 0, self._daemon.history.cubes
+        if self._daemon.snapshot is not None:
+            locked, states = unpack(self._daemon.snapshot.locked), unpack(self._daemon.snapshot.measured)
+        codes = ((code, k) for code, k in self._daemon.space.index.items() if not (code ^ states) & locked)
+        return [k for code, k in codes if first_touched(cubes, code, [code]) is None]
+
     def position(self, unreachable: float = 0.0) -> list[float]:
-        """Returns the tip of a random configuration, or a position that perhaps no configuration reaches."""
+        """Returns the tip of a random configuration, or a position that perhaps no configuration reaches.
+
+        Most tips are those of configurations with the present locks that touch no obstacle.
+        """
         tips = self._daemon.space.tips
-        tip = tips[self._random.randrange(len(tips))]
+        free = self._free() if self._random.random() < 0.7 else []
+        tip = tips[self._random.choice(free or range(len(tips)))]
         if self._random.random() < unreachable:
             tip = tip * 0.9
         return [float(x) for x in tip]

@@ -39,7 +39,6 @@ from controller.planning.core.tasks import (
     Scene,
     SceneBuilt,
     Tables,
-    TablesBuilt,
     Task,
 )
 from controller.program import pack, unpack
@@ -83,8 +82,8 @@ class ExactSearch:
                 case PlanGoal():
                     yield self._plan(task)
                 case DescribePlan():
-                    planned = self._plan(task)
-                    yield Described({"accepted": True, "id": task.goal, "switches": planned.proof.switches})
+                    planned = self._plan(task.goal)
+                    yield Described({"accepted": True, "id": task.goal.message.id, "switches": planned.proof.switches})
                 case ImprovePlan():
                     yield from self._improve(task)
                 case FollowSetpoint():
@@ -97,7 +96,7 @@ class ExactSearch:
                     cubes = cubes_of(obstacles)
                     yield SceneBuilt(Scene(generation, not cubes, cubes), len(cubes), len(cubes))
                 case BuildTables(generation, locked):
-                    yield TablesBuilt(Tables(generation, locked))
+                    yield Tables(generation, locked)
                 case _:
                     yield Done()
         except Refusal as refusal:
@@ -105,7 +104,7 @@ class ExactSearch:
 
     # --- goals
 
-    def trajectory(self, task: PlanGoal | DescribePlan) -> Trajectory:
+    def trajectory(self, task: PlanGoal) -> Trajectory:
         """Returns the trajectory of a goal, corrected by the tip bias.
 
         Raises:
@@ -130,26 +129,28 @@ class ExactSearch:
         return sets
 
     def _graph(self, tables: Tables, scene: Scene) -> Graph:
-        mask = sum(1 << k for k, state in enumerate(tables.locked) if state != 255)
-        states = sum(1 << k for k, state in enumerate(tables.locked) if state == 1)
-        return self._space.graph(mask, states, () if scene.free else scene.keep_out)
+        cubes = () if scene.free else scene.keep_out
+        return self._space.graph(locked_mask(tables), locked_states(tables), cubes)
 
-    def _start(self, start: ArmStart, graph: Graph) -> int:
+    def _start(self, start: ArmStart, graph: Graph, tables: Tables) -> int:
         """Returns the configuration to plan from.
 
         Raises:
-            Refusal: there is none, or it is in an obstacle.
+            Refusal: there is none with the locks of the tables, or it is in an obstacle.
         """
         number = self._space.index.get(unpack(start.states))
         if number is None:
+            raise Refusal(codes.INVALID_GOAL, "the arm is in no configuration")
+        if not graph.permitted[number] and (self._space.codes[number] ^ locked_states(tables)) & locked_mask(tables):
             raise Refusal(codes.INVALID_GOAL, "the arm is in no configuration")
         if not graph.permitted[number]:
             raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, "the arm collides where it stands")
         return number
 
-    def _plan(self, task: PlanGoal | DescribePlan) -> Planned:
-        trajectory, graph = self.trajectory(task), self._graph(task.tables, task.scene)
-        start, wanted = self._start(task.start, graph), self.wanted(trajectory)
+    def _plan(self, task: PlanGoal) -> Planned:
+        arm_start, tables, scene = task.basis
+        trajectory, graph = self.trajectory(task), self._graph(tables, scene)
+        start, wanted = self._start(arm_start, graph, tables), self.wanted(trajectory)
         layers = self._space.layers(graph, start, wanted)
         bound = float(layers[-1].min())
         if bound == np.inf:
@@ -157,12 +158,12 @@ class ExactSearch:
         way = self._random.choice(["cheapest", "cheapest", "greedy", "any"])
         goals = None if way == "cheapest" else self._greedy(graph, start, wanted, cheapest=way == "greedy")
         goals = goals or self._choose(graph, layers)
-        points = self._points(task.start, graph, start, goals)
-        first = self._from_commanded(task.start, points[0], task.scene)
+        points = self._points(arm_start, graph, start, goals)
+        first = self._from_commanded(arm_start, points[0], scene)
         if first is None:
             raise Refusal(codes.INVALID_GOAL, "the motion from the arm's present state would collide")
         points[0] = first
-        plan = FoundPlan(task.start, trajectory, goals, bound)
+        plan = FoundPlan(arm_start, trajectory, goals, bound)
         return Planned(trajectory, tuple(points), self._proof(graph, start, goals, bound), plan)
 
     def _choose(self, graph: Graph, layers: Sequence[Costs]) -> list[int]:
@@ -262,7 +263,8 @@ class ExactSearch:
         yield Done()
 
     def _follow(self, task: FollowSetpoint) -> Followed:
-        graph, start = self._graph(task.tables, task.scene), self._space.index.get(unpack(task.start.states))
+        arm_start, tables, scene = task.basis
+        graph, start = self._graph(tables, scene), self._space.index.get(unpack(arm_start.states))
         if start is None or not graph.permitted[start]:
             return Followed((), ", which is not possible now", False, 0.01)
         fits = self._space.near(np.array(task.position), task.tolerance)
@@ -271,8 +273,18 @@ class ExactSearch:
             return Followed((), ", which cannot be reached", False, 0.01)
         if goals == [start]:
             return Followed((), "", True, 0.01)
-        (point,) = self._points(task.start, graph, start, goals)
-        first = self._from_commanded(task.start, point, task.scene)
+        (point,) = self._points(arm_start, graph, start, goals)
+        first = self._from_commanded(arm_start, point, scene)
         if first is None:
             return Followed((), ", but the transition to it is blocked", True, 0.01)
         return Followed(first.stages, "", True, 0.01)
+
+
+def locked_mask(tables: Tables) -> int:
+    """Returns the mask of the actuators for whose locks tables were built."""
+    return sum(1 << k for k, state in enumerate(tables.locked) if state != 255)
+
+
+def locked_states(tables: Tables) -> int:
+    """Returns the states in which tables have these actuators locked."""
+    return sum(1 << k for k, state in enumerate(tables.locked) if state == 1)

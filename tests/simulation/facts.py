@@ -66,7 +66,7 @@ class Commit:
 
 
 class Switch(NamedTuple):
-    """Changed outputs. `cause` is "SYNC", another frame, "time" or "fault"."""
+    """Changed outputs. `cause` is "SYNC", another frame, "time", "fault" or "foreign START"."""
 
     mask: int
     after: int
@@ -94,6 +94,7 @@ class Step:
     """The facts of the last step of the world."""
 
     frames: list[tuple[str, Frame]] = field(default_factory=list)
+    booting: bool = False  # whether boards were booted when one of the frames was handed out
     switches: list[Switch] = field(default_factory=list)
     energised: list[Energised] = field(default_factory=list)
     accepted: list[tuple[Program, Accepted]] = field(default_factory=list)

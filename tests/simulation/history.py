@@ -20,6 +20,7 @@ from controller.planning.core.events import (
     Log,
     ObstaclesMessage,
     Payload,
+    Publish,
     PublishResult,
     Record,
     Reply,
@@ -27,13 +28,19 @@ from controller.planning.core.events import (
     ToExecutor,
 )
 from controller.planning.core.tasks import Failed
-from controller.program import Alive, Ended, Snapshot, Welcome
+from controller.program import Alive, Ended, Snapshot, Welcome, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.configurations import Cube, cubes_of
 
 if TYPE_CHECKING:
     from tests.simulation.planner_process import PlannerProcess
     from tests.simulation.record import Record as ExecutorRecord
+
+
+def _locks(snapshot: Snapshot) -> tuple[int, int]:
+    """Returns the number of the locks, and the measured states of the locked actuators, for which there are tables."""
+    return snapshot.locks, unpack(snapshot.measured) & unpack(snapshot.locked)
+
 
 BARS = ("cancel", "stop", "reset", "degrade")  # keys of requests that may begin a new epoch
 
@@ -100,6 +107,7 @@ class History:
         told: results that were published in this step.
         recorded_results: programs whose results the ledger has reported as recorded.
         sent: messages for the executor in this step.
+        unfounded: whether `state` told that the arm is ready or moves, without a connection to the executor.
         state: the last payload of `state`.
         cubes: obstacles of the last request that was carried out.
         barred_at: time of the last request or event that bars earlier requests [s].
@@ -117,6 +125,7 @@ class History:
         self.results: dict[Identity, PublishResult] = {}
         self.twice: list[Identity] = []
         self.strays: list[object] = []
+        self.unfounded = False
         self.told: list[PublishResult] = []
         self.recorded_results: set[Identity] = set()
         self.sent: list[Any] = []
@@ -227,7 +236,7 @@ class History:
                     self.epoch_at = now
                 if before is None or before.mode != snapshot.mode:
                     self.mode_at = now
-                if before is None or before.locks != snapshot.locks:
+                if before is None or _locks(before) != _locks(snapshot):
                     self.locks_at = now
                 if before is None or (before.outputs, before.moving) != (snapshot.outputs, snapshot.moving):
                     self.moved_at = now
@@ -245,6 +254,9 @@ class History:
                 self._note(("worker answers", number, answer))
             case _:
                 pass
+        for action in actions or ():
+            if isinstance(action, Publish) and action.key == "state" and self.snapshot is None:
+                self.unfounded |= action.payload["mode"] in ("ready", "executing")
 
     def flush(self) -> None:
         """Does nothing: each step is recorded at once."""
@@ -304,7 +316,7 @@ class History:
         self._dirty = True
         self._note(("published", result))
         self.counts[f"result {result.payload['status']}"] += 1
-        if result.identity in self.results:
+        if result.identity in self.results and not result.payload.get("repeated"):
             self.twice.append(result.identity)
         self.results[result.identity] = result
         self.told.append(result)

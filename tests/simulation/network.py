@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
+from pathlib import Path
 from random import Random
 
 from controller.executor.events import Client, ClientGone, FromClient
@@ -164,7 +165,7 @@ class SimulatedLink(ExecutorLink):
     """The planner's link over simulated sockets."""
 
     def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float]) -> None:
-        super().__init__(lambda: None, arm, digest, clock)  # type: ignore[arg-type, return-value]
+        super().__init__(Path(), arm, digest, clock)
         self._network = network
 
     @property

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from controller.planning.core.events import Identity
-from controller.program import Acknowledge
+from controller.program import Acknowledge, unpack
 from tests.simulation.configurations import first_touched
 from tests.simulation.invariants import require
 from tests.simulation.refusals import unfounded
 
 if TYPE_CHECKING:
     from tests.simulation.daemon import Daemon
+    from tests.simulation.facts import Commit
     from tests.simulation.world import World
 
 COUNTED = "done"  # status of a program whose switches can be compared with those on the buses
@@ -33,8 +34,13 @@ def each_request_has_one_answer(world: World, daemon: Daemon) -> None:
             require(name in history.running, f"{name} was accepted, but the executor has accepted no such program")
 
 
+def a_lost_connection_is_told(world: World, daemon: Daemon) -> None:
+    """Without a connection to the executor, `state` does not tell that the arm is ready or moves."""
+    require(not daemon.history.unfounded, "the state is ready or executing, without a connection to the executor")
+
+
 def each_goal_has_one_result(world: World, daemon: Daemon) -> None:
-    """A result is published once, and tells what the executor has told."""
+    """A result is published once, or marked as repeated, and tells what the executor has told."""
     history = daemon.history
     require(not history.twice, f"the results of {history.twice} were published twice")
     for told in history.told:
@@ -75,6 +81,11 @@ def switches_of_results_agree(world: World, daemon: Daemon) -> None:
         if switch.cause == "SYNC" and switch.commit is not None and switch.commit.running is not None:
             key = Identity(record.instance, switch.commit.running.number)
             history.bus_switches[key] += (switch.mask & ~switch.commit.locked & ~switch.commit.homing).bit_count()
+    for coils in record.step.energised:
+        # An actuator that did not follow its coil was adopted by its end-stop: the same coil comes on as a switch.
+        if coils.cause == "SYNC" and coils.commit is not None and coils.commit.running is not None:
+            key = Identity(record.instance, coils.commit.running.number)
+            history.bus_switches[key] += (coils.again & ~coils.commit.locked & ~coils.commit.homing).bit_count()
     homes = record.commit is not None and (record.commit.homing or record.commit.realigns)
     if record.running is not None and (record.suspect or (record.step.frames and homes)):
         history.disturbed.add(Identity(record.instance, record.running.number))
@@ -90,7 +101,7 @@ def certificates_are_true(world: World, daemon: Daemon) -> None:
     """No plan from where the arm really was costs less than the certificate says."""
     history, record = daemon.history, world.record
     for program, _ in record.step.accepted:
-        states = world.boards.drives() & ~record.locked | record.locked_states & record.locked
+        states = really(world) & ~record.locked | record.locked_states & record.locked
         identity, name = Identity(record.instance, program.program), program.name.split(" ", 1)[1]
         history.note_beginning(identity, name, states, record.locked)
     for told in history.told:
@@ -111,16 +122,19 @@ def no_stage_touches_a_known_obstacle(world: World, daemon: Daemon) -> None:
     core = world.executor.core
     for switch in record.step.switches:
         commit = switch.commit
-        if switch.cause != "SYNC" or commit is None or commit.homing or record.suspect or core is None:
+        # An actuator whose board has lost its supply has fallen before the executor knows.
+        doubtful = record.suspect or record.fallen
+        if switch.cause != "SYNC" or commit is None or commit.homing or doubtful or core is None:
             continue
         cubes = history.known_cubes
         if not cubes or commit.began <= history.cubes_at or daemon.unsure(record.lying) or core.ending.begun:
             continue
-        after = switch.after & ~commit.locked | commit.locked_states & commit.locked
-        before = (switch.after ^ switch.mask) & ~commit.locked | commit.locked_states & commit.locked
+        stayed = (really(world) ^ world.boards.drives()) & ~switch.mask
+        after = (switch.after ^ stayed) & ~commit.locked | commit.locked_states & commit.locked
+        before = (switch.after ^ stayed ^ switch.mask) & ~commit.locked | commit.locked_states & commit.locked
         jogs = commit.running is not None and is_jog(world, commit.running.number)
-        if jogs and before not in daemon.space.index:
-            continue  # it was not checked, and its answer says so
+        if jogs and not {before, start_of(world, commit)} <= daemon.space.index.keys():
+            continue  # a jog from no configuration is not checked, in none of its stages, and its answer says so
         touched = first_touched(cubes, before, [after])
         require(touched is None, f"a stage from {before:b} to {after:b}: {touched}")
 
@@ -167,9 +181,31 @@ def is_jog(world: World, number: int) -> bool:
     return program is not None and program.name.startswith("jog ")
 
 
+def really(world: World) -> int:
+    """Returns the ends to which the actuators are driven.
+
+    An actuator with two coils that did not follow the last one stays where it is while both are off. The executor
+    adopts it by its end-stop, so that a plan begins there.
+    """
+    drives, core = world.boards.drives(), world.executor.core
+    if core is None:
+        return drives
+    positions = world.boards.positions()
+    adopted = core.motion.kinds.paired & ~world.boards.coils() & ~(core.motion.actuation.states ^ positions)
+    return drives & ~adopted | positions & adopted
+
+
+def start_of(world: World, commit: Commit) -> int:
+    """Returns the states from which the running program of a commit was planned."""
+    assert commit.running is not None
+    start = unpack(world.record.programs[world.record.instance, commit.running.number].start)
+    return start & ~commit.locked | commit.locked_states & commit.locked
+
+
 PLANNER_INVARIANTS: tuple[Callable[[World, Daemon], None], ...] = (
     observe,
     each_request_has_one_answer,
+    a_lost_connection_is_told,
     each_goal_has_one_result,
     results_are_acknowledged_last,
     switches_of_results_agree,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 from collections.abc import Callable
@@ -10,25 +9,20 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from controller.motion.pacing import pace_of
-from controller.planning import link as link_module
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import (
     Action,
-    CancelMessage,
     Event,
     Key,
     Message,
     Quit,
-    Request,
     SetpointArrived,
     TipArrived,
-    Unsent,
 )
-from controller.planning.core.requests import CANCELED
 from controller.planning.core.tasks import Scene, Tables
+from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
-from controller.program import Cancel, Halt
 from tests.simulation.invariants import require
 from tests.simulation.network import SimulatedLink
 from tests.simulation.planner_storage import SimulatedLedger, SimulatedOut
@@ -42,7 +36,7 @@ QUIT_WITHIN = 1.5  # [s], after which the process ends without its last results
 SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of those in a row
 UNIX = 1.7e9  # [s] between the two clocks
 
-LOGS = loop_module.log, link_module.log  # silent in a simulation: defects are found by `Complaints`
+LOGS = (loop_module.log,)  # silent in a simulation: defects are found by `Complaints`
 
 
 class Killed(BaseException):
@@ -59,12 +53,16 @@ class SimulatedInbox:
     def post(self, event: Event) -> None:
         """Appends an event."""
         self.events.append(event)
+        self.wake()
+
+    def wake(self) -> None:
+        """Lets the process run soon."""
         self._process.wake_soon()
 
-    def close(self) -> None:
+    def end_wait(self) -> None:
         """Does nothing."""
 
-    def wait(self, timeout: float, link: int, sending: bool) -> bool:
+    def wait(self, timeout: float, link: ExecutorLink) -> bool:
         """Returns whether the link is ready; does not wait."""
         return self._process.link.ready
 
@@ -80,7 +78,7 @@ class KillableLoop(Loop):
 
     def due(self, retry_at: float) -> float:
         """Returns when the loop must run again without an event [s]."""
-        return min(self._wake, self._warnings_at, self._mailboxes.due, retry_at)
+        return min(self._wake, self._warnings_at, self.mailboxes.due, retry_at)
 
     @property
     def unanswered(self) -> int:
@@ -108,7 +106,6 @@ class PlannerProcess:
         self._next = math.inf  # time of the next round [s]
         self._idle_rounds, self._rang_at = 0, -math.inf
         self._actions_left: int | None = None
-        self._numbers = itertools.count(1)
         arm, storage, post = daemon.arm, daemon.storage, self.post
         self.inbox = SimulatedInbox(self)
         self.link = SimulatedLink(daemon.network, arm.settings.name, daemon.executed.digest, self._now)
@@ -116,36 +113,27 @@ class PlannerProcess:
         told, shown = daemon.history.published, daemon.history.shown
         out = SimulatedOut(self._agenda, random, storage, self._lives, post, told, shown)
         self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
-        services = Services(self.searcher, self.ledger, out, self, tuple, self._never)
+        services = Services(self.inbox, self.ledger, storage, out, self, tuple, self._never)
         locked = bytes(
             (daemon.executed.locked_states >> k & 1) if daemon.executed.locked >> k & 1 else 255
             for k in range(len(daemon.executed.actuators))
         )
-        published, owed = tuple(storage.published), storage.owed()
+        published, owed = dict(storage.published), storage.owed()
         beginning = Beginning(f"p{number}-", Tables(0, locked), Scene(0, True, ()), 0, storage.counts, published, owed)
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
-        self.loop = KillableLoop(self.core, self.inbox, self.link, services, daemon.history, clocks)  # type: ignore[arg-type]
+        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.history, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
         self.loop.ended.clear()
-        self.loop.read(SetpointArrived, daemon.clients.setpoint)
-        self.loop.read(TipArrived, daemon.clients.tip)
+        self.loop.mailboxes.set(SetpointArrived, daemon.clients.setpoint)
+        self.loop.mailboxes.set(TipArrived, daemon.clients.tip)
         self.wake_soon()
 
     # --- the gateway
 
     def request(self, key: Key, message: Message, reply: OnReply) -> int:
-        """Posts a request as `Planner.request` does; returns its number."""
-        number = next(self._numbers)
-        self.loop.request(Request(number, key, message, self._daemon.wall()), reply)
-        reason = None
-        if key == "stop":
-            reason = self.link.send_now(Halt(number))
-        elif key == "cancel" and message == CancelMessage():
-            reason = self.link.send_now(Cancel(number, None, CANCELED))
-        if reason is not None:
-            self.post(Unsent(number, reason))
-        return number
+        """Posts a request; returns its number."""
+        return self.loop.request(key, message, reply)
 
     def post(self, event: Event) -> None:
         """Posts an event of another thread."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
 
+from controller.gateway.outbox import SENT_WITHIN
 from controller.planning.core.events import (
     Accepted,
     Ended,
@@ -19,6 +20,8 @@ from controller.planning.core.events import (
     Recorded,
 )
 from tests.simulation.agenda import Agenda
+
+TRANSMITTED = 0.02  # [s] in which a put leaves the process
 
 
 @dataclass
@@ -51,10 +54,7 @@ class Storage:
         row.accepted, row.ended = row.accepted or record.accepted, row.ended or record.ended
 
     def owed(self) -> list[OpenGoal]:
-        """Returns the goals without a result; first completes the ledger by the marks, as a starting planner does."""
-        for identity, mark in self.published.items():
-            if identity in self.rows and self.rows[identity].ended is None and not self.full:
-                self.rows[identity].ended = mark
+        """Returns the goals without a result."""
         return [
             OpenGoal(identity, row.accepted.goal, row.accepted.wall, row.accepted.waypoints)
             for identity, row in self.rows.items()
@@ -146,15 +146,23 @@ class SimulatedOut:
         self._told, self.publish = told, shown
 
     def publish_result(self, result: PublishResult) -> None:
-        """Publishes a result after a while, marks it, and posts `Published`."""
+        """Marks a result after a while, puts it, and posts `Published`. A kill just after the put may lose it."""
 
-        def publish() -> None:
+        def put() -> None:
             if self._alive():
-                self._told(result)
                 payload = result.payload
                 fields = payload["status"], payload["code"], payload["message"], payload["switches"]
                 self._storage.published[result.identity] = Ended(0.0, *fields)
+                self._agenda.after(self._random.uniform(0.0, TRANSMITTED), transmit)
+                self._agenda.after(SENT_WITHIN, post)
+
+        def transmit() -> None:
+            if self._alive():
+                self._told(result)
+
+        def post() -> None:
+            if self._alive():
                 self._post(Published(result.number))
 
         slow = 0.5 if result.inherited else 0.001
-        self._agenda.after(self._random.uniform(0.0, self._random.choice([slow, slow, 0.2])), publish)
+        self._agenda.after(self._random.uniform(0.0, self._random.choice([slow, slow, 0.2])), put)

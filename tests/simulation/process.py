@@ -12,12 +12,34 @@ from controller.executor.events import Action, Client, ClientGone, Event, FromCl
 from controller.executor.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
 from controller.program import Up
+from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import BusModel
-from tests.simulation.record import Record
 
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
+
+
+class Witness:
+    """Sees what an executor takes and does; by default it sees nothing."""
+
+    def started(self) -> None:
+        """Is called after the start of a process."""
+
+    def killed(self) -> None:
+        """Is called after the end of a process."""
+
+    def told(self, event: Event) -> None:
+        """Is called before an event is handled."""
+
+    def sends(self, bus: str, frame: Frame) -> object:
+        """Is called before a frame is handed out; returns what it belongs to."""
+
+    def says(self, message: Up) -> None:
+        """Is called before a message to a client is sent."""
+
+    def logs(self, level: int, text: str) -> None:
+        """Is called with each line of the log."""
 
 
 class ExecutorProcess:
@@ -34,7 +56,7 @@ class ExecutorProcess:
         agenda: time and events.
         random: for delays.
         buses: the buses by name.
-        record: takes events and actions.
+        witness: sees events and actions.
     """
 
     def __init__(
@@ -43,14 +65,14 @@ class ExecutorProcess:
         agenda: Agenda,
         random: Random,
         buses: Mapping[str, BusModel],
-        record: Record,
+        witness: Witness,
     ) -> None:
         self.journal = MemoryJournal(len(arm.actuators))
         self.core: Executor | None = None
         self.instances = 0
         self.recorder: FlightRecorder | None = None
         self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
-        self._record = record
+        self._witness = witness
         self._to_client: Callable[[Client, Up], None] = lambda client, message: None
         self._dies: Callable[[], None] = lambda: None
         self._at_start: Callable[[], None] = lambda: None
@@ -76,7 +98,7 @@ class ExecutorProcess:
         self._next_tick = self._agenda.now
         self._ticked = False
         self._started_at = self._agenda.now
-        self._record.started()
+        self._witness.started()
         for name, bus in self._buses.items():
             self.post(Changed(name, bus.state, "", None))
         self._tick_later(self.instances)
@@ -103,7 +125,7 @@ class ExecutorProcess:
             self.core = None
             self._actions_left = None
             self._clients.clear()
-            self._record.killed()
+            self._witness.killed()
             self._dies()
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
 
@@ -178,7 +200,7 @@ class ExecutorProcess:
     def _run_now(self) -> None:
         while self._events and self.core is not None:
             event = self._events.popleft()
-            self._record.told(event)
+            self._witness.told(event)
             actions = self.core.step(event, self._agenda.now)
             if self.recorder is not None:
                 self.recorder(event, self._agenda.now, None, actions)
@@ -196,11 +218,11 @@ class ExecutorProcess:
                 return
         match action:
             case Send(bus, frame):
-                why = self._buses[bus].send(frame, self._record.sends(bus, frame))
+                why = self._buses[bus].send(frame, self._witness.sends(bus, frame))
                 if why is not None:
                     self._events.appendleft(SendFailed(bus, frame, why))
             case ToClient(client, message):
-                self._record.says(message)
+                self._witness.says(message)
                 self._to_client(client, message)
             case Log(level, text):
-                self._record.logs(level, text)
+                self._witness.logs(level, text)

@@ -16,6 +16,7 @@ from controller.program import (
     Answer,
     Begun,
     Cancel,
+    Declined,
     Ended,
     Halt,
     Hello,
@@ -34,12 +35,13 @@ from drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import RPDOS
 from tests.simulation.facts import Commit, Energised, Running, Step, Switch
+from tests.simulation.process import Witness
 
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 LATE = 1e-6  # [s], rounding error
 
 
-class Record:
+class Record(Witness):
     """The history of a world.
 
     Attributes:
@@ -63,6 +65,7 @@ class Record:
         unreached: whether the executor could not reach the board of each actuator at that time.
         stopped_at: time of the answer to a halt or cancel [s]; infinity after a later request to move.
         open_since: time when an interlock was opened [s]; infinity if all are closed.
+        declined_in_switch: whether a switch was under way when a program was declined last because the arm moved.
         unread_at: last time when the board of the interlock did not send its inputs [s].
         core: returns the executor, for its uncertain states and pulses.
     """
@@ -93,6 +96,7 @@ class Record:
         self.away, self.looked_at, self.unreached = [0.0] * count, [0.0] * count, [False] * count
         self.stopped_at, self._epoch_at_stop = math.inf, 0
         self.open_since, self.unread_at = math.inf, agenda.now
+        self.declined_in_switch = False
         self.core: Callable[[], Executor | None] = lambda: None
         self._arm, self._agenda, self._note = arm, agenda, note
         self._bus_of = [channel.bus for channel in arm.wiring.channels]
@@ -146,6 +150,8 @@ class Record:
         match message:
             case Accepted():
                 self._accept(message)
+            case Declined(cause="moved") if (core := self.core()) is not None:
+                self.declined_in_switch = core.motion.busy
             case Answer() if isinstance(self._message, Halt | Cancel):
                 self.floor += getattr(self._message, "program", None) is None
                 if self._stops:
@@ -176,6 +182,8 @@ class Record:
     def sends(self, bus: str, frame: Frame) -> Commit | None:
         """Records a frame that the executor hands out; returns the commit of a SYNC."""
         self.step.frames.append((bus, frame))
+        executor = self.core()
+        self.step.booting |= executor is None or executor._master.booting
         now = self._agenda.now
         if frame.id == cia301.SYNC:
             if self.commit is not None:

@@ -71,8 +71,9 @@ def _late(asked: Asked, world: World, daemon: Daemon, now: float, waited: float)
 
 
 def _busy(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
-    waiting = [other for other in daemon.history.open.values() if other.key in ("goal", "jog")]
-    return len(waiting) >= 16
+    """16 motions wait, or waited until the same round of the loop answered them: it handles several events."""
+    others = (*daemon.history.open.values(), *daemon.history.answered)
+    return len([other for other in others if other.key in ("goal", "jog") and other is not asked]) >= 16
 
 
 def _twice(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
@@ -81,6 +82,10 @@ def _twice(asked: Asked, world: World, daemon: Daemon, now: float, waited: float
 
 def _moved(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
     return daemon.history.moved_at >= asked.at
+
+
+def _unconfirmed(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
+    return world.record.declined_in_switch
 
 
 def _failed(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
@@ -125,7 +130,8 @@ CAUSES = (
     (r"^the executor has not answered an earlier request", _silent),
     (r"^the connection to the executor was lost", _lost),
     (r"^planning took longer", _hung),
-    (r"^the arm moved each time", _moved),
+    (r"^the arm (moved each time|has moved since the program was planned, )", _moved),
+    (r"^the boards have not confirmed the last switch yet, ", _unconfirmed),
     (r"^internal error while planning", _failed),
     (r"^the motion from the arm's present state would collide|^the arm collides where it stands", _collides),
     (r"^stamp: ", _late),

@@ -38,6 +38,7 @@ DAEMON_KINDS = {
         "searches fail": 0.8,
         "a search hangs": 0.02,
         "disk is full": 0.6,
+        "wires are loose": 8.0,
         "clock is set": 0.3,
     },
 }
@@ -184,11 +185,47 @@ class Trouble:
                 self._later(3.0, mood.mend)
             case "a search hangs":
                 mood.hangs = True
+            case "wires are loose":
+                self._at_strict_stages(self._loosen)
             case "disk is full":
                 daemon.storage.full = True
                 self._later(4.0, daemon.mend)
             case "clock is set":
                 daemon.set_clock()
+
+    def _at_strict_stages(self, happen: Callable[[], None]) -> None:
+        """Lets something happen soon after the begin of each second stage that must be clear, until the calm."""
+        turn = self._round
+
+        def consider() -> None:
+            if not self._active or turn != self._round:
+                return
+            core = self._world.executor.core
+            execution = None if core is None else core.motion.execution
+            if execution is not None and execution.strict and self._random.random() < 0.5:
+                self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
+            for bus in self._world.buses.values():
+                bus.at_next_rpdo(consider)
+
+        for bus in self._world.buses.values():
+            bus.at_next_rpdo(consider)
+
+    def _loosen(self) -> None:
+        """Cuts the wires of an extended actuator for a moment, while its board answers late.
+
+        The next stage then begins from other states than planned before the executor knows that the wires are cut.
+        """
+        world, random = self._world, self._random
+        channels, positions = world.arm.wiring.channels, world.boards.positions()
+        extended = [c for k, c in enumerate(channels) if c.input is not None and positions >> k & 1]
+        if not self._active or not extended:
+            return
+        channel = random.choice(extended)
+        bus = world.buses[channel.bus]
+        bus.answer_delay = 1.0
+        world.boards.fault("cut_wires", channel.actuator)
+        self._later(1.0, lambda: world.boards.fault("restore_sensor", channel.actuator))
+        self._later(1.0, bus.restore)
 
     def _stop_in_mid_commit(self, bus: BusModel) -> None:
         """Keeps the frames of a commit in the controller for a while, and halts the arm."""

@@ -9,10 +9,9 @@ import zenoh
 
 from controller.client import Client
 from controller.gateway import session
-from controller.planning import planner
-from controller.planning.core.events import Key, Message
-from controller.planning.loop import Receive
-from controller.planning.planner import Planner
+from controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
+from controller.planning.loop import Mailboxes, Receive
+from controller.planning.planner import RequestDecoder
 from tests.keys import certificates, openssl
 from tests.system.observer import Observer
 from tests.system.system import System
@@ -48,16 +47,15 @@ class Seen:
         self.all: list[tuple[str, bytes]] = []
         seen = self.all
 
-        class Watched(Planner):
-            def decode(self, key: Key, payload: bytes) -> Message:
-                seen.append((key, payload))
-                return super().decode(key, payload)
+        decode, set_mailbox = RequestDecoder.decode, Mailboxes.set
 
-            def read_setpoints(self, receive: Receive) -> None:
-                super().read_setpoints(watched("setpoint", receive))
+        def decoding(self: RequestDecoder, key: Key, payload: bytes) -> Message:
+            seen.append((key, payload))
+            return decode(self, key, payload)
 
-            def read_measured_tips(self, receive: Receive) -> None:
-                super().read_measured_tips(watched("measured_tip", receive))
+        def setting(self: Mailboxes, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
+            key = "setpoint" if kind is SetpointArrived else "measured_tip"
+            set_mailbox(self, kind, watched(key, receive))
 
         def watched(key: str, receive: Receive) -> Receive:
             def look() -> bytes | None:
@@ -68,7 +66,8 @@ class Seen:
 
             return look
 
-        monkeypatch.setattr(planner, "Planner", Watched)
+        monkeypatch.setattr(RequestDecoder, "decode", decoding)
+        monkeypatch.setattr(Mailboxes, "set", setting)
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:

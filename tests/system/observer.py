@@ -116,7 +116,17 @@ class Observer:
         return result
 
     def results(self, goal: str | None) -> list[Message]:
-        return [result for result in self.heard["result"] if names(result, goal)]
+        """Returns the results of a goal; one that is marked as repeated counts only if it is the first."""
+        heard = [result for result in self.heard["result"] if names(result, goal)]
+        return heard[:1] + [result for result in heard[1:] if not result.get("repeated")]
+
+    def first_results(self) -> list[Message]:
+        """Returns the results that are not marked as repeated."""
+        return [result for result in self.heard["result"] if not result.get("repeated")]
+
+    def repeats(self, goal: str) -> bool:
+        """Returns whether a result of a goal came again, and was marked as repeated."""
+        return len(self.results(goal)) < sum(names(result, goal) for result in self.heard["result"])
 
     def span(self, goal: str) -> tuple[float, float]:
         """The span from sending a goal to its result, in which alone it may move the arm [UNIX s]."""

@@ -48,7 +48,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
     lives.move("after motion", MIDDLE)
 
     # Following: a stream has no result, and the arm rests when it has ended.
-    told = len(client.heard["result"])
+    told = len(client.first_results())
     with lives.publisher().streaming():
         client.wait_now("executing", "following")
         lives.disturb(victim, number)
@@ -58,7 +58,7 @@ def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: 
     before = boards.switches().tolist()
     client.wait_now("ready")
     assert boards.switches().tolist() == before
-    assert len(client.heard["result"]) == told
+    assert len(client.first_results()) == told
     lives.move("after following", LEFT)
 
     # In a fault: the fault remains, and clears as usual.

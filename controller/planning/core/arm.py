@@ -15,8 +15,8 @@ from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.program import pack_states, unpack_states
 from controller.planning.core.events import LockMessage, Log
 from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables, TablesBuilt
-from controller.program import Diagnostics, Fault, Mode, Snapshot, Welcome
+from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables
+from controller.program import Diagnostics, Fault, Mode, Settled, Snapshot, Welcome
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Configuration, Manipulator
@@ -46,7 +46,7 @@ class ArmState:
     @cached_property
     def outputs(self) -> States:
         """The boards' outputs, as last switched, shape (A,)."""
-        return self._unpacked(self.snapshot.outputs)
+        return self.unpacked(self.snapshot.outputs)
 
     @cached_property
     def measured(self) -> Measured:
@@ -56,12 +56,12 @@ class ArmState:
     @cached_property
     def sensed(self) -> NDArray[np.bool_]:
         """Which actuators have an end-stop, shape (A,)."""
-        return self._unpacked(self.snapshot.sensed).astype(np.bool_)
+        return self.unpacked(self.snapshot.sensed).astype(np.bool_)
 
     @cached_property
     def locked(self) -> NDArray[np.bool_]:
         """Which actuators are locked, shape (A,)."""
-        return self._unpacked(self.snapshot.locked).astype(np.bool_)
+        return self.unpacked(self.snapshot.locked).astype(np.bool_)
 
     @cached_property
     def commanded(self) -> States:
@@ -91,34 +91,31 @@ class ArmState:
     def known(self) -> bool:
         """Whether each actuator's state is known or will be homed. It is not while a board is missing."""
         empty = bytes((len(self.manipulator.actuators) + 7) // 8)
-        homing = self._unpacked(self.snapshot.homing or empty).astype(np.bool_)
+        homing = self.unpacked(self.snapshot.homing or empty).astype(np.bool_)
         return bool(((self.measured >= 0) | homing).all())
 
     @cached_property
-    def configuration(self) -> Configuration | None:
-        """The configuration to plan from, shape (B,); None if the states spell none or are not known."""
-        if not self.known:
-            return None
+    def _spelled(self) -> Configuration | str | None:
+        """The configuration to plan from, or why the states spell none; None if they are not known."""
         try:
-            return self.manipulator.configuration(self.states)
-        except ValueError:
-            return None
-
-    @cached_property
-    def unknown_state(self) -> str | None:
-        """Why the arm at rest is in no configuration; None if it is in one, moves, or a board is missing."""
-        if self.snapshot.moving or not self.known:
-            return None
-        try:
-            self.manipulator.configuration(self.states)
+            return self.manipulator.configuration(self.states) if self.known else None
         except ValueError as error:
             return f"what the boards measure is no configuration: {error}"
-        return None
 
     @property
-    def locked_states(self) -> NDArray[np.int8]:
-        """The state in which each actuator is locked, shape (A,); -1 if it is free or not known."""
-        return np.where(self.locked, self.measured, -1).astype(np.int8)
+    def configuration(self) -> Configuration | None:
+        """The configuration to plan from, shape (B,); None if the states spell none or are not known."""
+        return None if isinstance(self._spelled, str) else self._spelled
+
+    @property
+    def unknown_state(self) -> str | None:
+        """Why the arm at rest is in no configuration; None if it is in one, moves, or a board is missing."""
+        return self._spelled if isinstance(self._spelled, str) and not self.snapshot.moving else None
+
+    @property
+    def locked_states(self) -> bytes:
+        """The state in which each actuator is locked, as in `Tables`; 255 if it is free or not known."""
+        return np.where(self.locked, self.measured, -1).astype(np.int8).tobytes()
 
     def pack(self, stages: States) -> list[bytes]:
         """Returns stages (k, A) packed for the executor, which sets the bits of locked actuators itself."""
@@ -126,9 +123,10 @@ class ArmState:
 
     def real(self, states: bytes) -> bytes:
         """Returns packed states of a stage with the states of locked actuators, for checks of collisions."""
-        return packed(np.where(self.locked, self.commanded, self._unpacked(states)))
+        return packed(np.where(self.locked, self.commanded, self.unpacked(states)))
 
-    def _unpacked(self, states: bytes) -> States:
+    def unpacked(self, states: bytes) -> States:
+        """Returns packed states as an array, shape (A,)."""
         return unpack_states(states, len(self.manipulator.actuators))
 
 
@@ -136,7 +134,6 @@ class RestClock:
     """When each actuator switched last, according to the snapshots.
 
     Args:
-        actuators: number of actuators.
         travel: longest time of an actuator from end-stop to end-stop [s].
     """
 
@@ -150,10 +147,13 @@ class RestClock:
             changed = before.outputs != state.outputs
             self._switched_at = np.where(changed, state.snapshot.at, self._switched_at)
 
-    def ready(self, state: ArmState, stage: States, strict: bool) -> float:
-        """Returns the earliest time of a stage (A,) [s]: the last stage has ended, and its actuators have rested."""
-        differ, ready, switched_at = state.commanded != stage, -np.inf, self._switched_at
-        if differ.any() and (self._pace.inrush is not None or strict):
+    def ready(self, state: ArmState, stage: bytes, strict: bool) -> float:
+        """Returns the earliest time of a packed stage [s]: the last one has ended, and its actuators have rested."""
+        waits, ready = self._pace.inrush is not None or strict, -np.inf
+        if not waits and not self._pace.rest > 0:
+            return ready
+        differ, switched_at = state.commanded != state.unpacked(state.real(stage)), self._switched_at
+        if differ.any() and waits:
             ready = switched_at.max() + self._travel
         if differ.any() and self._pace.rest > 0:
             ready = max(ready, switched_at[differ].max() + self._travel + self._pace.rest)
@@ -169,10 +169,6 @@ class ExecutorView:
         instance: of the latest executor; None before the first connection.
         problem: why there is no connection.
         counted: switches of all actuators when the first executor was met; None before.
-
-    Args:
-        manipulator: the whole arm.
-        travel: longest time of an actuator from end-stop to end-stop [s].
     """
 
     def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
@@ -214,6 +210,10 @@ class ExecutorView:
         """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason."""
         self._sentence, self._shown_for = sentence, ""
 
+    def measured_in(self, message: Settled) -> Measured:
+        """Returns the measured states in a message, shape (A,); -1 where they are not known."""
+        return measured_states(message.measured, message.known, len(self.manipulator.actuators))
+
     @property
     def measured(self) -> Measured:
         """Measured states, shape (A,); -1 where they are not known."""
@@ -231,6 +231,8 @@ def obstruction(state: ArmState, mode: Mode, reason: str) -> str | None:
     """Returns why no goal can be planned from a state, in the mode that users see; None if one can."""
     if state.unknown_state is not None:
         return f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
+    if state.known and state.configuration is None:
+        return f"unknown state: the arm moves to states that are no configuration ({reason}); send another `jog`"
     return f"the arm is {mode}: {reason}" if state.configuration is None else None
 
 
@@ -246,42 +248,38 @@ class Locks:
     a state.
 
     Attributes:
-        states: locked state of each actuator, 0 or 1; -1 if it is free; shape (A,).
         problem: why the tables could not be rebuilt; None if they could.
-
-    Args:
-        tables: for the arm's file.
     """
 
     def __init__(self, parts: Parts, tables: Tables) -> None:
         self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
         self._built, self._building = tables, False
-        self.states: NDArray[np.int8] = np.frombuffer(tables.locked, np.uint8).astype(np.int8)
+        self._locked = tables.locked
         self.problem: str | None = None
+
+    @property
+    def states(self) -> NDArray[np.int8]:
+        """Locked state of each actuator, 0 or 1; -1 if it is free; shape (A,)."""
+        return np.frombuffer(self._locked, np.int8)
 
     @property
     def tables(self) -> Tables | None:
         """The tables for the present locks; None while they are rebuilt."""
-        return None if self.rebuilding else self._built
-
-    @property
-    def rebuilding(self) -> bool:
-        """Whether the tables are not up to date."""
-        return self._key() != self._built.locked
+        return self._built if self._built.locked == self._locked else None
 
     def mode(self) -> tuple[Mode, str]:
         """Returns the mode as users see it: the executor's, unless the tables do not allow goals."""
         mode, reason = self._view.mode()
         if mode == "ready" and self.problem is not None:
             return "fault", self.problem
-        if mode == "ready" and self.rebuilding:
+        if mode == "ready" and self.tables is None:
             return "starting", f"the planner's tables are being rebuilt; {self.sentence()}"
         return mode, reason
 
     def update(self, state: ArmState) -> None:
         """Takes the locked actuators of a snapshot."""
-        if state.known and not state.snapshot.moving and not np.array_equal(state.locked_states, self.states):
-            self.states, self.problem = state.locked_states, None
+        if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
+            self._locked, self.problem = locked, None
             self._act(Log(logging.WARNING, self.sentence()))
         self._rebuild()
 
@@ -294,7 +292,7 @@ class Locks:
         """Returns the index of the actuator of a request; the executor decides on the rest.
 
         Raises:
-            Refusal: it is no actuator of this arm, or its module would have no state left.
+            Refusal: it is no actuator of this arm, or a lock would leave a module no state.
         """
         labels = self._view.manipulator.actuators
         if message.actuator not in labels:
@@ -302,8 +300,10 @@ class Locks:
             words = f"actuator: {message.actuator[:40]!r} is no actuator of this arm; they are {known}"
             raise Refusal(INVALID_GOAL, words)
         k, states = labels.index(message.actuator), self.states.copy()
-        states[k] = -1 if message.state is None else message.state
-        if message.state is not None and state.sensed[k] and state.measured[k] not in (-1, message.state):
+        if message.state is None:
+            return k  # also in states that are no configuration: a jog leaves them only with unlocked actuators
+        states[k] = message.state
+        if state.sensed[k] and state.measured[k] not in (-1, message.state):
             return k  # the executor refuses it, because the end-stop reads the other state
         try:
             require_states(self._view.manipulator, states)
@@ -329,21 +329,18 @@ class Locks:
         names = [f"{labels[k]} ({STATES[states[k]]})" for k in np.flatnonzero(states >= 0)]
         return f"locked: {', '.join(names)}" if names else "no actuator is locked"
 
-    def _key(self) -> bytes:
-        return self.states.astype(np.uint8).tobytes()
-
     def _rebuild(self) -> None:
         """Starts a rebuild if one is needed and none runs."""
-        if self.rebuilding and not self._building and self.problem is None:
+        if self.tables is None and not self._building and self.problem is None:
             self._building = True
-            task = BuildTables(self._built.generation + 1, self._key())
+            task = BuildTables(self._built.generation + 1, self._locked)
             self._jobs.start(task, partial(self._answered, task.locked))
 
     def _answered(self, locked: bytes, answer: Answer) -> None:
         self._building = False
-        if isinstance(answer, TablesBuilt):
-            self._built = answer.tables
-        elif isinstance(answer, Failed) and locked == self._key():
-            words = f"the tables for the locked actuators cannot be rebuilt: {answer.reason}; reset to try again"
-            self.problem = words
+        if isinstance(answer, Tables):
+            self._built = answer
+        elif isinstance(answer, Failed) and locked == self._locked:
+            reason = f"{answer.reason}; reset to try again"
+            self.problem = f"the tables for the locked actuators cannot be rebuilt: {reason}"
         self._rebuild()

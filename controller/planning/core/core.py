@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from controller import program
@@ -49,7 +50,7 @@ class Beginning(NamedTuple):
         scene: the obstacles of the arm's file.
         obstacles: their number.
         counts: switches of each actuator, of the ledger.
-        published: programs whose results were published by earlier planner processes.
+        published: results that earlier planner processes published, by program.
         owed: goals that they accepted, and whose results the ledger does not have.
     """
 
@@ -58,7 +59,7 @@ class Beginning(NamedTuple):
     scene: Scene
     obstacles: int
     counts: tuple[int, ...]
-    published: Iterable[events.Identity] = ()
+    published: Mapping[events.Identity, events.Ended] = MappingProxyType({})
     owed: Iterable[events.OpenGoal] = ()
 
 
@@ -67,11 +68,6 @@ class Core:
 
     Attributes:
         ended: whether the process may end, after a `Quit`.
-
-    Args:
-        arm: the arm.
-        pace: of its transitions.
-        beginning: what is known at the start.
     """
 
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
@@ -87,29 +83,23 @@ class Core:
         self._results = parts.results = Results(parts, beginning.published, beginning.owed)
         self._programs = parts.programs = Programs(parts, searches)
         tracker = arm.settings.tracker
-        self._tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
-        if self._tip_bias is not None:
-            parts.bias = self._tip_bias.bias
+        parts.tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
         self._goals, self._queries = Goals(parts, searches), Queries(parts)
         self._requests = ExecutorRequests(parts, self._goals)
         self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts)
-        self._status = Status(parts, self._stream, self._tip_bias, self._waiting)
-        self._changed, self._report_at = True, 0.0
-        self._alive_at = 0.0  # time of the next keep-alive [s]
+        self._status = Status(parts, self._stream, self._goals, self._queries)
+        self._report_at = self._alive_at = 0.0  # times of the next report and keep-alive [s]
         self._most_silent = round(2.0 * arm.settings.planner_timeout / program.ALIVE_EVERY)
         self._silent = 0  # keep-alives since the executor's last message
         self._quit_at: float | None = None
 
     def step(self, event: events.Event, now: float, wall: float) -> list[events.Action]:
-        """Handles an event.
+        """Handles an event; returns the actions, in order.
 
         Args:
             event: of a client, the executor, a worker or the shell.
             now: CLOCK_MONOTONIC, or any clock that never goes back [s].
             wall: UNIX time [s].
-
-        Returns:
-            The actions, in order.
         """
         self._moment.now, self._moment.wall = now, wall
         self._handle(event)
@@ -117,19 +107,15 @@ class Core:
         self._programs.check()
         self._goals.advance()
         self._queries.advance()
-        self._stream.consider(now)
+        self._stream.consider()
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
         self._close()
-        if self._actions and not isinstance(
-            event, events.Tick
-        ):  # urgent actions, and their worker, come before reports
-            self._report_at = now + CALM
+        if self._actions and not isinstance(event, events.Tick):
+            self._report_at = now + CALM  # urgent actions, and their worker, come before reports
         if now >= self._report_at:
-            self._status.report(now, wall, self._changed)
-            self._changed = False
-        report_at = max(self._report_at, now if self._changed else self._status.due(now))
-        due = min(self._alive_at, self._goals.due, self._stream.due(now), report_at)
+            self._status.report()
+        due = min(self._alive_at, self._goals.due, self._stream.due, max(self._report_at, self._status.due))
         if self._quit_at is not None:
             due = math.inf if self.ended else min(due, self._quit_at)
         self._act(events.Wake(due))
@@ -137,8 +123,7 @@ class Core:
         return actions
 
     def _handle(self, event: events.Event) -> None:
-        moment = self._moment
-        self._changed |= not isinstance(event, events.Tick | events.TipArrived | events.SetpointArrived)
+        self._status.changed |= not isinstance(event, events.Tick | events.Arrived)
         match event:
             case events.FromExecutor(message):
                 self._silent = 0
@@ -148,10 +133,10 @@ class Core:
             case events.Answered(number, answer, last):
                 self._jobs.answered(number, answer, last)
             case events.SetpointArrived(payload):
-                self._stream.take(payload, self._admission.arrive(), moment.now, moment.wall)
+                self._stream.take(payload, self._admission.arrive())
             case events.TipArrived(payload):
-                if self._tip_bias is not None:
-                    self._tip_bias.take(payload, moment.now, moment.wall)
+                if self._parts.tip_bias is not None:
+                    self._parts.tip_bias.take(payload)
             case events.Published(number):
                 self._results.published(number)
             case events.Recorded(entry):
@@ -173,26 +158,23 @@ class Core:
     def _answer(self, request: events.Request) -> None:
         """Takes a request; what fails is answered, and does not end the process."""
         try:
-            self._take(request)
+            match request.key:
+                case "goal" | "jog":
+                    self._goals.submit(request, self._admission.arrive())
+                case "plan":
+                    self._queries.submit(request)
+                case "obstacles":
+                    assert isinstance(request.message, events.ObstaclesMessage)
+                    if self._obstacles.change(request.number, request.message):
+                        self._programs.park(self._obstacles.generation)
+                        self._stream.park()
+                case "arm":
+                    self._act(events.Reply(request.number, self._live()))
+                case _:
+                    self._requests.take(request)
         except Exception:
             self._act(events.Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
             self._act(events.Reply(request.number, events.refused(INVALID_GOAL, "internal error, see the journal")))
-
-    def _take(self, request: events.Request) -> None:
-        match request.key:
-            case "goal" | "jog":
-                self._goals.submit(request, self._admission.arrive())
-            case "plan":
-                self._queries.submit(request)
-            case "obstacles":
-                assert isinstance(request.message, events.ObstaclesMessage)
-                if self._obstacles.change(request.number, request.message):
-                    self._programs.park(self._obstacles.generation)
-                    self._stream.park(self._moment.now)
-            case "arm":
-                self._act(events.Reply(request.number, self._live()))
-            case _:
-                self._requests.take(request)
 
     def _live(self) -> events.Payload:
         """Returns the fields of the arm's description that change."""
@@ -215,14 +197,8 @@ class Core:
                 self._goals.accepted(message)
             case program.Declined():
                 self._goals.declined(message)
-            case program.Begun():
-                self._programs.begun(message)
-            case program.Replaced():
-                self._programs.replaced(message)
-            case program.Settled():
-                self._programs.settled(message)
-            case program.Ended():
-                self._programs.ended(message)
+            case program.Begun() | program.Replaced() | program.Settled() | program.Ended():
+                self._programs.hear(message)
             case program.Answer():
                 self._requests.answered(message)
             case program.Question():
@@ -237,7 +213,7 @@ class Core:
 
     def _welcome(self, message: program.Welcome) -> None:
         self._view.welcome(message, self._counts)
-        self._parts.numbers.at_least(message.program)
+        self._parts.last_number = max(self._parts.last_number, message.program)
         self._act(events.ToExecutor(program.Counts(self._counts)))
         self._results.met(message.instance)
         self._silent, self._alive_at = 0, self._moment.now
@@ -279,7 +255,7 @@ class Core:
         self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
         self._goals.closing = True
         self._queries.close()
-        self._stream.park(self._moment.now)
+        self._stream.park()
         if (running := self._programs.current) is not None:
             self._programs.end(running, Outcome("aborted", PATH_TOLERANCE_VIOLATED, events.CLOSING))
 
@@ -288,13 +264,8 @@ class Core:
         if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
             if not self.ended:
                 self._obstacles.answer([], at_once=True)
-                self._act(events.Publish("state", self._status.state(self._moment.now, self._moment.wall)))
+                self._act(events.Publish("state", self._status.state()))
             self.ended = True
-
-    # ---
 
     def _act(self, action: events.Action) -> None:
         self._actions.append(action)
-
-    def _waiting(self) -> int:
-        return self._goals.waiting + self._queries.waiting

@@ -28,12 +28,7 @@ class LockMessage(NamedTuple):
 
 
 class ObstaclesMessage(NamedTuple):
-    """The payload of `obstacles`.
-
-    Attributes:
-        obstacles: `controller.obstacles.obstacles.Obstacles`; the core compares and passes it on.
-        regions: as they came, for the description of the arm.
-    """
+    """The payload of `obstacles`: decoded for the workers, and as it came for the description of the arm."""
 
     obstacles: Any
     regions: list[Any]
@@ -79,6 +74,9 @@ class TipArrived(NamedTuple):
     payload: bytes
 
 
+Arrived = SetpointArrived | TipArrived
+
+
 class FromExecutor(NamedTuple):
     """A message of the executor. `Welcome` is the first one of a connection."""
 
@@ -100,7 +98,7 @@ class Answered(NamedTuple):
 
 
 class Published(NamedTuple):
-    """A result was published, and noted as published; `result` is the number of its action."""
+    """A result was published and has left the process; `result` is the number of its action."""
 
     result: int
 
@@ -125,20 +123,7 @@ class Quit(NamedTuple):
     """The process is asked to end."""
 
 
-Event = (
-    Request
-    | Unsent
-    | SetpointArrived
-    | TipArrived
-    | FromExecutor
-    | LinkDown
-    | Answered
-    | Published
-    | Recorded
-    | Warned
-    | Tick
-    | Quit
-)
+Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
 
 
 class Reply(NamedTuple):
@@ -163,12 +148,7 @@ class Identity(NamedTuple):
 
 
 class OpenGoal(NamedTuple):
-    """An accepted goal without a result.
-
-    Attributes:
-        goal: its id.
-        wall: time of the acceptance [UNIX s].
-    """
+    """An accepted goal without a result; `goal` is its id, `wall` the time of the acceptance [UNIX s]."""
 
     identity: Identity
     goal: str
@@ -177,11 +157,9 @@ class OpenGoal(NamedTuple):
 
 
 class PublishResult(NamedTuple):
-    """A result. The shell publishes it, notes durably that it did, and then posts `Published`.
+    """A result. The shell publishes it, notes durably that it did, and then posts `Published` with this number.
 
-    Attributes:
-        number: of this action.
-        inherited: whether an earlier planner process accepted the goal; clients must first find this process.
+    If an earlier planner process accepted the goal, the result is `inherited`: clients must first find this process.
     """
 
     number: int
@@ -209,13 +187,9 @@ class Ended(NamedTuple):
 
 
 class Record(NamedTuple):
-    """An entry for the ledger. The shell posts `Recorded` when it is written, or cannot be written.
+    """An entry for the ledger. The shell posts `Recorded` with its number when it is written, or cannot be written.
 
-    Attributes:
-        entry: number of this action.
-        identity: of the program.
-        accepted: the acceptance. With `ended` too, the goal may not be in the ledger yet.
-        ended: the result.
+    With both `accepted` and `ended`, the goal may not be in the ledger yet.
     """
 
     entry: int
@@ -281,22 +255,10 @@ class Fail(NamedTuple):
     reason: str
 
 
-Action = (
-    Reply
-    | Publish
-    | PublishResult
-    | Record
-    | RecordCounts
-    | ToExecutor
-    | Start
-    | Abandon
-    | Disconnect
-    | Wake
-    | Notify
-    | Log
-    | Fail
-)
-
+ForClients = Reply | Publish | PublishResult
+ForLedger = Record | RecordCounts
+ForWorkers = Start | Abandon
+Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
 CLOSING = "the daemon is shutting down; the arm holds"
 

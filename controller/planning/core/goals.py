@@ -6,21 +6,16 @@ import logging
 import math
 import traceback
 from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage
 from controller.planning.core import tasks
 from controller.planning.core.arm import ArmState, no_motion, obstruction, packed
 from controller.planning.core.events import CLOSING, Log, Reply, Request, refused
-from controller.planning.core.offers import Offer, goal_program, jog_program, jog_stages
+from controller.planning.core.offers import Motion, goal_program, jog_program, jog_stages
 from controller.planning.core.parts import BARRED, Parts, Ticket
 from controller.program import Accepted, Declined
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 MOST_WAITING, MOST_TRIES = 16, 10  # requests; plans, and programs sent, of one goal while the arm moves
 PATIENCE = 2.0  # [s] for the executor's answer; it answers within milliseconds
@@ -42,7 +37,7 @@ class Preparation:
     def __init__(self, parts: Parts, prepares: bool) -> None:
         self._parts, self._prepares = parts, prepares
         self._job: int | None = None
-        self._prepared: object = None  # start, scene and tables for which the next search is prepared
+        self._prepared: tasks.Basis | None = None  # for which the next search is prepared
         self._last: GoalMessage | None = None
         self._idle_since, self._rehearse_until = 0.0, -math.inf  # [s]
 
@@ -61,52 +56,23 @@ class Preparation:
     def advance(self) -> float:
         """Prepares or rehearses, if it is time; returns when to call again while no request waits [s]."""
         parts, now = self._parts, self._parts.moment.now
-        state, scene, tables = parts.view.state, parts.obstacles.scene, parts.locks.tables
         if not self._prepares or self._job is not None:
             return math.inf
         if now < self._idle_since + IDLE:
             return self._idle_since + IDLE
-        if state is None or scene is None or tables is None or state.configuration is None or parts.programs.improving:
+        state = parts.view.state
+        ready = state is not None and state.configuration is not None and not parts.programs.improving
+        if not ready or (basis := parts.basis()) is None:
             return math.inf
-        start = state.start, scene.generation, tables.generation
-        rehearsal = self._last if now < self._rehearse_until and scene.free else None
-        if start != self._prepared or rehearsal is not None:
-            self._prepared = start
-            self._job = parts.jobs.start(tasks.PrepareSearch(state.start, tables, scene, rehearsal), self._answered)
+        rehearsal = self._last if now < self._rehearse_until and basis.scene.free else None
+        if basis != self._prepared or rehearsal is not None:
+            self._prepared = basis
+            self._job = parts.jobs.start(tasks.PrepareSearch(basis, rehearsal), self._answered)
         return math.inf
 
     def _answered(self, answer: tasks.Answer) -> None:
         self._job = None
         self._idle_since = self._parts.moment.now + REHEARSE_EVERY - IDLE
-
-
-@dataclass(eq=False)
-class Motion:
-    """A goal or jog that has not begun.
-
-    Attributes:
-        wanted: goal, or new states of single actuators by index.
-        received: time of arrival [UNIX s].
-        since: when the present wait began [s].
-        job: number of the task that plans or checks it; None: no task.
-        basis: what the plan holds for.
-        planned: the plan of a goal, or the stages (k, A) of a jog; None: there is none for the present start.
-        program: number of its program, if that waits for the executor's answer.
-        waits: the snapshot after which it is offered again; None: it does not wait for one.
-    """
-
-    request: int
-    ticket: Ticket
-    wanted: GoalMessage | dict[int, int]
-    id: str
-    received: float
-    since: float
-    tries: int = 0
-    job: int | None = None
-    basis: tuple[tasks.ArmStart, tasks.Scene, tasks.Tables] | None = None
-    planned: tasks.Planned | NDArray[np.uint8] | None = None
-    program: int | None = None
-    waits: ArmState | None = None
 
 
 class Goals:
@@ -136,10 +102,10 @@ class Goals:
 
     def submit(self, request: Request, ticket: Ticket) -> None:
         """Queues a goal or jog, or refuses it at once."""
-        wanted, moment, name = request.message, self._moment, f"{self._parts.name}{request.number:x}"
+        wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | dict)
         name = f"jog-{name}" if isinstance(wanted, dict) else wanted.id or name
-        motion = Motion(request.number, ticket, wanted, name, request.wall, moment.now)
+        motion = Motion(request.number, ticket, wanted, name, request.wall, self._moment.now)
         if self.closing:
             self._refuse(motion, Refusal(INVALID_GOAL, CLOSING))
         elif len(self._waiting) >= MOST_WAITING:
@@ -194,9 +160,11 @@ class Goals:
         if motion is None or motion.program != message.program:
             return
         motion.program = None
-        if message.cause == "moved":
+        if message.cause == "moved" and motion.tries < MOST_TRIES:
             motion.planned = None
             motion.waits, motion.since = self._view.state, self._moment.now
+        elif message.cause == "moved":
+            self._end(motion, Refusal(INVALID_GOAL, f"{message.reason}, {MOST_TRIES} times in a row; send it again"))
         else:
             self._end(motion, Refusal(INVALID_GOAL, BARRED if message.cause == "epoch" else message.reason))
 
@@ -243,17 +211,18 @@ class Goals:
             raise no_motion(mode, f"{reason}; the locked actuators are changing, send it again")
         if scene is None:
             return
-        if motion.planned is not None and motion.basis == (state.start, scene, tables):
-            self._offer(motion, state, scene)
+        basis = tasks.Basis(state.start, tables, scene)
+        if motion.planned is not None and motion.basis == basis:
+            self._offer(motion, state, basis)
         else:
-            self._plan(motion, state, scene, tables)
+            self._plan(motion, state, basis)
 
     def _waits(self, motion: Motion, longest: float) -> bool:
         """Returns whether a request may wait longer; if so, notes until when [s]."""
         self.due = motion.since + longest
         return self._moment.now < self.due
 
-    def _plan(self, motion: Motion, state: ArmState, scene: tasks.Scene, tables: tasks.Tables) -> None:
+    def _plan(self, motion: Motion, state: ArmState, basis: tasks.Basis) -> None:
         """Starts to plan a request from the arm's present state.
 
         Raises:
@@ -262,29 +231,26 @@ class Goals:
         motion.tries += 1
         if motion.tries > MOST_TRIES:
             raise Refusal(INVALID_GOAL, "the arm moved each time before the goal could begin; send it again")
-        motion.basis, motion.planned = (state.start, scene, tables), None
+        motion.basis, motion.planned = basis, None
         if isinstance(motion.wanted, dict):
-            self._plan_jog(motion, motion.wanted, state, scene)
+            self._plan_jog(motion, motion.wanted, state, basis)
             return
         if (words := obstruction(state, *self._locks.mode())) is not None:
             raise Refusal(INVALID_GOAL, words)
         motion.since = self._moment.now
-        task = tasks.PlanGoal(motion.wanted, motion.received, state.start, self._parts.correction(), tables, scene)
-        motion.job = self._parts.jobs.start(task, self._answered)
+        task = tasks.PlanGoal(motion.wanted, motion.received, self._parts.correction(), basis)
+        motion.job = self._parts.jobs.start(task, partial(self._answered, motion))
 
-    def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, scene: tasks.Scene) -> None:
+    def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, basis: tasks.Basis) -> None:
         motion.planned, motion.since = jog_stages(state, wanted, self._parts.pace), self._moment.now
-        if scene.free or state.unknown_state is not None or state.configuration is None:
-            self._offer(motion, state, scene)
+        if basis.scene.free or state.unknown_state is not None or state.configuration is None:
+            self._offer(motion, state, basis)
             return
-        task = tasks.CheckStages(scene, state.start.commanded, tuple(map(packed, motion.planned)))
-        motion.job = self._parts.jobs.start(task, self._answered)
+        task = tasks.CheckStages(basis.scene, basis.start.commanded, tuple(map(packed, motion.planned)))
+        motion.job = self._parts.jobs.start(task, partial(self._answered, motion))
 
-    def _answered(self, answer: tasks.Answer) -> None:
+    def _answered(self, motion: Motion, answer: tasks.Answer) -> None:
         """Takes the plan of a goal, or the check of a jog."""
-        motion = self._current
-        if motion is None or motion.job is None:
-            return
         motion.job = None
         match answer:
             case tasks.Planned():
@@ -292,34 +258,29 @@ class Goals:
             case tasks.Checked(None):
                 pass
             case tasks.Checked(collision):
-                self._end(
-                    motion, Refusal(INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
-                )
-            case tasks.Refused(code, reason):
-                self._end(motion, Refusal(code, reason))
+                words = f"the motion from the arm's present state would collide: {collision}"
+                self._end(motion, Refusal(INVALID_GOAL, words))
             case _:
-                self._end(motion, Refusal(INVALID_GOAL, "internal error while planning, see the journal"))
+                self._end(motion, tasks.refusal_of(answer))
 
     # --- the program and the answer
 
-    def _offer(self, motion: Motion, state: ArmState, scene: tasks.Scene) -> None:
+    def _offer(self, motion: Motion, state: ArmState, basis: tasks.Basis) -> None:
         """Sends the program of a planned request.
 
         Raises:
             Refusal: the goal is late, or a goal of its id is running.
         """
-        planned, running = motion.planned, self._programs.current
-        if isinstance(planned, tasks.Planned) and running is not None and running.report.id == motion.id:
-            words = f"id: goal {motion.id} is running already; a goal that replaces it needs another id"
-            raise Refusal(INVALID_GOAL, words)
-        request = Offer(motion.request, motion.ticket, motion.id, state, scene)
+        planned, wanted, running = motion.planned, motion.wanted, self._programs.current
         if isinstance(planned, tasks.Planned):
-            program = goal_program(self._parts, request, planned)
-            program.tables = None if motion.basis is None else motion.basis[2]
+            if running is not None and running.report.id == motion.id:
+                words = f"id: goal {motion.id} is running already; a goal that replaces it needs another id"
+                raise Refusal(INVALID_GOAL, words)
+            program = goal_program(self._parts, motion, planned, state, basis)
         else:
             assert planned is not None
-            assert isinstance(motion.wanted, dict)
-            program = jog_program(self._parts, request, motion.wanted, planned)
+            assert isinstance(wanted, dict)
+            program = jog_program(self._parts, motion, wanted, planned, state, basis)
         motion.program, motion.since = program.program.program, self._moment.now
         self._programs.offer(program)
 

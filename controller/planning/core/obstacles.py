@@ -9,17 +9,10 @@ from typing import Any
 import numpy as np
 
 from controller.motion.codes import INVALID_GOAL
+from controller.planning.core import tasks
 from controller.planning.core.events import CLOSING, ObstaclesMessage, Reply, ToExecutor, done, refused
 from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import (
-    Answer,
-    BuildScene,
-    Checked,
-    CheckStages,
-    CheckStanding,
-    Scene,
-    SceneBuilt,
-)
+from controller.planning.core.tasks import Answer, Checked, Scene, SceneBuilt
 from controller.program import Clearance, Question
 
 LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight
@@ -35,7 +28,6 @@ class Change:
     """
 
     request: int
-    generation: int
     at: float
     effects: list[str] = field(default_factory=list)
 
@@ -48,40 +40,42 @@ class ObstacleOwner:
 
     Attributes:
         generation: grows with each change.
-        scene: of this generation; None while it is built.
-        regions: the obstacles that were sent, as they came.
         standing: with what the arm collides where it stands, in words; None: with nothing.
-
-    Args:
-        scene: of the arm's file.
-        total: number of obstacles in it.
     """
 
     def __init__(self, parts: Parts, scene: Scene, total: int) -> None:
-        self.generation, self.regions = scene.generation, list[Any]()
-        self.scene: Scene | None = scene
+        self.generation = scene.generation
         self.standing: str | None = None
         self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
-        self._sent: Any = None  # the obstacles of the last request
-        self._built, self._counts = scene, (total, 0)
-        self._built_of: tuple[Any, list[Any]] = (None, [])  # what the built scene was sent as, and as it came
+        self._sent: ObstaclesMessage | None = None  # the obstacles of this generation
+        self._built = SceneBuilt(scene, total, 0)  # the last scene
+        self._built_of: ObstaclesMessage | None = None  # its message
         self._changes: list[Change] = []
         self._questions: list[Question] = []
         self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
         self._standing_job: int | None = None
 
+    @property
+    def scene(self) -> Scene | None:
+        """The scene of this generation; None while it is built."""
+        return self._built.scene if self._built.scene.generation == self.generation else None
+
+    @property
+    def regions(self) -> list[Any]:
+        """The obstacles that were sent, as they came."""
+        return [] if self._sent is None else self._sent.regions
+
     # --- requests
 
     def change(self, request: int, message: ObstaclesMessage) -> bool:
         """Takes other obstacles; returns whether they differ from the present ones."""
-        self._changes.append(Change(request, self.generation, self._moment.now))
-        empty = self._sent is None and not len(message.obstacles)
-        if empty or (self._sent is not None and same_content(self._sent, message.obstacles)):
+        self._changes.append(Change(request, self._moment.now))
+        before, obstacles = self._sent, message.obstacles
+        if not len(obstacles) if before is None else same_content(before.obstacles, obstacles):
             return False
         self.generation += 1
-        self._changes[-1].generation = self.generation
-        self._sent, self.regions, self.scene = message.obstacles, message.regions, None
-        task = BuildScene(self.generation, message.obstacles)
+        self._sent = message
+        task = tasks.BuildScene(self.generation, obstacles)
         self._jobs.start(task, partial(self._scene_answered, self.generation))
         return True
 
@@ -98,7 +92,7 @@ class ObstacleOwner:
             checked = not unchecked and self._standing_job is None
             if checked or at_once or self._moment.now > change.at + LONGEST:
                 self._changes.remove(change)
-                total, sent = self._counts
+                _, total, sent = self._built
                 said = f"{total} {'obstacle' if total == 1 else 'obstacles'}, {sent} of them sent"
                 standing = [] if self.standing is None else [f"{self.standing} where the arm stands"]
                 later = [f"goal {goal} is still being checked, no stage begins before" for goal in unchecked]
@@ -108,12 +102,11 @@ class ObstacleOwner:
         if generation != self.generation:
             return
         if isinstance(answer, SceneBuilt):
-            self.scene = self._built = answer.scene
-            self._counts, self._built_of = (answer.total, answer.sent), (self._sent, self.regions)
+            self._built, self._built_of = answer, self._sent
         else:  # the obstacles before stay in force, as a new generation, because what is in flight was parked
             self.generation += 1
-            self.scene = self._built = self._built._replace(generation=self.generation)
-            self._sent, self.regions = self._built_of
+            self._built = self._built._replace(scene=self._built.scene._replace(generation=self.generation))
+            self._sent = self._built_of
             self._refuse("the obstacles cannot be checked, see the journal; those before stay in force")
         questions, self._questions = self._questions, []
         for question in questions:
@@ -135,14 +128,14 @@ class ObstacleOwner:
         elif scene.free:
             self._act(ToExecutor(Clearance(question.question, None)))
         else:
-            task = CheckStages(scene, question.start, (question.stage,))
+            task = tasks.CheckStages(scene, question.start, (question.stage,))
             self._jobs.start(task, partial(self._question_answered, question, scene.generation))
 
     def _question_answered(self, question: Question, generation: int, answer: Answer) -> None:
         if generation != self.generation:
             self.ask(question)
             return
-        touched = answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
+        touched = tasks.collision_of(answer)
         self._act(ToExecutor(Clearance(question.question, None if touched is None else touched[:1_000])))
 
     # --- where the arm stands
@@ -159,7 +152,8 @@ class ObstacleOwner:
         if scene.free or not bool((state.measured >= 0).all()):
             self.standing = None
             return
-        self._standing_job = self._jobs.start(CheckStanding(scene, state.snapshot.measured), self._standing_answered)
+        task = tasks.CheckStanding(scene, state.snapshot.measured)
+        self._standing_job = self._jobs.start(task, self._standing_answered)
 
     def _standing_answered(self, answer: Answer) -> None:
         self._standing_job = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -9,32 +10,52 @@ import numpy as np
 from controller.manipulator.locked import STATES
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.feed import Feed, PlannedPoint, Proof, Route
-from controller.motion.program import delay_of, in_groups, unpack_states
+from controller.motion.program import delay_of, in_groups
 from controller.planning.core.arm import ArmState, States, packed
 from controller.planning.core.events import done
 from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.programs import InFlight
 from controller.planning.core.reports import GoalReport, JogReport, Report
-from controller.planning.core.tasks import Planned, Scene
+from controller.planning.core.tasks import Basis, Planned
 from controller.program import Program
 
 if TYPE_CHECKING:
+    from controller.motion.goal import GoalMessage
     from controller.motion.pacing import Pace
 
 UNCHECKED = "; collisions were not checked, because the arm is in no configuration"
 
 
-class Offer(NamedTuple):
-    """A request that is planned and may be sent now."""
+@dataclass(eq=False)
+class Motion:
+    """A goal or jog that has not begun.
+
+    Attributes:
+        wanted: goal, or new states of single actuators by index.
+        received: time of arrival [UNIX s].
+        since: when the present wait began [s].
+        job: number of the task that plans or checks it; None: no task.
+        basis: what the plan holds for.
+        planned: the plan of a goal, or the stages (k, A) of a jog; None: there is none for the present basis.
+        program: number of its program, if that waits for the executor's answer.
+        waits: the snapshot after which it is offered again; None: it does not wait for one.
+    """
 
     request: int
     ticket: Ticket
+    wanted: GoalMessage | dict[int, int]
     id: str
-    state: ArmState
-    scene: Scene
+    received: float
+    since: float
+    tries: int = 0
+    job: int | None = None
+    basis: Basis | None = None
+    planned: Planned | States | None = None
+    program: int | None = None
+    waits: ArmState | None = None
 
 
-class Made(NamedTuple):
+class Draft(NamedTuple):
     """What a program is made from.
 
     Attributes:
@@ -54,13 +75,13 @@ class Made(NamedTuple):
     homed: bytes = b""
 
 
-def goal_program(parts: Parts, offer: Offer, planned: Planned) -> InFlight:
-    """Returns the program of a planned goal.
+def goal_program(parts: Parts, motion: Motion, planned: Planned, state: ArmState, basis: Basis) -> InFlight:
+    """Returns the program of a planned goal, given the present state and basis.
 
     Raises:
         Refusal: the trajectory has ended before it was planned.
     """
-    trajectory, moment, state = planned.trajectory, parts.moment, offer.state
+    trajectory, moment, strict = planned.trajectory, parts.moment, not basis.scene.free
     late = 0.0 if trajectory.stamp is None else moment.wall - trajectory.stamp - float(trajectory.times[-1])
     if late > 0:
         raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it was planned")
@@ -68,30 +89,24 @@ def goal_program(parts: Parts, offer: Offer, planned: Planned) -> InFlight:
     if trajectory.stamp is not None:
         begin = trajectory.stamp + moment.now - moment.wall
     else:
-        stage = unpack_states(state.real(first[0]), len(state.outputs))
-        waits = max(parts.view.rest.ready(state, stage, not offer.scene.free) - moment.now, 0.0)
+        waits = max(parts.view.rest.ready(state, first[0], strict) - moment.now, 0.0)
         delay = delay_of(trajectory, parts.pace.lead * len(first) + waits)
     between = np.ones(len(planned.points), np.bool_)
     between[trajectory.waypoints] = False
     times = trajectory.times.tolist()
     route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), parts.pace.lead, delay)
-    report = GoalReport(parts.view.manipulator, offer.id, trajectory)
+    report = GoalReport(parts.view.manipulator, motion.id, trajectory)
     waypoints, switches = len(trajectory.waypoints), planned.proof.switches
     points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
     words = f"accepted, {points}, {switches} {'switch' if switches == 1 else 'switches'} planned"
-    made = Made(route, report, f"goal {offer.id}", words, not offer.scene.free, begin, planned.proof)
-    program = _in_flight(parts, offer, made)
-    program.plan, program.delay = planned.plan, delay
+    draft = Draft(route, report, f"goal {motion.id}", words, strict, begin, planned.proof)
+    program = _in_flight(parts, motion, draft, basis)
+    program.plan, program.tables, program.delay = planned.plan, basis.tables, delay
     return program
 
 
 def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
-    """Returns the stages (k, A) that switch single actuators.
-
-    Args:
-        state: of the arm.
-        wanted: new state of each actuator, by index.
-        pace: of the arm's transitions.
+    """Returns the stages (k, A) that switch single actuators, given by index, to new states.
 
     Raises:
         Refusal: an actuator is locked.
@@ -105,39 +120,31 @@ def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
     return in_groups(state.commanded, target, pace.inrush or len(labels))
 
 
-def jog_program(parts: Parts, offer: Offer, wanted: dict[int, int], stages: States) -> InFlight:
-    """Returns the program that switches single actuators in stages (k, A)."""
-    state, labels, lead = offer.state, offer.state.manipulator.actuators, parts.pace.lead
+def jog_program(
+    parts: Parts, motion: Motion, wanted: dict[int, int], stages: States, state: ArmState, basis: Basis
+) -> InFlight:
+    """Returns the program that switches single actuators in stages (k, A), given the present state and basis."""
+    labels, lead = state.manipulator.actuators, parts.pace.lead
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
     route = Route(state.snapshot.outputs, (point,), (lead * len(point.stages),), (False,), lead, 0.0)
     known = state.unknown_state is None and state.configuration is not None
-    unchecked = UNCHECKED if not known and not offer.scene.free else ""
+    unchecked = UNCHECKED if not known and not basis.scene.free else ""
     switches = np.count_nonzero(state.commanded != stages[-1])
     named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
     words = f"accepted, {switches} switches: {named}{unchecked}"[:1_000]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
-    strict, name = known and not offer.scene.free, f"jog {offer.id}"
-    program = _in_flight(parts, offer, Made(route, JogReport(offer.id, wanted), name, words, strict, homed=homed))
+    report, strict = JogReport(motion.id, wanted), known and not basis.scene.free
+    program = _in_flight(parts, motion, Draft(route, report, f"jog {motion.id}", words, strict, homed=homed), basis)
     program.unchecked = not known
     return program
 
 
-def _in_flight(parts: Parts, offer: Offer, made: Made) -> InFlight:
+def _in_flight(parts: Parts, motion: Motion, draft: Draft, basis: Basis) -> InFlight:
     """Returns the program, and what belongs to it while it is in flight."""
-    number, manipulator, route = parts.numbers.next(), parts.view.manipulator, made.route
+    number, manipulator = parts.next_number(), parts.view.manipulator
+    route, report, name, words, strict, begin, proof, homed = draft
     most = parts.pace.inrush or len(manipulator.actuators)
-    feed = Feed(manipulator, number, route, made.strict, offer.scene.generation, made.proof, most)
-    program = Program(
-        number,
-        offer.ticket.epoch or 0,
-        route.start,
-        made.begin,
-        feed.first,
-        feed.complete,
-        made.strict,
-        made.name,
-        made.report.context(parts.moment.wall, made.proof),
-        made.homed,
-    )
-    answer = {**done(made.words), "id": offer.id}
-    return InFlight(program, offer.request, offer.ticket, made.report, feed, answer)
+    feed = Feed(manipulator, number, route, strict, basis.scene.generation, proof, most)
+    epoch, context = motion.ticket.epoch or 0, report.context(parts.moment.wall, proof)
+    program = Program(number, epoch, route.start, begin, feed.first, feed.complete, strict, name, context, homed)
+    return InFlight(program, motion.request, report, feed, {**done(words), "id": motion.id})

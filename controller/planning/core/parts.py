@@ -12,21 +12,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from controller.planning.core.events import Abandon, Action, Fail, Start
-from controller.planning.core.tasks import Answer, Task
+from controller.planning.core.tasks import Answer, Basis, Task
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from controller.motion.pacing import Pace
     from controller.planning.core.arm import ExecutorView, Locks
     from controller.planning.core.obstacles import ObstacleOwner
     from controller.planning.core.programs import Programs
     from controller.planning.core.results import Results
+    from controller.planning.core.stream import TipBiasEstimator
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
 OnAnswer = Callable[[Answer], None]
-Bias = Callable[[float], "NDArray[np.float64] | None"]
 BARRED = "a cancel, stop, reset or fault came before it began"
 
 
@@ -65,9 +62,7 @@ class Admission:
 
     def bar(self, request: int) -> None:
         """Bars all earlier requests: a cancel, stop or reset goes to the executor as its request of this number."""
-        self._last += 1
-        self._barred = self._last
-        self._unresolved.clear()
+        self._bar_all()
         self.fence(request)
 
     def fence(self, request: int) -> None:
@@ -89,17 +84,19 @@ class Admission:
     def snapshot(self, epoch: int) -> None:
         """Notes the epoch of a snapshot."""
         self._epoch, self._current = epoch, True
-        waiting = [ticket for ticket in self._unresolved if ticket.waits_for & self._pending]
         for ticket in self._unresolved:
-            if ticket not in waiting:
+            if not ticket.waits_for & self._pending:
                 ticket.epoch = epoch
-        self._unresolved = waiting
+        self._unresolved = [ticket for ticket in self._unresolved if ticket.epoch is None]
 
     def lost(self) -> None:
         """Bars all earlier requests: the connection to the executor is lost."""
+        self._bar_all()
+        self._pending, self._epoch, self._current = frozenset(), None, False
+
+    def _bar_all(self) -> None:
         self._last += 1
         self._barred = self._last
-        self._pending, self._epoch, self._current = frozenset(), None, False
         self._unresolved.clear()
 
     # --- decisions
@@ -116,12 +113,7 @@ class Admission:
 
 @dataclass(eq=False)
 class Moment:
-    """The time of the present step, written by the core only.
-
-    Attributes:
-        now: by a clock that never goes back [s].
-        wall: UNIX time [s].
-    """
+    """The time of the present step, written by the core only: see `Core.step`."""
 
     now: float = 0.0
     wall: float = 0.0
@@ -137,12 +129,7 @@ class Job:
 
 
 class Jobs:
-    """Starts tasks, and passes each answer to the part of the core that asked.
-
-    Args:
-        moment: of the present step.
-        act: takes actions.
-    """
+    """Starts tasks, and passes each answer to the part of the core that asked."""
 
     def __init__(self, moment: Moment, act: Callable[[Action], None]) -> None:
         self._moment, self._act, self._last = moment, act, 0
@@ -157,8 +144,7 @@ class Jobs:
 
     def abandon(self, number: int | None) -> None:
         """Abandons a task: its answers are dropped from now on."""
-        job = None if number is None else self._jobs.get(number)
-        if number is not None and job is not None and job.abandoned_at is None:
+        if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
             job.on_answer, job.abandoned_at = None, self._moment.now
             self._act(Abandon(number))
 
@@ -182,58 +168,46 @@ class Jobs:
         return len(self._jobs)
 
 
-class ProgramNumbers:
-    """Numbers programs and streams of set-points in ascending order."""
-
-    def __init__(self) -> None:
-        self._last = 0
-
-    def next(self) -> int:
-        """Returns a new number."""
-        self._last += 1
-        return self._last
-
-    def at_least(self, number: int) -> None:
-        """Continues after the executor's greatest number."""
-        self._last = max(self._last, number)
-
-
-def no_bias(now: float) -> None:
-    """Returns the tip bias of an arm without a tracker: none."""
-
-
 @dataclass(eq=False)
 class Parts:
     """The parts of the core; each owns its facts, the others ask.
 
-    The core sets `locks`, `obstacles`, `results` and `programs` once, in this order. Each may ask those before it.
+    The core sets the last five once, in this order. Each may ask those before it.
 
     Attributes:
-        view: what the executor last said.
         pace: of the arm's transitions.
         name: of this process, distinct from those of all others; a part of ids.
-        act: takes actions.
-        bias: returns the tip bias that corrects goals at a time [s], shape (dimension,); None: no tracker.
+        last_number: of a program or stream of set-points.
+        tip_bias: None: the arm has no tracker.
     """
 
     view: ExecutorView
     pace: Pace
     name: str
     act: Callable[[Action], None]
-    bias: Bias = no_bias
     moment: Moment = field(default_factory=Moment)
     admission: Admission = field(default_factory=Admission)
-    numbers: ProgramNumbers = field(default_factory=ProgramNumbers)
+    last_number: int = 0
     jobs: Jobs = field(init=False)
     locks: Locks = field(init=False)
     obstacles: ObstacleOwner = field(init=False)
     results: Results = field(init=False)
     programs: Programs = field(init=False)
+    tip_bias: TipBiasEstimator | None = None
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.moment, self.act)
 
     def correction(self) -> tuple[float, ...] | None:
         """Returns the present tip bias as `dimension` numbers; None: no tracker."""
-        bias = self.bias(self.moment.now)
-        return None if bias is None else tuple(bias.tolist())
+        return None if self.tip_bias is None else tuple(self.tip_bias.bias().tolist())
+
+    def basis(self) -> Basis | None:
+        """Returns what a plan made now holds for; None while the arm, its tables or the obstacles are not known."""
+        state, tables, scene = self.view.state, self.locks.tables, self.obstacles.scene
+        return None if state is None or tables is None or scene is None else Basis(state.start, tables, scene)
+
+    def next_number(self) -> int:
+        """Returns the number of a new program or stream of set-points."""
+        self.last_number += 1
+        return self.last_number

@@ -9,13 +9,13 @@ from typing import Any
 
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED
 from controller.motion.feed import Feed, Improved
-from controller.planning.core.arm import ArmState, measured_states
+from controller.planning.core.arm import ArmState
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
-from controller.planning.core.parts import Parts, Ticket
+from controller.planning.core.parts import Parts
 from controller.planning.core.reports import Outcome, Report, collision_outcome
 from controller.planning.core.results import Known
-from controller.planning.core.tasks import Answer, Checked, CheckStages, Deviations, ImprovePlan, Scene, Tables
+from controller.planning.core.tasks import Answer, CheckStages, Deviations, ImprovePlan, Scene, Tables, collision_of
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
 
 GAVE_UP = "the planner gave up waiting for the executor"
@@ -28,6 +28,7 @@ class InFlight:
     Attributes:
         program: as it was sent.
         request: number of the client's request; its answer waits until the ledger has the acceptance.
+        entry: number of that entry of the ledger.
         delay: the trajectory's t = 0 in the program's time [s].
         begin: its zero of time [s].
         outcome: the planner's reason to end it; the executor's result follows.
@@ -39,10 +40,10 @@ class InFlight:
 
     program: Program
     request: int
-    ticket: Ticket
     report: Report
     feed: Feed
     answer: dict[str, Any]
+    entry: int = 0
     plan: Any = None
     tables: Tables | None = None
     delay: float = 0.0
@@ -112,12 +113,10 @@ class Programs:
         self._programs[program.program.program] = program
         self._act(ToExecutor(program.program))
 
-    def withdraw(self, number: int) -> InFlight | None:
+    def withdraw(self, number: int) -> None:
         """Abandons a program that the executor declined or does not answer; its result will not be published."""
-        program = self._programs.pop(number, None)
-        if program is not None and self._view.instance is not None:
-            self._results.waive(Identity(self._view.instance, number))
-        return program
+        if self._programs.pop(number, None) is not None:
+            self._results.waive(self._identity(number))
 
     def give_up(self, number: int) -> None:
         """Withdraws a program, and cancels it in case the executor accepts it late."""
@@ -134,63 +133,54 @@ class Programs:
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
         for program in list(self._programs.values()):
-            self._jobs.abandon(program.improving)
             self._stop_improving(program)
+            self._tell(program)
 
     # --- the executor
 
-    def accepted(self, message: Accepted) -> InFlight | None:
-        """Handles the acceptance of a program; returns it, None if it was abandoned meanwhile."""
+    def accepted(self, message: Accepted) -> None:
+        """Handles the acceptance of a program; cancels a program that was abandoned meanwhile."""
         program = self._programs.get(message.program)
         if program is None:
             self._cancel(message.program, GAVE_UP)
-            return None
+            return
         program.accepted, program.begin, self.last_accepted = True, message.begin, message.program
-        entry = self._results.next_entry()
-        self._replies[entry] = program.request, program.answer
+        program.entry = self._results.next_entry()
+        self._replies[program.entry] = program.request, program.answer
         accepted = AcceptedEntry(program.report.id, self._moment.wall, program.report.count)
-        self._act(Record(entry, self._identity(program), accepted, None))
+        self._act(Record(program.entry, self._identity(message.program), accepted, None))
         self._improve(program)
         self._feed(program)
-        return program
 
     def recorded(self, entry: int) -> None:
         """Answers the request of a program whose acceptance the ledger has."""
         if (reply := self._replies.pop(entry, None)) is not None:
             self._act(Reply(*reply))
 
-    def begun(self, message: Begun) -> None:
-        """Notes that a stage has begun, and sends more stages."""
-        if (program := self._programs.get(message.program)) is not None:
-            program.report.begun(program.feed.begin(message.stage))
-            self._feed(program)
-
-    def replaced(self, message: Replaced) -> None:
-        """Notes whether a replacement was accepted, and sends the next."""
-        if (program := self._programs.get(message.program)) is not None:
-            program.feed.answered(message.generation, message.accepted)
-            self._feed(program)
-
-    def settled(self, message: Settled) -> None:
-        """Publishes the feedback of a settled mark; ends the goal if the tip has left its path."""
-        if (program := self._programs.get(message.program)) is not None:
-            program.report.begun(message.mark)
-            measured = measured_states(message.measured, message.known, len(self._view.manipulator.actuators))
-            if (outcome := program.report.left_path(message.mark, measured)) is not None:
-                self.end(program, outcome)
-            program.held.append(message)
-            self._tell(program)
-
-    def ended(self, message: Ended) -> None:
-        """Handles the result of a program, own or of an earlier planner process."""
+    def hear(self, message: Begun | Replaced | Settled | Ended) -> None:
+        """Handles what the executor tells of a program, own or of an earlier planner process."""
         program = self._programs.get(message.program)
         if program is None:
-            self._results.ended(message, None)
+            if isinstance(message, Ended):
+                self._results.ended(message, None)
             return
-        program.held.append(message)
-        self._jobs.abandon(program.checking)
-        program.checking = None
-        self._tell(program)
+        match message:
+            case Begun():
+                program.report.begun(program.feed.begin(message.stage))
+                self._feed(program)
+            case Replaced():
+                program.feed.answered(message.generation, message.accepted)
+                self._feed(program)
+            case Settled():
+                program.report.begun(message.mark)
+                if (outcome := program.report.left_path(message.mark, self._view.measured_in(message))) is not None:
+                    self.end(program, outcome)
+                program.held.append(message)
+                self._tell(program)
+            case Ended():
+                self._stop_checking(program)
+                program.held.append(message)
+                self._tell(program)
 
     def lost(self, reason: str) -> None:
         """Ends all accepted programs as aborted, because the executor is lost; the others are withdrawn."""
@@ -202,10 +192,10 @@ class Programs:
             self._tell(program)
             if self._programs.pop(program.program.program, None) is not None:
                 self._stop_tasks(program)
-                self._answer(program.request)
                 message = f"{reason}; the arm holds"
                 outcome = program.outcome or Outcome("aborted", PATH_TOLERANCE_VIOLATED, message)
-                self._results.lost(self._identity(program), program.program.context, outcome)
+                known = Known(outcome, None, None, self._unrecorded(program))
+                self._results.lost(self._identity(program.program.program), program.program.context, known)
 
     # --- obstacles
 
@@ -243,8 +233,7 @@ class Programs:
     def _checked(self, program: InFlight, until: int, answer: Answer) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
         program.checking = None
-        words = answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
-        if words is not None:
+        if (words := collision_of(answer)) is not None:
             self._obstacles.note(f"goal {program.report.id} was aborted: it would collide: {words}")
             self.end(program, collision_outcome(program.report.id, words))
             return
@@ -263,27 +252,36 @@ class Programs:
 
     def _improved(self, program: InFlight, answer: Answer) -> None:
         """Takes deviations and better plans."""
-        if isinstance(answer, Deviations):
-            program.feed.note_deviations(answer.values)
-            program.deviates = False
-        elif isinstance(answer, Improved) and program.outcome is None:
-            program.feed.improve(answer)
-            self._feed(program)
-        elif not isinstance(answer, Improved):  # the last answer
-            self._stop_improving(program)
+        match answer:
+            case Deviations(values):
+                program.feed.note_deviations(values)
+                program.deviates = False
+            case Improved():
+                program.feed.improve(answer)
+                self._feed(program)
+            case _:  # the last answer
+                self._stop_improving(program)
         self._tell(program)
+
+    # --- the end of tasks
 
     def _stop_improving(self, program: InFlight) -> None:
+        self._jobs.abandon(program.improving)
         program.improving, program.deviates = None, False
-        self._tell(program)
+
+    def _stop_checking(self, program: InFlight) -> None:
+        self._jobs.abandon(program.checking)
+        program.checking = None
 
     def _stop_tasks(self, program: InFlight) -> None:
-        self._jobs.abandon(program.improving)
-        self._jobs.abandon(program.checking)
-        program.improving = program.checking = None
-        program.deviates = False
+        self._stop_improving(program)
+        self._stop_checking(program)
 
     # ---
+
+    def _unrecorded(self, program: InFlight) -> int | None:
+        """Returns the entry of an acceptance that the ledger does not have yet; None if it has."""
+        return program.entry if program.entry in self._replies else None
 
     def _tell(self, program: InFlight) -> None:
         """Publishes what waits: feedback in order, then the result."""
@@ -291,21 +289,16 @@ class Programs:
             message = program.held.popleft()
             if isinstance(message, Ended):
                 self._stop_tasks(program)
-                self._answer(program.request)
                 del self._programs[message.program]
                 report, feed = program.report, program.feed
-                self._results.ended(message, Known(program.outcome, report.present, feed.proof))
+                self._results.ended(
+                    message, Known(program.outcome, report.present, feed.proof, self._unrecorded(program))
+                )
                 continue
-            measured = measured_states(message.measured, message.known, len(self._view.manipulator.actuators))
             deviation = program.feed.deviation(message.mark) if message.planned else None
-            if (feedback := program.report.settled(message, measured, deviation)) is not None:
+            feedback = program.report.settled(message, self._view.measured_in(message), deviation)
+            if feedback is not None:
                 self._act(Publish("feedback", feedback))
-
-    def _answer(self, request: int) -> None:
-        """Answers a request before the result of its goal is published, even if the ledger does not have it yet."""
-        for entry, (number, _) in list(self._replies.items()):
-            if number == request:
-                self.recorded(entry)
 
     def _feed(self, program: InFlight) -> None:
         """Sends the next part of a running program."""
@@ -315,5 +308,5 @@ class Programs:
     def _cancel(self, number: int, reason: str) -> None:
         self._act(ToExecutor(Cancel(0, number, reason[:1_000])))
 
-    def _identity(self, program: InFlight) -> Identity:
-        return Identity(self._view.instance or 0, program.program.program)
+    def _identity(self, number: int) -> Identity:
+        return Identity(self._view.instance or 0, number)

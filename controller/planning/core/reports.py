@@ -27,14 +27,10 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
     """What the result of a goal or jog needs.
 
     Attributes:
-        id: of the goal.
         waypoints: number of waypoints.
-        last_mark: mark of the last waypoint.
-        position: of the last waypoint, `dimension` coordinates; empty for a jog, which has no target.
-        tolerance: of the position.
+        last_mark: mark of the last waypoint, which the next five attributes describe as in `Target`.
+        position: empty for a jog, which has no target.
         rotation: nine numbers, row by row; empty: any orientation serves.
-        angle_tolerance: [rad].
-        configuration: in which the arm must end, as text; None: any.
         bias: tip bias by which the goal was corrected; None: no tracker.
         sent: time at which the program was made [UNIX s].
         proof: switches, cost, bound and certificate of the plan; None for a jog.
@@ -69,18 +65,6 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
         )
 
 
-def with_target(context: Context, target: Target) -> Context:
-    """Returns a context with the target of the last waypoint."""
-    return msgspec.structs.replace(
-        context,
-        position=target.position.tolist(),
-        tolerance=float(target.tolerance),
-        rotation=[] if target.rotation is None else target.rotation.ravel().tolist(),
-        angle_tolerance=float(target.angle_tolerance) if target.rotation is not None else 0.0,
-        configuration=target.configuration,
-    )
-
-
 def encode_context(context: Context) -> bytes:
     """Returns a context as bytes; omits the configuration and the jogged actuators if it would be too long."""
     data = msgspec.msgpack.encode(context)
@@ -107,31 +91,23 @@ class Outcome(NamedTuple):
 
 
 class GoalReport:
-    """The reports on a goal.
-
-    Attributes:
-        count: number of waypoints.
-    """
+    """The reports on a goal of `count` waypoints."""
 
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
         self.id, self.trajectory, self.count = goal, trajectory, len(trajectory.waypoints)
         self._manipulator = manipulator
         self._point = -1
-        self._stages, self._deviation = 0, 0.0  # since the waypoint before
-        self._deviation_known = True
+        self._stages = 0  # since the waypoint before
+        self._deviation: float | None = 0.0  # greatest one since the waypoint before; None: not known
 
     def context(self, sent: float, proof: Proof | None) -> bytes:
         """Returns the context that comes back with the result."""
         last, bias = len(self.trajectory.times) - 1, self.trajectory.bias
-        context = Context(
-            self.id,
-            len(self.trajectory.waypoints),
-            last,
-            bias=None if bias is None else bias.tolist(),
-            sent=sent,
-            proof=proof,
-        )
-        return encode_context(with_target(context, self._target(last)))
+        target = self._target(last)
+        rotation = [] if target.rotation is None else target.rotation.ravel().tolist()
+        angle, numbers = target.angle_tolerance if rotation else 0.0, None if bias is None else bias.tolist()
+        where = target.position.tolist(), target.tolerance, rotation, angle, target.configuration
+        return encode_context(Context(self.id, self.count, last, *where, numbers, sent, proof))
 
     @property
     def waypoint(self) -> int | None:
@@ -162,8 +138,8 @@ class GoalReport:
         """Returns the feedback of a settled point, None if it is no waypoint; `deviation` is of its transition."""
         point, trajectory = message.mark, self.trajectory
         self._stages += message.stages
-        self._deviation_known = self._deviation_known and deviation is not None
-        self._deviation = max(self._deviation, deviation or 0.0)
+        so_far = self._deviation
+        self._deviation = None if so_far is None or deviation is None else max(so_far, deviation)
         if trajectory.between(point):
             return None
         feedback = {
@@ -172,11 +148,11 @@ class GoalReport:
             "waypoints": len(trajectory.waypoints),
             "switches": message.switches,
             "stages": self._stages,
-            "excursion": self._deviation if self._deviation_known else None,
+            "excursion": self._deviation,
             **measured_pose(self._manipulator, measured, self._target(point)),
             **({} if trajectory.bias is None else {"bias": trajectory.bias}),
         }
-        self._stages, self._deviation, self._deviation_known = 0, 0.0, True
+        self._stages, self._deviation = 0, 0.0
         return feedback
 
     def left_path(self, point: int, measured: Measured) -> Outcome | None:
@@ -222,12 +198,7 @@ class GoalReport:
 
 
 class JogReport:
-    """The reports on a jog; it has no feedback.
-
-    Args:
-        name: id of the result.
-        jogged: new state of each actuator, by index.
-    """
+    """The reports on a jog, which has new states of actuators, by index, and no feedback."""
 
     waypoint = target = present = None
     count = 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.goal import GoalMessage
@@ -12,6 +12,7 @@ from controller.planning.core.events import (
     CLOSING,
     CancelMessage,
     LockMessage,
+    Payload,
     Reply,
     Request,
     ToExecutor,
@@ -20,12 +21,9 @@ from controller.planning.core.events import (
 )
 from controller.planning.core.goals import Goals
 from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, Described, DescribePlan, Refused
+from controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
 from controller.program import Answer as ExecutorAnswer
 from controller.program import Cancel, Down, Lock, Reset
-
-if TYPE_CHECKING:
-    pass
 
 MOST_WAITING = 4
 LONGEST = 10.0  # [s] for one query, without its time in the queue
@@ -34,11 +32,7 @@ PATIENCE = 2.0  # [s] for an answer, after which the executor counts as silent
 
 
 class ExecutorRequests:
-    """Requests that the executor answers; the request's number is the number of the executor's request.
-
-    Args:
-        goals: waiting goals.
-    """
+    """Requests that the executor answers; the request's number is the number of the executor's request."""
 
     def __init__(self, parts: Parts, goals: Goals) -> None:
         self._parts, self._view, self._act = parts, parts.view, parts.act
@@ -52,7 +46,7 @@ class ExecutorRequests:
                 self._cancel_goal(request.number, goal)
             case "cancel" | "stop", _:  # the gateway has sent it
                 self._parts.admission.bar(request.number)
-                self._expect(request.number)
+                self._pending[request.number] = self._parts.moment.now
             case "reset", _:
                 self._reset(request.number)
             case _, LockMessage() as message:
@@ -80,7 +74,6 @@ class ExecutorRequests:
     def _cancel_goal(self, number: int, goal: str) -> None:
         running = self._programs.running(goal)
         if running is not None:
-            self._expect(number)
             self._send(number, Cancel(number, running.program.program, CANCELED))
         elif self._goals.cancel(goal):
             self._act(Reply(number, done("canceled before it began")))
@@ -93,7 +86,6 @@ class ExecutorRequests:
         admission = self._parts.admission
         needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
         (admission.bar if needed else admission.fence)(number)
-        self._expect(number)
         self._send(number, Reset(number))
 
     def _lock(self, number: int, message: LockMessage) -> None:
@@ -106,30 +98,37 @@ class ExecutorRequests:
             self._act(Reply(number, refused(refusal.code, str(refusal))))
             return
         self._parts.admission.fence(number)
-        self._expect(number)
         self._send(number, Lock(number, actuator, -1 if message.state is None else message.state))
 
-    def _expect(self, number: int) -> None:
-        self._pending[number] = self._parts.moment.now
-
     def _send(self, number: int, message: Down) -> None:
+        self._pending[number] = self._parts.moment.now
         if self._view.connected:
             self._act(ToExecutor(message))
         else:
             self.unsent(number, self._view.problem)
 
-    def _finish(self, number: int, payload: object) -> None:
+    def _finish(self, number: int, payload: Payload) -> None:
         if self._pending.pop(number, None) is not None:
             self._parts.admission.answered(number)
-            self._act(Reply(number, payload))  # type: ignore[arg-type]
+            self._act(Reply(number, payload))
+
+
+class Query(NamedTuple):
+    """A `plan` query that is not answered yet; `id` is that of its goal, `job` the number of its task."""
+
+    request: int
+    goal: GoalMessage
+    id: str
+    received: float
+    job: int | None = None
 
 
 class Queries:
     """Answers `plan` queries, each once."""
 
     def __init__(self, parts: Parts) -> None:
-        self._parts, self._locks, self._obstacles = parts, parts.locks, parts.obstacles
-        self._waiting: dict[int, tuple[Request, str, int | None]] = {}  # by request: content, id of the goal, task
+        self._parts = parts
+        self._waiting: dict[int, Query] = {}  # by request
 
     @property
     def waiting(self) -> int:
@@ -138,58 +137,55 @@ class Queries:
 
     def submit(self, request: Request) -> None:
         """Takes a query, or refuses it at once."""
-        message = request.message
+        message, number = request.message, request.number
         assert isinstance(message, GoalMessage)
-        goal = message.id or f"{self._parts.name}{request.number:x}"
+        goal = message.id or f"{self._parts.name}{number:x}"
         if len(self._waiting) > MOST_WAITING:
             words = f"busy: {MOST_WAITING} plan queries are waiting already"
-            self._parts.act(Reply(request.number, refused(INVALID_GOAL, words, goal)))
+            self._parts.act(Reply(number, refused(INVALID_GOAL, words, goal)))
         else:
-            self._waiting[request.number] = request, goal, None
+            self._waiting[number] = Query(number, message, goal, request.wall)
 
     def advance(self) -> None:
         """Starts the queries that wait for the obstacles to be built. Call at the end of each step."""
-        for request, goal, job in list(self._waiting.values()):
-            if job is None and self._obstacles.scene is not None:
+        for query in list(self._waiting.values()):
+            if query.job is None and self._parts.obstacles.scene is not None:
                 try:
-                    task = self._task(request, goal)
+                    task = self._task(query)
                 except Refusal as refusal:
-                    self._answer(request.number, refused(refusal.code, str(refusal), goal))
+                    self._refuse(query, refusal)
                 else:
-                    number = self._parts.jobs.start(task, partial(self._answered, request.number, goal))
-                    self._waiting[request.number] = request, goal, number
+                    job = self._parts.jobs.start(task, partial(self._answered, query))
+                    self._waiting[query.request] = query._replace(job=job)
 
     def close(self) -> None:
         """Refuses all queries: the process ends."""
-        for request, goal, job in list(self._waiting.values()):
-            self._parts.jobs.abandon(job)
-            self._answer(request.number, refused(INVALID_GOAL, CLOSING, goal))
+        for query in list(self._waiting.values()):
+            self._parts.jobs.abandon(query.job)
+            self._refuse(query, Refusal(INVALID_GOAL, CLOSING))
 
-    def _task(self, request: Request, goal: str) -> DescribePlan:
-        """Returns the task of a query.
+    def _task(self, query: Query) -> DescribePlan:
+        """Returns the task of a query, as soon as the obstacles are built.
 
         Raises:
             Refusal: the arm's state is not known, or its tables are being rebuilt.
         """
-        state, tables, scene = self._parts.view.state, self._locks.tables, self._obstacles.scene
-        if state is None or tables is None:
-            raise no_motion(*self._locks.mode())
-        if (words := obstruction(state, *self._locks.mode())) is not None:
+        parts, state, basis = self._parts, self._parts.view.state, self._parts.basis()
+        if state is None or basis is None:
+            raise no_motion(*parts.locks.mode())
+        if (words := obstruction(state, *parts.locks.mode())) is not None:
             raise Refusal(INVALID_GOAL, words)
-        assert scene is not None
-        message = request.message
-        assert isinstance(message, GoalMessage)
-        return DescribePlan(goal, message, request.wall, state.start, self._parts.correction(), tables, scene, LONGEST)
+        return DescribePlan(PlanGoal(query.goal, query.received, parts.correction(), basis), LONGEST)
 
-    def _answered(self, request: int, goal: str, answer: Answer) -> None:
-        match answer:
-            case Described(payload):
-                self._answer(request, payload)
-            case Refused(code, reason):
-                self._answer(request, refused(code, reason, goal))
-            case _:
-                self._answer(request, refused(INVALID_GOAL, "internal error while planning, see the journal", goal))
+    def _answered(self, query: Query, answer: Answer) -> None:
+        if isinstance(answer, Described):
+            self._answer(query.request, answer.payload)
+        else:
+            self._refuse(query, refusal_of(answer))
 
-    def _answer(self, request: int, payload: object) -> None:
+    def _refuse(self, query: Query, refusal: Refusal) -> None:
+        self._answer(query.request, refused(refusal.code, str(refusal), query.id))
+
+    def _answer(self, request: int, payload: Payload) -> None:
         if self._waiting.pop(request, None) is not None:
-            self._parts.act(Reply(request, payload))  # type: ignore[arg-type]
+            self._parts.act(Reply(request, payload))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -49,11 +49,13 @@ class Known(NamedTuple):
         outcome: its own reason to end the goal; None: the executor's reason, and the measured states decide.
         target: of the point that the arm was at; None for a jog.
         proof: of the plan as it was improved; None: nothing is proven.
+        acceptance: entry of the acceptance that the ledger does not have yet; None: it has.
     """
 
     outcome: Outcome | None
     target: Target | None
     proof: Proof | None
+    acceptance: int | None
 
 
 @dataclass(eq=False)
@@ -74,21 +76,26 @@ class Untold:
 class Results:
     """The owner of results that are not yet acknowledged.
 
-    A result is published once: a program that was published, also by an earlier planner process, is only recorded and
-    acknowledged when the executor sends its result again.
+    A result is published once. When the executor sends it again, it is only recorded and acknowledged. A result that
+    the ledger does not have, though an earlier planner process published it, may not have left that process. It is
+    published again, with the field `repeated`.
 
     Args:
-        published: programs whose results were published before.
+        published: results that earlier planner processes published, by program.
         owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
     """
 
-    def __init__(self, parts: Parts, published: Iterable[Identity], owed: Iterable[OpenGoal]) -> None:
+    def __init__(self, parts: Parts, published: Mapping[Identity, EndedEntry], owed: Iterable[OpenGoal]) -> None:
         self._view, self._moment, self._act = parts.view, parts.moment, parts.act
-        self._told = dict.fromkeys(published)  # ordered: the oldest are forgotten first
         self._owed = {goal.identity: goal for goal in owed}
+        self._doubtful = {identity: mark for identity, mark in published.items() if identity in self._owed}
+        self._told = published.keys() - self._owed.keys()
         self._last = 0  # number of a publication or of an entry of the ledger
         self._publishing: dict[int, Untold] = {}
         self._recording: dict[int, Untold] = {}
+        self._deferred: dict[
+            int, PublishResult
+        ] = {}  # by the entry of an acceptance, which the ledger must have before
 
     @property
     def idle(self) -> bool:
@@ -102,7 +109,7 @@ class Results:
 
     def waive(self, identity: Identity) -> None:
         """Suppresses the result of an abandoned program."""
-        self._told[identity] = None
+        self._told.add(identity)
 
     # --- made
 
@@ -122,24 +129,25 @@ class Results:
         manipulator = view.manipulator
         measured = measured_states(message.measured, message.known, len(manipulator.actuators))
         target = context.target if message.mark == context.last_mark else None
-        outcome = None
+        outcome = self._told_outcome(identity)
         if known is not None:
             context = msgspec.structs.replace(context, proof=known.proof)
             target, outcome = known.target, known.outcome
         outcome = outcome or outcome_of(manipulator, message, measured, context)
         payload = result_of(manipulator, message, measured, context, outcome, target)
         view.ended(outcome.sentence)
-        self._tell(Untold(identity, message.result, accepted_of(context), payload), known is None)
+        self._tell(Untold(identity, message.result, accepted_of(context), payload), known)
 
-    def lost(self, identity: Identity, context: bytes, outcome: Outcome) -> None:
-        """Ends a program of which the executor tells nothing any more."""
-        found, view = decode_context(context) or Context("unknown"), self._view
+    def lost(self, identity: Identity, context: bytes, known: Known, switches: int = 0) -> None:
+        """Ends a program of which the executor tells nothing any more; `known` has an outcome."""
+        found, view, outcome = decode_context(context) or Context("unknown"), self._view, known.outcome
+        assert outcome is not None
         size = len(view.manipulator.actuators)
         unknown = bytes((size + 7) // 8)
-        silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, 0, unknown, unknown)
+        silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, switches, unknown, unknown)
         measured = view.measured
         payload = result_of(view.manipulator, silent, measured, found, outcome, None)
-        self._tell(Untold(identity, None, accepted_of(found), payload), False)
+        self._tell(Untold(identity, None, accepted_of(found), payload), known)
 
     def met(self, instance: int) -> None:
         """Ends as lost what earlier executors owed, because another one has come.
@@ -149,7 +157,14 @@ class Results:
         for identity in [identity for identity in self._owed if identity.instance != instance]:
             goal = self._owed.pop(identity)
             context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
-            self.lost(identity, context, Outcome("lost", STATUS_CODES["lost"], LOST))
+            outcome, mark = self._told_outcome(identity), self._doubtful.get(identity)
+            known = Known(outcome or Outcome("lost", STATUS_CODES["lost"], LOST), None, None, None)
+            self.lost(identity, context, known, 0 if mark is None else mark.switches)
+
+    def _told_outcome(self, identity: Identity) -> Outcome | None:
+        """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
+        mark = self._doubtful.get(identity)
+        return None if mark is None else Outcome(mark.status, mark.code, mark.message)
 
     # --- published, recorded, acknowledged
 
@@ -159,20 +174,28 @@ class Results:
             self._record(untold)
 
     def recorded(self, entry: int) -> None:
-        """Acknowledges a result that was recorded."""
+        """Acknowledges a result that was recorded, or publishes a result that waited for this acceptance."""
+        if (publication := self._deferred.pop(entry, None)) is not None:
+            self._act(publication)
         untold = self._recording.pop(entry, None)
         if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
             self._act(ToExecutor(Acknowledge(untold.result)))
 
-    def _tell(self, untold: Untold, inherited: bool) -> None:
+    def _tell(self, untold: Untold, known: Known | None) -> None:
         self._owed.pop(untold.identity, None)
         if untold.identity in self._told:
             self._record(untold)
             return
-        self._told[untold.identity] = None
+        self._told.add(untold.identity)
+        if self._doubtful.pop(untold.identity, None) is not None:
+            untold.payload = {**untold.payload, "repeated": True}
         number = self.next_entry()
         self._publishing[number] = untold
-        self._act(PublishResult(number, untold.identity, inherited, untold.payload))
+        publication = PublishResult(number, untold.identity, known is None, untold.payload)
+        if known is None or known.acceptance is None:
+            self._act(publication)
+        else:
+            self._deferred[known.acceptance] = publication
         text = f"goal {untold.payload['id']} {untold.payload['status']}: {untold.payload['message']}"
         self._act(Log(logging.INFO, text, fields_of_result(untold.payload)))
 

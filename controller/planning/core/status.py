@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator
 
 import msgspec
 
@@ -13,9 +12,11 @@ from controller.journal import fields_of_fault, message_id
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion.targets import measured_tip
 from controller.planning.core.events import Log, Notify, Payload, Publish
+from controller.planning.core.goals import Goals
 from controller.planning.core.parts import Parts
-from controller.planning.core.stream import Stream, TipBiasEstimator
-from controller.program import Fault
+from controller.planning.core.requests import Queries
+from controller.planning.core.stream import Stream
+from controller.program import Diagnostics, Fault
 
 IN_OBSTACLE, UNKNOWN_STATE, EXECUTOR_LOST = "in-obstacle", "unknown-state", "executor-lost"  # codes
 UNWRITTEN = "ledger-unwritten"  # code of the ledger's warning
@@ -27,54 +28,35 @@ SILENCE = 1.2 * STATE_EVERY  # [s] without a change until the next `state`; each
 Faults = dict[tuple[str, str], Fault]  # by code and source
 
 
-class Measurement(NamedTuple):
-    """The fields of `state` that depend on the measured actuator states only.
-
-    Attributes:
-        states: measured states, packed, and which are known; None without a snapshot.
-        fields: of `state`.
-    """
-
-    states: tuple[bytes, bytes] | None
-    fields: dict[str, Any]
-
-
 class Status:
     """Makes and publishes `state` and `diagnostics`.
 
-    Args:
-        stream: of set-points.
-        bias: tip bias; None: the arm has no tracker.
-        planning: returns the number of requests that wait to be planned.
+    Attributes:
+        changed: whether `state` may have changed since it was published.
+
     """
 
-    def __init__(
-        self, parts: Parts, stream: Stream, bias: TipBiasEstimator | None, planning: Callable[[], int]
-    ) -> None:
-        self._parts, self._stream, self._bias, self._planning = parts, stream, bias, planning
+    def __init__(self, parts: Parts, stream: Stream, goals: Goals, queries: Queries) -> None:
+        self._parts, self._moment, self._stream = parts, parts.moment, stream
+        self._goals, self._queries = goals, queries
         self._warnings: tuple[Fault, ...] = ()
-        self._measurement: Measurement | None = None  # the last one
-        self._changed, self._published, self._diagnosed = True, -math.inf, -math.inf
+        self._measured_from: tuple[bytes, bytes] | None = None  # packed states of `_measured`, and which are known
+        self._measured = self._measure()
+        self.changed, self._published, self._diagnosed = True, -math.inf, -math.inf
         self._status, self._logged = "", Faults()
 
     def warned(self, warnings: tuple[Fault, ...]) -> None:
         """Sets the active warnings of the shell, which logs them itself; `state` shows them after its own faults."""
-        self._warnings, self._changed = warnings, True
+        self._warnings = warnings
 
     # --- publication
 
-    def report(self, now: float, wall: float, changed: bool) -> None:
-        """Publishes what is due, and tells systemd and the log.
-
-        Args:
-            now: monotonic time [s].
-            wall: the same time [UNIX s].
-            changed: whether `state` may have changed since the last call.
-        """
-        act, self._changed = self._parts.act, self._changed or changed
+    def report(self) -> None:
+        """Publishes what is due, and tells systemd and the log."""
+        act, now = self._parts.act, self._moment.now
         if now >= self._state_due():
-            self._changed, self._published = False, now
-            payload = self.state(now, wall)
+            self.changed, self._published = False, now
+            payload = self.state()
             act(Publish("state", payload))
             self._log_faults()
             if (status := f"STATUS={payload['mode']}: {payload['reason']}") != self._status:
@@ -82,15 +64,16 @@ class Status:
                 act(Notify(status))
         if now >= self._diagnosed + DIAGNOSTICS_EVERY:
             self._diagnosed = now
-            act(Publish("diagnostics", self.diagnostics(now, wall)))
+            act(Publish("diagnostics", self.diagnostics()))
             act(Notify("WATCHDOG=1"))
 
-    def due(self, now: float) -> float:
-        """Returns the time of the next publication [s]."""
-        return max(now, min(self._state_due(), self._diagnosed + DIAGNOSTICS_EVERY))
+    @property
+    def due(self) -> float:
+        """Time of the next publication [s]."""
+        return max(self._moment.now, min(self._state_due(), self._diagnosed + DIAGNOSTICS_EVERY))
 
     def _state_due(self) -> float:
-        return self._published + (LEAST_GAP if self._changed else SILENCE)
+        return self._published + (LEAST_GAP if self.changed else SILENCE)
 
     def _log_faults(self) -> None:
         """Logs faults when they begin and end."""
@@ -105,23 +88,24 @@ class Status:
 
     # --- payloads
 
-    def state(self, now: float, wall: float) -> Payload:
+    def state(self) -> Payload:
         """Returns the payload of `state`; its tip is computed from the measured actuator states."""
         parts, state = self._parts, self._parts.view.state
-        (mode, reason), goal, measurement = parts.locks.mode(), parts.programs.current, self._measured()
+        (mode, reason), goal = parts.locks.mode(), parts.programs.current
         report = None if goal is None else goal.report
-        age = 0.0 if state is None else max(now - state.snapshot.at, 0.0)
-        labels, faults = parts.view.manipulator.actuators, self._faults()
-        for warning in self._warnings:
-            faults.setdefault((warning.code, warning.source), warning)
+        measured_from = None if state is None else (state.snapshot.measured, state.snapshot.known)
+        if measured_from != self._measured_from:
+            self._measured_from, self._measured = measured_from, self._measure()
+        age = 0.0 if state is None else max(self._moment.now - state.snapshot.at, 0.0)
+        labels, faults = parts.view.manipulator.actuators, self._faults(self._warnings)
         return {
-            "stamp": wall - age,
+            "stamp": self._moment.wall - age,
             "mode": mode,
             "reason": reason,
-            "configuration": measurement["configuration"],
+            "configuration": self._measured["configuration"],
             "commanded": None if state is None or not state.known else state.states.tolist(),
-            "measured": measurement["measured"],
-            "tip": measurement["tip"],
+            "measured": self._measured["measured"],
+            "tip": self._measured["tip"],
             "goal": None if report is None else report.id,
             "waypoint": None if report is None else report.waypoint,
             "target": None if report is None else report.target,
@@ -132,53 +116,46 @@ class Status:
                 for label, locked in zip(labels, parts.locks.states.tolist(), strict=True)
                 if locked >= 0
             ],
-            **({} if self._bias is None else {"bias": self._bias.bias(now).tolist()}),
+            **({} if parts.tip_bias is None else {"bias": parts.tip_bias.bias().tolist()}),
         }
 
-    def diagnostics(self, now: float, wall: float) -> Payload:
+    def diagnostics(self) -> Payload:
         """Returns the payload of `diagnostics`; fields that need the executor are empty without it."""
-        view, latest = self._parts.view, self._parts.view.diagnostics
-        age = 0.0 if latest is None else max(now - latest.at, 0.0)
-        switches = 0 if latest is None or view.counted is None else max(sum(latest.counts) - view.counted, 0)
+        parts, view, now = self._parts, self._parts.view, self._moment.now
+        latest = view.diagnostics or Diagnostics(now, {}, [], [], "off", (), 0, 0)
         unwritten = next((warning.message for warning in self._warnings if warning.code == UNWRITTEN), "ok")
         return {
-            "stamp": wall - age,
-            "loop": {} if latest is None else latest.loop,
-            "buses": [] if latest is None else latest.buses,
-            "boards": [] if latest is None else latest.boards,
-            "queues": {"inbox": self._parts.jobs.waiting, "planning": self._planning()},
-            "setpoint": self._stream.status(now),
-            "switches": switches,
-            "counts": [] if latest is None else latest.counts,
-            "waits": 0 if latest is None else latest.waits,
-            "dropped": 0 if latest is None else latest.dropped,
+            "stamp": self._moment.wall - max(now - latest.at, 0.0),
+            "loop": latest.loop,
+            "buses": latest.buses,
+            "boards": latest.boards,
+            "queues": {"inbox": parts.jobs.waiting, "planning": self._goals.waiting + self._queries.waiting},
+            "setpoint": self._stream.status(),
+            "switches": max(sum(latest.counts) - (view.counted or 0), 0),
+            "counts": latest.counts,
+            "waits": latest.waits,
+            "dropped": latest.dropped,
             "ledger": unwritten,
-            "real_time": "off" if latest is None else latest.real_time,
-            "executor": "connected" if latest is not None else view.problem,
-            **({} if self._bias is None else {"tracker": self._bias.status(now)}),
+            "real_time": latest.real_time,
+            "executor": view.problem if view.diagnostics is None else "connected",
+            **({} if parts.tip_bias is None else {"tracker": parts.tip_bias.status()}),
         }
 
-    def _measured(self) -> dict[str, Any]:
-        """Returns `configuration`, `measured` and `tip`; computed again only if the measured states have changed."""
-        view = self._parts.view
-        states = None if view.state is None else (view.state.snapshot.measured, view.state.snapshot.known)
-        if self._measurement is None or self._measurement.states != states:
-            manipulator, measured = view.manipulator, view.measured
-            tip = measured_tip(manipulator, measured)
-            fields = {
-                "configuration": None
-                if tip is None
-                else format_configuration(manipulator, manipulator.configuration(measured)),
-                "measured": [None if s < 0 else s for s in measured.tolist()],
-                "tip": None if tip is None else pose(manipulator, tip),
-            }
-            self._measurement = Measurement(states, fields)
-        return self._measurement.fields
+    def _measure(self) -> Payload:
+        """Returns the fields of `state` that depend on the measured actuator states only."""
+        manipulator, measured = self._parts.view.manipulator, self._parts.view.measured
+        tip = measured_tip(manipulator, measured)
+        spelled = None if tip is None else format_configuration(manipulator, manipulator.configuration(measured))
+        return {
+            "configuration": spelled,
+            "measured": [None if s < 0 else s for s in measured.tolist()],
+            "tip": None if tip is None else pose(manipulator, tip),
+        }
 
-    def _faults(self) -> Faults:
-        """Returns the executor's faults and the planner's own; the first one of each code and source."""
+    def _faults(self, warnings: tuple[Fault, ...] = ()) -> Faults:
+        """Returns the executor's faults, the planner's own, and warnings; the first one of each code and source."""
         faults = Faults()
-        for fault in self._all_faults():
+        for fault in (*self._all_faults(), *warnings):
             faults.setdefault((fault.code, fault.source), fault)
         return faults
 

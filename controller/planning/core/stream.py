@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from controller.motion.tracking import GoalTracker
 from controller.planning.core.arm import obstruction
 from controller.planning.core.events import Log, Payload, ToExecutor
 from controller.planning.core.parts import Parts, Ticket
-from controller.planning.core.tasks import Answer, Failed, Followed, FollowSetpoint
+from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
 from controller.program import Setpoint
 from controller.settings import TrackerSettings
 
@@ -51,7 +52,7 @@ class Stream:
 
     def __init__(self, arm: Arm, tracking: Tracking, parts: Parts) -> None:
         """Builds the tracker, which takes almost a second."""
-        self._parts, self._dimension = parts, arm.manipulator.dimension
+        self._parts, self._moment, self._dimension = parts, parts.moment, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._lead = arm.travel_time + PERIOD  # of a stage
@@ -59,192 +60,176 @@ class Stream:
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
         self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
         self._next_search = -math.inf  # as of the last consideration
-        self._job: tuple[int, FollowSetpoint] | None = None  # the search under way
-        self._answer: tuple[FollowSetpoint, Followed] | None = None  # not considered yet
-        self._found: tuple[FollowSetpoint, tuple[bytes, ...]] | None = None  # the last search, and its stages
+        self._job: int | None = None  # number of the search under way
+        self._answer: tuple[Basis, Followed] | None = None  # not considered yet
+        self._found: tuple[Basis, tuple[bytes, ...]] | None = None  # stages of the last search
         self._interval, self._streams, self._received, self._refused = math.inf, 0, 0, 0
         self._last_refusal: str | None = None
         self._note = ""
 
     # --- set-points
 
-    def take(self, payload: bytes, ticket: Ticket, now: float, wall: float) -> None:
-        """Takes a set-point that has arrived, as JSON; a refused one is only counted. `wall` is `now` in UNIX s."""
+    def take(self, payload: bytes, ticket: Ticket) -> None:
+        """Takes a set-point that has arrived, as JSON; a refused one is only counted."""
         self._received += 1
         try:
             setpoint = decode(payload, self._dimension, self._default_tolerance)
-            self._assign(ticket, now)
+            self._assign(ticket)
             if self._ticket is not None and not self._parts.admission.stream_ended(self._ticket):
-                self._measure(setpoint, now, wall)
+                self._measure(setpoint)
         except Refusal as refusal:
             self._refused += 1
             self._last_refusal = str(refusal)
 
-    def _assign(self, ticket: Ticket, now: float) -> None:
+    def _assign(self, ticket: Ticket) -> None:
         """Assigns a set-point to the present stream, or begins a new one."""
-        if self._alive(self._heard, now):
+        now = self._moment.now
+        if self._alive(self._heard):
             last = now - self._heard
             self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
         else:
-            self._abandon(now)
+            self._abandon()
             self._streams += 1
             self._ticket, self._number, self._interval, self._note = ticket, 0, math.inf, ""
             self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
         self._heard = now
 
-    def _measure(self, setpoint: TrackedSetpoint, now: float, wall: float) -> None:
+    def _measure(self, setpoint: TrackedSetpoint) -> None:
         """Passes a set-point to the tracker.
 
         Raises:
             Refusal: the set-point is stale, from the future or out of order.
         """
-        if not self._alive(self._fitted, now):
+        now = self._moment.now
+        if not self._alive(self._fitted):
             self._tracker.forget()
-            self._offset = wall - now
+            self._offset = self._moment.wall - now
         if self._tracker.measure(setpoint.position, setpoint.stamp, now + self._offset):
             self._fitted, self._tolerance = now, setpoint.tolerance
 
     # --- commands
 
-    def consider(self, now: float) -> None:
+    def consider(self) -> None:
         """Commands the arm to the predicted goal; also without a new set-point, because the goal moves."""
-        parts = self._parts
+        parts, now = self._parts, self._moment.now
         if now < self._next_look:
             return
         self._next_look = now + POLL
-        if not self._alive(self._fitted, now):
-            self._abandon(now)
+        if not self._alive(self._fitted):
+            self._abandon()
             return
         if parts.programs.offered:
             return
         ticket, mode = self._ticket, parts.locks.mode()[0]
         if ticket is None or mode not in ("ready", "executing") or parts.admission.stream_ended(ticket):
-            self._end(now)
+            self._end()
             return
         state = parts.view.state
         if state is None or ticket.epoch is None:
             return
         if self._number <= parts.programs.last_accepted:  # a stream that continues after a goal counts as a new one
-            self._number = parts.numbers.next()
-        if self._decide(state, now) or now >= self._next_alive:
-            self._send(state, ticket.epoch, now)
+            self._number = parts.next_number()
+        if self._decide(state) or now >= self._next_alive:
+            self._send(state, ticket.epoch)
 
-    def due(self, now: float) -> float:
-        """Returns the time of the next consideration [s]; infinite without a stream."""
-        if not self._alive(self._fitted, now):
+    @property
+    def due(self) -> float:
+        """Time of the next consideration [s]; infinite without a stream."""
+        if not self._alive(self._fitted):
             return math.inf
         next_search = math.inf if self._job is not None else self._next_search
         return max(self._next_look, min(self._next_alive, next_search))
 
-    def park(self, now: float) -> None:
+    def park(self) -> None:
         """Withdraws stages that have not begun, because the obstacles have changed."""
-        self._abandon(now)
+        self._abandon()
         state, ticket, admission = self._parts.view.state, self._ticket, self._parts.admission
         if state is None or ticket is None or ticket.epoch is None or admission.stream_ended(ticket):
             return
-        if self._alive(self._fitted, now) and self._number > self._parts.programs.last_accepted:
-            self._send(state, ticket.epoch, now)
+        if self._alive(self._fitted) and self._number > self._parts.programs.last_accepted:
+            self._send(state, ticket.epoch)
 
-    def _send(self, state: ArmState, epoch: int, now: float) -> None:
+    def _send(self, state: ArmState, epoch: int) -> None:
         """Sends the stages of the last search, or none if they no longer hold.
 
         Stages are repeated during a search: a command without stages would withdraw those that have not begun.
         """
-        self._next_alive = now + ALIVE_EVERY
-        stages = self._found[1] if self._found is not None and self._holds(self._found[0]) else ()
+        self._next_alive = self._moment.now + ALIVE_EVERY
+        found, scene, outputs = self._found, self._parts.obstacles.scene, state.snapshot.outputs
+        stages = found[1] if found is not None and found[0] == self._parts.basis() else ()
         until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"[:LONGEST]
-        scene = self._parts.obstacles.scene
         strict = scene is None or not scene.free
-        outputs = state.snapshot.outputs
         self._parts.act(ToExecutor(Setpoint(self._number, epoch, outputs, stages, until, strict, reason)))
 
-    def _end(self, now: float) -> None:
+    def _end(self) -> None:
         """Ends the stream."""
-        self._abandon(now)
+        self._abandon()
         self._ticket, self._fitted = None, -math.inf
         self._tracker.forget()
 
     # --- searches
 
-    def _decide(self, state: ArmState, now: float) -> bool:
+    def _decide(self, state: ArmState) -> bool:
         """Takes the answer of a search, or starts the next search; returns whether there are new stages."""
-        answer, self._answer = self._answer, None
-        if answer is not None and self._holds(answer[0]):
-            return self._use(*answer, now)
-        if self._job is None:
-            self._search(state, now)
-        return False
-
-    def _use(self, task: FollowSetpoint, answer: Followed, now: float) -> bool:
-        """Takes the stages of an answer; returns whether there are any."""
+        answered, self._answer = self._answer, None
+        if answered is None or answered[0] != self._parts.basis():
+            if self._job is None:
+                self._search(state)
+            return False
+        basis, answer = answered
         blocked = not answer.found or (bool(answer.note) and not answer.stages)
-        self._retry = self._next_search = now + (RETRY if blocked else POLL)
-        self._set_note(answer.note, now)
-        self._found = (task, answer.stages) if answer.stages else None
-        return bool(answer.stages)
+        self._retry = self._next_search = self._moment.now + (RETRY if blocked else POLL)
+        self._stay(answer.note)
+        if answer.stages:
+            self._found = basis, answer.stages
+        return self._found is not None
 
-    def _search(self, state: ArmState, now: float) -> None:
+    def _search(self, state: ArmState) -> None:
         """Starts a search from a state to the predicted goal, unless the arm stays or it is too early to decide."""
-        tables, scene, free_at = self._parts.locks.tables, self._parts.obstacles.scene, state.snapshot.free_at
+        parts, now, free_at = self._parts, self._moment.now, state.snapshot.free_at
         self._next_search = max(free_at - self._searching - PERIOD, self._retry)
-        if tables is None or scene is None or now < self._next_search:
+        if now < self._next_search or (basis := parts.basis()) is None:
             return
-        configuration = state.configuration
-        if configuration is None:
-            self._found = None
-            self._set_note(f", which is not possible now: {obstruction(state, *self._parts.locks.mode())}", now)
+        if (configuration := state.configuration) is None:
+            self._stay(f", which is not possible now: {obstruction(state, *parts.locks.mode())}")
             return
-        bias, tolerance = self._parts.bias(now), self._tolerance
-        shift = np.zeros(self._dimension) if bias is None else bias
-        tip = self._parts.view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
+        bias = parts.correction()
+        shift = np.zeros(self._dimension) if bias is None else np.array(bias)
+        tip = parts.view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
         lead = max(free_at - now, self._searching) + self._lead
-        goal = self._tracker.next_target(now + self._offset, lead, tip, tolerance)
+        goal = self._tracker.next_target(now + self._offset, lead, tip, self._tolerance)
         if goal is None:
-            self._found = None
-            self._set_note("", now)
+            self._stay("")
             return
-        position, numbers = tuple((goal - shift).tolist()), None if bias is None else tuple(bias.tolist())
-        task = FollowSetpoint(state.start, position, tolerance, tables, scene, numbers)
-        self._job = self._parts.jobs.start(task, self._take_answer), task
+        task = FollowSetpoint(basis, tuple((goal - shift).tolist()), self._tolerance, bias)
+        self._job = parts.jobs.start(task, partial(self._take_answer, basis))
 
-    def _take_answer(self, answer: Answer) -> None:
+    def _take_answer(self, basis: Basis, answer: Answer) -> None:
         """Stores the answer of the search for the consideration at the end of this step."""
-        assert self._job is not None
-        (_, task), self._job = self._job, None
-        self._next_look = self._parts.moment.now
+        self._job, self._next_look = None, self._moment.now
         if isinstance(answer, Followed):
             self._searching = running_mean(self._searching, answer.seconds)
-            self._answer = task, answer
-        elif isinstance(answer, Failed) and self._holds(task):
+            self._answer = basis, answer
+        elif isinstance(answer, Failed) and basis == self._parts.basis():
             self._parts.act(Log(logging.ERROR, f"following failed, the arm holds: {answer.reason}"))
             self._ticket = None
 
-    def _holds(self, task: FollowSetpoint) -> bool:
-        """Returns whether a task has the present tables, obstacles and start."""
-        state, tables, scene = self._parts.view.state, self._parts.locks.tables, self._parts.obstacles.scene
-        if state is None or tables is None or scene is None:
-            return False
-        same = (tables.generation, scene.generation) == (task.tables.generation, task.scene.generation)
-        return same and state.start == task.start
+    def _stay(self, note: str) -> None:
+        """Drops the stages that were found; `state` shows the note, which changes at most once in NOTE_EVERY."""
+        self._found = None
+        if note != self._note and self._moment.now >= self._next_note:
+            self._note, self._next_note = note, self._moment.now + NOTE_EVERY
 
-    def _abandon(self, now: float) -> None:
+    def _abandon(self) -> None:
         """Abandons the search under way, and drops what was found."""
-        if self._job is not None:
-            self._parts.jobs.abandon(self._job[0])
+        self._parts.jobs.abandon(self._job)
         self._job = self._answer = self._found = None
 
-    # --- what is told
-
-    def _set_note(self, note: str, now: float) -> None:
-        """Sets the note that `state` shows on the stream, at most once in NOTE_EVERY."""
-        if note != self._note and now >= self._next_note:
-            self._note, self._next_note = note, now + NOTE_EVERY
-
-    def _alive(self, last: float, now: float) -> bool:
+    def _alive(self, last: float) -> bool:
         """Returns whether the given time of the last set-point is within the time-out."""
-        return now - last <= self._timeout
+        return self._moment.now - last <= self._timeout
 
-    def status(self, now: float) -> Payload:
+    def status(self) -> Payload:
         """Returns the state of the stream for `diagnostics`."""
         return {
             "streams": self._streams,
@@ -253,8 +238,8 @@ class Stream:
             "last_refusal": self._last_refusal,
             "outliers": self._tracker.outliers,
             "jumps": self._tracker.jumps,
-            "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard, now) else 0.0,
-            "alive": self._alive(self._fitted, now),
+            "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard) else 0.0,
+            "alive": self._alive(self._fitted),
         }
 
 
@@ -267,37 +252,37 @@ class TipBiasEstimator:
     def __init__(self, parts: Parts, settings: TrackerSettings) -> None:
         """Builds the filter, which takes almost a second."""
         drift = settings.drift or DRIFT * settings.noise
-        self._view, self._locks, self._manipulator = parts.view, parts.locks, parts.view.manipulator
+        self._parts, self._manipulator = parts, parts.view.manipulator
         tracker = Tracker(settings.noise, settings.clamp, drift, settings.hold)
         self._filter = TipBias(self._manipulator.dimension, tracker)
         self._received = self._accepted = self._refused = 0
         self._last_refusal: str | None = None
 
-    def take(self, payload: bytes, now: float, wall: float) -> None:
-        """Takes a measured tip that has arrived, as JSON; a refused one is only counted. `wall` is `now` in UNIX s."""
+    def take(self, payload: bytes) -> None:
+        """Takes a measured tip that has arrived, as JSON; a refused one is only counted."""
         self._received += 1
         try:
-            self._accepted += self._measure(payload, now, wall)
+            self._accepted += self._measure(payload)
         except Refusal as refusal:
             self._refused += 1
             self._last_refusal = str(refusal)
 
-    def _measure(self, payload: bytes, now: float, wall: float) -> bool:
+    def _measure(self, payload: bytes) -> bool:
         """Passes a measured tip to the filter; returns False if it is an outlier.
 
         Raises:
             Refusal: the sample is malformed, late, early, of a moving arm, or too far from the computed tip.
         """
         position, stamp = decode_tip(payload, self._manipulator.dimension)
-        age = wall - stamp
+        age = self._parts.moment.wall - stamp
         if age > VALIDITY:
             late = f"{age:.3f} s old on arrival, at most {VALIDITY:g} s are accepted"
             raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {late}")
         if age < -SLACK:
             ahead = f"{-age:.3f} s in the future, at most {SLACK:g} s are accepted"
             raise Refusal(INVALID_GOAL, f"stamp: {ahead}; stamps are UNIX seconds")
-        measured_at = now - max(age, 0.0)
-        state, (mode, _) = self._view.state, self._locks.mode()
+        measured_at = self._parts.moment.now - max(age, 0.0)
+        state, (mode, _) = self._parts.view.state, self._parts.locks.mode()
         configuration = None if state is None else state.configuration
         if state is None or configuration is None or mode not in ("ready", "executing"):
             raise Refusal(INVALID_GOAL, f"the arm is {mode}, or its configuration is not known")
@@ -306,11 +291,11 @@ class TipBiasEstimator:
         computed = self._manipulator.tips(configuration[None])[0, : len(position), 3]
         return self._filter.measure(position - computed, measured_at)
 
-    def bias(self, now: float) -> NDArray[np.float64]:
+    def bias(self) -> NDArray[np.float64]:
         """Returns the bias that corrects goals, shape (dimension,)."""
-        return self._filter.at(now)
+        return self._filter.at(self._parts.moment.now)
 
-    def status(self, now: float) -> Payload:
+    def status(self) -> Payload:
         """Returns the fields for `diagnostics`."""
         estimate, deviation = self._filter.estimate or (None, None)
         return {
@@ -322,7 +307,7 @@ class TipBiasEstimator:
             "jumps": self._filter.jumps,
             "estimate": None if estimate is None else estimate.tolist(),
             "deviation": deviation,
-            "bias": self.bias(now).tolist(),
+            "bias": self.bias().tolist(),
         }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.feed import Improved, PlannedPoint, Proof
 from controller.motion.goal import GoalMessage
 from controller.motion.trajectory import Trajectory
@@ -57,6 +58,14 @@ class ArmStart(NamedTuple):
     locked: bytes
 
 
+class Basis(NamedTuple):
+    """What a plan holds for. It is not used after any of the three has changed."""
+
+    start: ArmStart
+    tables: Tables
+    scene: Scene
+
+
 # --- tasks
 
 
@@ -65,16 +74,13 @@ class PlanGoal(NamedTuple):
 
     Attributes:
         received: time of arrival [UNIX s].
-        start: where the arm is, or where its running stage ends.
         bias: tip bias that corrects the goal, dimension numbers; None: no tracker.
     """
 
     message: GoalMessage
     received: float
-    start: ArmStart
     bias: tuple[float, ...] | None
-    tables: Tables
-    scene: Scene
+    basis: Basis
 
 
 class ImprovePlan(NamedTuple):
@@ -93,33 +99,16 @@ class ImprovePlan(NamedTuple):
 
 
 class PrepareSearch(NamedTuple):
-    """Prepare the next search while no request waits. Answered by `Done`.
+    """Prepare the next search while no request waits, and plan `rehearsal` without effect. Answered by `Done`."""
 
-    Attributes:
-        rehearsal: a goal to plan without effect, so that the processor's caches are warm; None: none.
-    """
-
-    start: ArmStart
-    tables: Tables
-    scene: Scene
+    basis: Basis
     rehearsal: GoalMessage | None = None
 
 
 class DescribePlan(NamedTuple):
-    """Plan a goal without running it. Answered by `Described`, `Refused` or `Failed`; see `PlanGoal`.
+    """Plan a goal without running it, within a time [s]. Answered by `Described`, `Refused` or `Failed`."""
 
-    Attributes:
-        goal: its id.
-        seconds: time after which the query is refused [s].
-    """
-
-    goal: str
-    message: GoalMessage
-    received: float
-    start: ArmStart
-    bias: tuple[float, ...] | None
-    tables: Tables
-    scene: Scene
+    goal: PlanGoal
     seconds: float
 
 
@@ -132,20 +121,16 @@ class FollowSetpoint(NamedTuple):
         bias: tip bias that corrects `position`, dimension numbers, for the note; None: no tracker.
     """
 
-    start: ArmStart
+    basis: Basis
     position: tuple[float, ...]
     tolerance: float
-    tables: Tables
-    scene: Scene
     bias: tuple[float, ...] | None = None
 
 
 class CheckStages(NamedTuple):
-    """Check consecutive stages for collisions. Answered by `Checked` or `Failed`.
+    """Check the states before and after consecutive stages for collisions. Answered by `Checked` or `Failed`.
 
-    Attributes:
-        before: packed states before the first stage, with the states of locked actuators.
-        stages: packed states after each stage, likewise.
+    The bits of locked actuators are their states, not their outputs.
     """
 
     scene: Scene
@@ -161,11 +146,9 @@ class CheckStanding(NamedTuple):
 
 
 class BuildScene(NamedTuple):
-    """Build the swept checks of obstacles. Answered by `SceneBuilt` or `Failed`.
+    """Build the swept checks of the obstacles that were sent and those of the arm's file.
 
-    Attributes:
-        generation: of the new scene.
-        obstacles: those that were sent, without those of the arm's file; opaque.
+    Answered by `SceneBuilt` or `Failed`.
     """
 
     generation: int
@@ -173,23 +156,14 @@ class BuildScene(NamedTuple):
 
 
 class BuildTables(NamedTuple):
-    """Build the solvers for locked states; takes seconds. Answered by `TablesBuilt` or `Failed`."""
+    """Build the solvers for locked states; takes seconds. Answered by `Tables` or `Failed`."""
 
     generation: int
     locked: bytes
 
 
-Task = (
-    PlanGoal
-    | ImprovePlan
-    | PrepareSearch
-    | DescribePlan
-    | FollowSetpoint
-    | CheckStages
-    | CheckStanding
-    | BuildScene
-    | BuildTables
-)
+Search = PlanGoal | ImprovePlan | PrepareSearch | DescribePlan | FollowSetpoint
+Task = Search | CheckStages | CheckStanding | BuildScene | BuildTables
 
 
 # --- answers
@@ -199,8 +173,7 @@ class Planned(NamedTuple):
     """The plan of a goal.
 
     Attributes:
-        trajectory: the goal, corrected by the tip bias.
-        points: one for each point of the trajectory.
+        trajectory: the goal, corrected by the tip bias; it has as many points as `points`.
         plan: for `ImprovePlan`; opaque.
     """
 
@@ -245,22 +218,11 @@ class Checked(NamedTuple):
 
 
 class SceneBuilt(NamedTuple):
-    """A new scene.
-
-    Attributes:
-        total: number of all obstacles.
-        sent: number of those sent.
-    """
+    """A new scene, with the number of all its obstacles, and of those sent."""
 
     scene: Scene
     total: int
     sent: int
-
-
-class TablesBuilt(NamedTuple):
-    """New tables."""
-
-    tables: Tables
 
 
 class Done(NamedTuple):
@@ -280,16 +242,17 @@ class Failed(NamedTuple):
     reason: str
 
 
-Answer = (
-    Planned
-    | Deviations
-    | Improved
-    | Described
-    | Followed
-    | Checked
-    | SceneBuilt
-    | TablesBuilt
-    | Done
-    | Refused
-    | Failed
-)
+Built = SceneBuilt | Tables
+Answer = Planned | Deviations | Improved | Described | Followed | Checked | Built | Done | Refused | Failed
+
+
+def refusal_of(answer: Answer) -> Refusal:
+    """Returns the refusal of a goal whose task was answered without a plan."""
+    if isinstance(answer, Refused):
+        return Refusal(answer.code, answer.reason)
+    return Refusal(INVALID_GOAL, "internal error while planning, see the journal")
+
+
+def collision_of(answer: Answer) -> str | None:
+    """Returns the collision that a check has found, in words; a check that failed counts as one."""
+    return answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"

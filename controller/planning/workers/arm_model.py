@@ -13,7 +13,7 @@ from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.pacing import pace_of
 from controller.motion.program import pack_states, unpack_states
 from controller.obstacles.keep_out import KeepOutSet, States
-from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, Scene, SceneBuilt, Tables, TablesBuilt
+from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, Scene, SceneBuilt, Tables
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
@@ -37,10 +37,6 @@ class Solvers(NamedTuple):
 class ArmModel:
     """The arm for one worker. Not thread-safe, because the memory of its solver is not.
 
-    Attributes:
-        arm: the whole arm.
-        pace: of its transitions.
-
     Args:
         arm: the whole arm.
         worker: which of the solvers is used.
@@ -55,16 +51,14 @@ class ArmModel:
         """Returns the solver of the reduced arm that avoids the obstacles of a scene."""
         generations = tables.generation, scene.generation
         if self._solver is None or generations != self._generations:
-            self._solver, self._generations = self._avoiding(getattr(tables.solvers, self._worker), scene), generations
+            solver: Solver = getattr(tables.solvers, self._worker)
+            if not scene.free:
+                clearance = scene.keep_out.clearance
+                if solver.manipulator is not clearance.manipulator:
+                    clearance = self.arm.clearance(solver.manipulator, scene.keep_out.sent)
+                solver = solver.avoiding(clearance)
+            self._solver, self._generations = solver, generations
         return self._solver
-
-    def _avoiding(self, solver: Solver, scene: Scene) -> Solver:
-        if scene.free:
-            return solver
-        clearance, manipulator = scene.keep_out.clearance, solver.manipulator
-        if manipulator is not clearance.manipulator:
-            clearance = self.arm.clearance(manipulator, scene.keep_out.sent)
-        return solver.avoiding(clearance)
 
     def unpack(self, packed: bytes) -> States:
         """Returns packed actuator states as an array (A,)."""
@@ -94,7 +88,7 @@ class ArmModel:
             raise Refusal(INVALID_GOAL, "the locked actuators are changing, send it again") from None
 
 
-def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: BuildTables) -> TablesBuilt:
+def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: BuildTables) -> Tables:
     """Returns the solvers for locked states.
 
     Args:
@@ -113,7 +107,7 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
         densities = map_densities(reduced, arm.pixel, arm.level_pixels)
     goals = Solver(reduced, densities, weights)
     goals.prepare()
-    return TablesBuilt(Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another())))
+    return Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another()))
 
 
 def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:

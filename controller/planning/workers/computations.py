@@ -37,11 +37,9 @@ class PlannedGoal(NamedTuple):
     """A plan with what its improvement needs; `Planned.plan`.
 
     Attributes:
-        plan: from the configuration of `start.states`.
+        plan: from the configuration of `start.states`, with the tables of generation `tables`.
         first: transition to the first point from `start.commanded`.
         points: of `Planned`.
-        start: where the plan starts.
-        tables: generation of the tables that the plan's configurations belong to.
     """
 
     plan: Plan
@@ -61,20 +59,20 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
         Refusal: there is no plan.
         Abandoned: `proceed` has raised it.
     """
-    trajectory, start = schedule_goal(model, task), task.start
+    trajectory, start = schedule_goal(model, task), task.basis.start
     found = search_plan(model, task, trajectory, proceed, PLANNING_TIME)[0]
     first, *others = transitions = found.transitions
     if start.commanded != start.states:
-        arm, keep_out, commanded = model.arm.manipulator, task.scene.keep_out, model.unpack(start.commanded)
+        arm, keep_out, commanded = model.arm.manipulator, task.basis.scene.keep_out, model.unpack(start.commanded)
         first = first_transition(arm, model.pace, keep_out, commanded, first, proceed)
         transitions = (first, *others)
         check_size(model, transitions)
     points = tuple(points_of(model, start, start.commanded, transitions))
-    opaque = PlannedGoal(found, first, points, start, task.tables.generation)
+    opaque = PlannedGoal(found, first, points, start, task.basis.tables.generation)
     return tasks.Planned(trajectory, points, proof_of(found), opaque)
 
 
-def schedule_goal(model: ArmModel, task: tasks.PlanGoal | tasks.DescribePlan) -> Trajectory:
+def schedule_goal(model: ArmModel, task: tasks.PlanGoal) -> Trajectory:
     """Returns the trajectory of a goal, corrected by the tip bias.
 
     Raises:
@@ -90,7 +88,7 @@ def schedule_goal(model: ArmModel, task: tasks.PlanGoal | tasks.DescribePlan) ->
 
 
 def search_plan(
-    model: ArmModel, task: tasks.PlanGoal | tasks.DescribePlan, trajectory: Trajectory, proceed: Proceed, seconds: float
+    model: ArmModel, task: tasks.PlanGoal, trajectory: Trajectory, proceed: Proceed, seconds: float
 ) -> tuple[Plan, Configuration, Solver]:
     """Returns a plan whose stages are clear, the configuration (B,) before it, and the solver that found it.
 
@@ -99,13 +97,14 @@ def search_plan(
     Raises:
         Refusal: there is no plan.
     """
-    solver = model.solver(task.tables, task.scene)
-    previous = model.configuration(task.start, solver.manipulator)
+    start, tables, scene = task.basis
+    solver = model.solver(tables, scene)
+    previous = model.configuration(start, solver.manipulator)
     found = plan(solver, trajectory, previous, model.arm.settings.method, proceed, model.pace, seconds)
     check_size(model, found.transitions)
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
-    before, stages = model.unpack(task.start.states), stages_of(found.transitions)
-    if (collision := task.scene.keep_out.first_collision(before, stages, proceed)) is not None:
+    before, stages = model.unpack(start.states), stages_of(found.transitions)
+    if (collision := scene.keep_out.first_collision(before, stages, proceed)) is not None:
         raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan would collide: {collision}")
     return found, previous, solver
 
@@ -186,15 +185,15 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
 
 def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed) -> tasks.Done:
     """Prepares the next search of a goal from the arm's state; `proceed` is called between two parts."""
-    solver = model.solver(task.tables, task.scene)
+    solver = model.solver(task.basis.tables, task.basis.scene)
     if model.arm.settings.method != "minimum-switch":
         return tasks.Done()
     with suppress(Refusal):
-        previous = model.configuration(task.start, solver.manipulator)
+        previous = model.configuration(task.basis.start, solver.manipulator)
         for _ in solver.expect(previous, model.arm.tolerance):
             proceed()
         if task.rehearsal is not None:
-            plan_goal(model, tasks.PlanGoal(task.rehearsal, 0.0, task.start, None, task.tables, task.scene), proceed)
+            plan_goal(model, tasks.PlanGoal(task.rehearsal, 0.0, None, task.basis), proceed)
     return tasks.Done()
 
 
@@ -214,8 +213,8 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
         if time.monotonic() > until:
             raise Refusal(codes.INVALID_GOAL, f"planning took longer than {task.seconds:g} s: ask for fewer waypoints")
 
-    trajectory = schedule_goal(model, task)
-    found, previous, solver = search_plan(model, task, trajectory, in_time, first_time(trajectory))
+    trajectory = schedule_goal(model, task.goal)
+    found, previous, solver = search_plan(model, task.goal, trajectory, in_time, first_time(trajectory))
     if model.arm.settings.method == "minimum-switch":
         found = look_ahead(solver, found, previous, model.pace, stop=hurry)
     fields = describe_plan(model.arm.manipulator, solver.manipulator, previous, found)
@@ -227,14 +226,15 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
 
 def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
     """Returns the stages to a set-point, or why the arm stays."""
-    solver = model.solver(task.tables, task.scene)
+    arm_start, tables, scene = task.basis
+    solver = model.solver(tables, scene)
     try:
-        start = model.configuration(task.start, solver.manipulator)
+        start = model.configuration(arm_start, solver.manipulator)
     except Refusal as refusal:
         return tasks.Followed((), f", which is not possible now: {refusal}", False, 0.0)
-    commanded, goal = model.unpack(task.start.commanded), np.array(task.position)
+    commanded, goal = model.unpack(arm_start.commanded), np.array(task.position)
     # The arm may lag behind a moving set-point by the other half of the tolerance.
-    query = SetpointQuery(solver, task.scene.keep_out, commanded, start, goal, task.tolerance / 2)
+    query = SetpointQuery(solver, scene.keep_out, commanded, start, goal, task.tolerance / 2)
     began = time.perf_counter()
     found = find(query, model.arm.settings.method)
     seconds = time.perf_counter() - began
@@ -248,7 +248,7 @@ def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
         stages = stages_to(query, found.configuration, model.arm.manipulator, model.pace)
     except Blocked as blocked:
         return tasks.Followed((), f", but the transition to it is blocked: {blocked}", True, seconds)
-    return tasks.Followed(tuple(model.pack(task.start, stages)), "", True, seconds)
+    return tasks.Followed(tuple(model.pack(arm_start, stages)), "", True, seconds)
 
 
 # --- collisions

@@ -55,9 +55,7 @@ class Workers:
     Each task is answered by `Answered`; its last answer is marked.
 
     Args:
-        arm: the arm.
-        densities: of the arm reduced by the actuators that its file declares stuck.
-        weights: cost of a switch of each actuator, shape (A,).
+        arm, densities, weights: as in `build_tables`.
         post: takes the answers; called from the workers' threads.
         fatal: takes the reason if a thread has ended unexpectedly, so that the process must end.
     """

@@ -108,7 +108,6 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
 
 
 def _find(boot: Boot) -> Procedure:
-    boot.board.guarded = False
     boot.kind, boot.stopped = yield from find(boot.board.layout, boot.timing.boot_timeout, boot.board)
     if boot.stopped:
         boot.undo.left(State.STOPPED)

@@ -1,4 +1,7 @@
-"""The commit of outputs: sends all changed RPDOs; when all of them were sent, one SYNC on each bus."""
+"""The commit of outputs: sends all changed RPDOs; when all of them were sent, one SYNC on each bus.
+
+In a commit that only switches lines off, each bus gets its SYNC as soon as its own RPDOs were sent.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ _SYNC = Frame(cia301.SYNC)
 class Commit:
     """Switches all boards of a bus at the same instant.
 
-    SYNC is sent only after all RPDOs of all buses were sent. So no SYNC waits in a queue when a bus fails, and the
-    frames that the kernel still holds switch nothing when the bus comes back.
+    SYNC is sent only after all RPDOs of all buses were sent, or of its own bus if lines only go off. So no SYNC waits
+    in a queue when a bus fails, and the frames that the kernel still holds switch nothing when the bus comes back.
 
     A commit can be given up until its SYNC is handed out. Boards that wait for SYNC then keep their outputs. A board
     without SYNC switches when its RPDO is sent, and a frame that was handed out cannot be called back. So the commit
@@ -42,6 +45,7 @@ class Commit:
         self._links, self._outputs, self._longest = links, outputs, longest
         self._note = note
         self._refusal: Callable[[], str | None] | None = None
+        self._together = True
         self._states = 0
         self._began = 0.0
         self._waiting: dict[str, dict[Frame, Key | None]] = {}  # of each bus, frames that were not sent yet
@@ -83,6 +87,7 @@ class Commit:
         refusal: Callable[[], str | None],
         clock: float,
         now: float,
+        together: bool = True,
     ) -> None:
         """Starts the switch to the states.
 
@@ -92,8 +97,9 @@ class Commit:
             refusal: returns why nothing may be switched now, or None.
             clock: real time [s].
             now: time that stands still while the loop stalls [s].
+            together: whether no bus gets its SYNC before the RPDOs of all buses were sent.
         """
-        self.failed = None
+        self.failed, self._together = None, together
         self._states, self._began, self._refusal = states, clock, refusal
         self._waiting = {bus: dict(self._frame(key) for key in keys) for bus, keys in due.items()}
         for bus, frames in list(self._waiting.items()):
@@ -186,13 +192,14 @@ class Commit:
         if clock - self._began > self._longest:
             late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
             self.give_up(f"{late} for {self._longest:g} s")
-        elif not waiting:
+        elif ready := [bus for bus in self._waiting if bus not in waiting and not (waiting and self._together)]:
             if self._refusal is not None and (refusal := self._refusal()) is not None:
                 self.give_up(refusal)
                 return
-            buses, self._waiting = list(self._waiting), {}
-            self._syncs.update(buses)
-            for bus in buses:
+            for bus in ready:
+                del self._waiting[bus]
+            self._syncs.update(ready)
+            for bus in ready:
                 self._links[bus].send(_SYNC, now)
 
     def _sync_sent(self, bus: str, clock: float) -> None:

@@ -165,7 +165,7 @@ class Master:
         self._booting.begin(self._network.rearm(), self._clock.at(now))
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
-        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus when all RPDOs were sent.
+        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after them, see `Commit`.
 
         Nothing is sent if nothing changes. `committing`, `commit_failed` and `take_switched` tell the result. The first
         commit after a boot ends when the outputs of boards without end-stops were read back.
@@ -337,11 +337,11 @@ class Master:
 
     def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float) -> None:
         """Starts a commit; `off`: mask of lines if they only go off, else None."""
-        if (refusal := self._network.refusal(off)) is not None:
+        if refusal := self._network.refusal(off):
             raise Busy(refusal)
         frames = {bus: self._network.frames_of(bus, keys, off) for bus, keys in due.items()}
-        self._releasing = 0, 0
-        self._commit.begin(states, frames, partial(self._network.refusal, off), now, self._clock.at(now))
+        self._releasing, refuses = (0, 0), partial(self._network.refusal, off)
+        self._commit.begin(states, frames, refuses, now, self._clock.at(now), together=off is None)
 
     def _lose(self, fault: Fault) -> None:
         self._network.forget(fault.source)  # one fault for the bus, not one for each board

@@ -108,7 +108,8 @@ class Network:
         """Returns what a release of lines switches.
 
         The release leaves out boards that have restarted: their outputs are off, and their frames could switch others
-        on. Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
+        on. It leaves out buses that send no frames, unless there is no other. Doubtful lines of the same boards go off
+        too: their levels are unknown, and a release switches nothing on.
 
         Args:
             lines: mask of lines to switch off.
@@ -117,6 +118,8 @@ class Network:
             Levels of all lines after it, and the mask of the lines that go off.
         """
         states, doubtful = self.outputs.states, self.outputs.doubtful
+        usable = (s.board.layout.output_lines for s in self.stations if self.links[s.board.layout.bus].usable)
+        lines = lines & (states | doubtful) & union(usable) or lines
         boards = [s.board for s in self.stations if s.board.layout.output_lines & lines]
         off = (states | doubtful) & lines & union(b.layout.output_lines for b in boards if not b.restarted)
         touched = union(b.layout.output_lines for b in boards if b.layout.output_lines & off)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from controller.planning.link import ExecutorLink
-from controller.planning.planner import Planner
+from controller.planning.planner import RequestDecoder
 from controller.planning.workers import computations
 from controller.program import Down, Program
 from controller.search.solver import Solver
@@ -51,7 +51,7 @@ if __name__ == "__main__":
             stack.enter_context(Record(folder / f"{name}.npz", "began", "ended"))
             for name in ("goals", "services", "solves", "programs")
         )
-        timed(Planner, "decode", goals, is_goal)
+        timed(RequestDecoder, "decode", goals, is_goal)
         timed(computations, "plan_goal", services)  # type: ignore[arg-type]
         timed(Solver, "solve", solves)
         timed(ExecutorLink, "send", programs, is_program)

@@ -1,87 +1,32 @@
-"""A master, simulated boards and CAN buses on a simulated clock."""
+"""The CANopen master alone on the simulation's buses and boards: a test calls its methods, and reads what it says."""
 
 from __future__ import annotations
 
-import heapq
-import itertools
-from collections import deque
-from collections.abc import Callable, Mapping
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Changed, Event, SendFailed
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
-from drivers.simulation.buses import build_actuator, wire
-from drivers.simulation.firmware import SimulatedBoard
 from drivers.simulation.variants import STANDARD, Variant
+from tests.simulation.hardware import Hardware
 
-QUEUE = 10  # frames; the kernel's default of txqueuelen
 TICK = 0.01
-MASTER = "master"
 
 
-class SimulatedBus:
-    """One CAN bus: arbitration by identifier, the time that each frame takes, and the queue of the master's interface.
+class World(Hardware):
+    """A master and the boards of its wiring; the boards have power, and answer SDO after `latency` [s] or later.
 
     Attributes:
-        log: frames on the wire, as identifier and data.
-        blocked: the master's frames do not leave.
-        room: frames that the master's interface still takes; None without a limit but its queue.
-        echo: whether the master's interface gives frames back.
+        master: the present master, or a tool in its place.
+        stalled: whether the master's loop stands still; events wait for it.
+        switched: switches that the masters have reported.
     """
-
-    def __init__(self, world: World, name: str, bitrate: int) -> None:
-        self.world, self.name, self.bitrate = world, name, bitrate
-        self.log: list[Frame] = []
-        self.blocked = self.busy = False
-        self.room: int | None = None
-        self.echo = True
-        self.queues: dict[object, deque[Frame]] = {}
-
-    def put(self, sender: object, frame: Frame) -> bool:
-        queue = self.queues.setdefault(sender, deque())
-        if sender is MASTER:
-            if len(queue) >= QUEUE or self.room == 0:
-                return False
-            if self.room is not None:
-                self.room -= 1
-        queue.append(frame)
-        self.next()
-        return True
-
-    def next(self) -> None:
-        heads = [
-            (queue[0].id, i, sender)
-            for i, (sender, queue) in enumerate(self.queues.items())
-            if queue and not (sender is MASTER and self.blocked)
-        ]
-        if self.busy or not heads:
-            return
-        *_, sender = min(heads, key=lambda head: head[:2])
-        frame = self.queues[sender].popleft()
-        self.busy = True
-        self.world.after(cia301.wire_bits(len(frame.data)) / self.bitrate, lambda: self.done(sender, frame))
-
-    def done(self, sender: object, frame: Frame) -> None:
-        self.busy = False
-        self.log.append(frame)
-        world = self.world
-        function = frame.id & 0x780
-        if function != cia301.SDO_ANSWER and (function != cia301.HEARTBEAT or sender is MASTER):  # for boards
-            for board in world.boards_of(self.name):
-                if board is not sender:
-                    world.hear(self.name, board, frame)
-        if sender is not MASTER:
-            world.master.receive(self.name, frame, world.now)
-        elif self.echo:
-            world.master.echoed(self.name, frame, world.now)
-        world.flush()
-        self.next()
-
-
-class World:
-    """A master and the boards of its wiring; the boards have power, and answer after `latency` [s]."""
 
     def __init__(
         self,
@@ -98,100 +43,78 @@ class World:
         buses = tuple(BusSettings(name, "none", name, bitrate) for name in names)
         self.wiring = Wiring(buses, tuple(channels), **options)
         self.timing = timing or Timing()
-        self.now, self.latency = 0.0, latency
-        self._order = itertools.count()
-        self._events: list[tuple[float, int, Callable[[], None]]] = []
-        self.buses = {bus.name: SimulatedBus(self, bus.name, bus.bitrate) for bus in buses}
-        self.actuators = {c.actuator: build_actuator(c, self.timing) for c in channels}
-        self.boards: dict[tuple[str, int], SimulatedBoard] = {}
-        for (bus, node), wired in wire(self.wiring, self.actuators).items():
-            variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
-            self.boards[bus, node] = SimulatedBoard(node, wired, self._mouth(bus, node), variant)
-        self.lost: Callable[[str, int, Frame], bool] = lambda bus, node, frame: False  # frames of boards
-        self.faults: list[Fault] = []
-        self.switched: list[tuple[int, float]] = []
+        given = {str(board): STANDARD for board in self.wiring.boards} | dict(variants or {})
+        late = {board: answering(variant, latency) for board, variant in given.items()}
+        super().__init__(self.wiring, self.timing, self._to_master, late)
+        for bus in self.buses.values():
+            bus.log = []
+        self.run, self.until, self.after = self.agenda.run, self.agenda.until, self.agenda.after
         self.stalled = False
-        self.master = self.new_master()
-        for board in self.boards.values():
-            board.power_on(0.0)
-            self._schedule(board)
+        self.switched: list[tuple[int, float]] = []
+        self._faults: list[Fault] = []
+        self._waiting: list[Event] = []
+        self.master: Any = None
+        self.new_master()
         self.after(0.0, self._tick)
 
-    def new_master(self) -> Master:
-        self._outbox: list[tuple[str, Frame]] = []
-        master = Master(self.wiring, self.timing, lambda bus, frame: self._outbox.append((bus, frame)))
-        for bus in self.buses:
-            master.bus_changed(bus, "active", "", None, self.now)
-        return master
+    # --- the master
 
-    def boards_of(self, bus: str) -> list[SimulatedBoard]:
-        return [board for (name, _), board in self.boards.items() if name == bus]
+    def new_master(self) -> None:
+        """Replaces the master by a new one, with open buses."""
+        self.use(Master(self.wiring, self.timing, self.send))
+        for name, bus in self.buses.items():
+            self.master.take(Changed(name, bus.state, "", None), self.now)
 
-    def after(self, delay: float, what: Callable[[], None]) -> None:
-        heapq.heappush(self._events, (self.now + delay, next(self._order), what))
+    def use(self, master: Any) -> None:
+        """Replaces the master, which is killed, by another or a tool; it hears nothing that came before."""
+        self._collect()
+        self.master = master
+        self._waiting.clear()
 
-    def run(self, seconds: float) -> None:
-        end = self.now + seconds
-        while self._events and self._events[0][0] <= end:
-            self.now, _, what = heapq.heappop(self._events)
-            what()
-        self.now = end
-
-    def until(self, condition: Callable[[], object], patience: float = 20.0) -> float:
-        """Runs until the condition holds; returns the time taken [s]."""
-        begun = self.now
-        while not condition():
-            assert self.now - begun < patience, "waited in vain"
-            self.now, _, what = heapq.heappop(self._events)
-            what()
-        return self.now - begun
+    def send(self, bus: str, frame: Frame) -> None:
+        """Sends a frame of the master; it hears of a failure afterwards."""
+        why = self.buses[bus].send(frame)
+        if why is not None:
+            self.after(0.0, lambda: self._to_master(SendFailed(bus, frame, why)))
 
     def stall(self, seconds: float) -> None:
-        """Stalls the master's loop; it takes the frames of this time afterwards, in order."""
-        waiting: list[tuple[str, str, Frame]] = []
-        master = self.master
-        real = master.receive, master.echoed
-        master.receive = lambda bus, frame, now: waiting.append(("r", bus, frame))  # type: ignore[method-assign]
-        master.echoed = lambda bus, frame, now: waiting.append(("e", bus, frame))  # type: ignore[method-assign]
+        """Stalls the master's loop; then it ticks, and takes the events of this time in order."""
         self.stalled = True
         self.run(seconds)
         self.stalled = False
-        master.receive, master.echoed = real  # type: ignore[method-assign]
-        self.tick_once()
-        for kind, bus, frame in waiting:
-            (master.receive if kind == "r" else master.echoed)(bus, frame, self.now)
-            self.flush()
+        self.tick()
 
-    def hear(self, bus: str, board: SimulatedBoard, frame: Frame) -> None:
-        sdo = frame.id & 0x780 == cia301.SDO_REQUEST
-        if sdo and frame.id & 0x7F != board.node:
-            return
+    def tick(self) -> None:
+        """Gives the master a tick, and the events that wait."""
+        self.master.tick(self.now)
+        waiting, self._waiting = self._waiting, []
+        for event in waiting:
+            self._to_master(event)
+        self._collect()
 
-        def take() -> None:
-            board.receive(frame.id, frame.data, self.now)
-            self._schedule(board)
+    def _tick(self) -> None:
+        if not self.stalled:
+            self.tick()
+        self.after(TICK, self._tick)
 
-        if sdo:
-            self.after(self.latency, take)
+    def _to_master(self, event: Event) -> None:
+        if self.stalled:
+            self._waiting.append(event)
+        elif isinstance(event, SendFailed) and not isinstance(self.master, Master):
+            self.master.send_failed(event.bus, event.frame, self.now)
         else:
-            take()
+            self.master.take(event, self.now)
+            self._collect()
 
-    def flush(self) -> None:
-        while self._outbox:
-            bus, frame = self._outbox.pop(0)
-            if not self.buses[bus].put(MASTER, frame):
-                self.master.send_failed(bus, frame, "No buffer space available", self.now)
-        self.faults += self.master.take_faults()
-        self.switched += self.master.take_switched()
+    # --- what a test gives
 
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
         """Sends a frame of another node."""
-        self.buses[bus].put("another node", Frame(cob_id, data))
+        self.buses[bus].from_other(Frame(cob_id, data))
 
     def boot(self) -> World:
         self.run(0.05)  # the boards have long booted when the master comes
         self.master.boot(self.now)
-        self.flush()
         self.until(lambda: not self.master.booting)
         return self
 
@@ -205,7 +128,6 @@ class World:
     def commit(self, *states: int) -> None:
         """Commits, and runs until the commit has ended."""
         self.master.commit(bits(*states), self.now)
-        self.flush()
         self.until(lambda: not self.master.committing)
 
     def commit_when_possible(self, *states: int) -> None:
@@ -219,54 +141,45 @@ class World:
         while not taken():
             self.run(TICK)
 
+    # --- what comes out
+
     def frames(self, bus: str = "can0", sdo: bool = False) -> list[tuple[int, str]]:
         """Returns COB-ID and data of the frames since the last call, without heartbeats, and without SDO by default."""
-        log, self.buses[bus].log = self.buses[bus].log, []
+        log, self.buses[bus].log = self.buses[bus].log or [], []
         left_out = (cia301.HEARTBEAT,) if sdo else (cia301.HEARTBEAT, cia301.SDO_REQUEST, cia301.SDO_ANSWER)
         return [(frame.id, frame.data.hex(" ")) for frame in log if frame.id & 0x780 not in left_out]
+
+    @property
+    def faults(self) -> list[Fault]:
+        """Faults that the masters have reported."""
+        self._collect()
+        return self._faults
 
     def codes(self) -> list[str]:
         return [fault.code for fault in self.faults]
 
     def positions(self) -> list[float]:
-        return [self.actuators[c.actuator].position for c in self.wiring.channels]
+        self._attached.step()
+        return self.boards.positions()
 
     def switches(self) -> list[int]:
-        return [self.actuators[c.actuator].switches for c in self.wiring.channels]
+        return self.boards.switches()
 
     def measured(self) -> list[int]:
         """States, -1 where unknown."""
         measured, known = self.master._network.measured, self.master.known
         return [measured >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
 
-    def tick_once(self) -> None:
-        self.master.tick(self.now)
-        self.flush()
+    def _collect(self) -> None:
+        if isinstance(self.master, Master):
+            self._faults += self.master.take_faults()
+            self.switched += self.master.take_switched()
 
-    def _tick(self) -> None:
-        if not self.stalled:
-            self.tick_once()
-        self.after(TICK, self._tick)
 
-    def _mouth(self, bus: str, node: int) -> Callable[[int, bytes], None]:
-        def send(cob_id: int, data: bytes) -> None:
-            frame = Frame(cob_id, data)
-            if not self.lost(bus, node, frame):
-                self.buses[bus].put(self.boards[bus, node], frame)
-
-        return send
-
-    def _schedule(self, board: SimulatedBoard) -> None:
-        timer = board.timer
-        if timer == float("inf"):
-            return
-
-        def step() -> None:
-            if board.timer <= self.now + 1e-9:
-                board.step(max(self.now, board.timer))  # sums of times may fall short of the timer by rounding
-                self._schedule(board)
-
-        self.after(max(timer - self.now, 0.0), step)
+@functools.cache
+def answering(variant: Variant, latency: float) -> Variant:
+    """Returns a variant whose SDO answers take a time longer [s]."""
+    return replace(variant, answer_delay=variant.answer_delay + latency)
 
 
 def bits(*states: int) -> int:

@@ -36,7 +36,7 @@ def test_an_abort_at_any_object_refuses_the_board_in_words_or_does_no_harm(on_lo
     variant = BOARDS[on_loss][code % len(BOARDS[on_loss])]
     for index, sub in asked(on_loss, variant):
         world = lost(on_loss, variant)
-        board = world.boards["can0", 5]
+        board = world.boards.board("can0/5")
         pins, before = board.pins, len(board.started)
         board.objects.refused[index, sub] = code
         faults = boot(world)

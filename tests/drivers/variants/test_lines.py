@@ -13,7 +13,6 @@ def ends(world: World) -> int:
 
 def test_a_pair_of_outputs_changes_in_one_frame_and_never_both_on():
     world = World([Channel("a", "can0", 5, 0, 0, output_off=1, input_contracted=1)]).up()
-    valve = world.actuators["a"]
     assert ends(world) == 0b10, "it is at its contracted end"
     world.commit(1, 0)
     world.run(0.01)
@@ -27,7 +26,7 @@ def test_a_pair_of_outputs_changes_in_one_frame_and_never_both_on():
     assert (world.positions(), ends(world)) == ([0.0], 0b10)
     world.commit(0, 0)
     world.run(0.1)
-    assert (world.positions(), valve.coils, valve.both_on) == ([0.0], (0, 0), 0)
+    assert (world.positions(), world.boards.coils(), world.boards.both_on()) == ([0.0], [(0, 0)], [0])
     assert world.faults == []
 
 
@@ -39,7 +38,7 @@ def test_inverted_lines_are_levels_above_the_driver():
     world.commit(0)
     world.run(0.1)
     assert (world.positions(), world.master.outputs, ends(world)) == ([0.0], 0b0, 0b10)
-    assert world.boards["can0", 5].objects.number(0x6200, 1) == 1
+    assert world.boards.board("can0/5").objects.number(0x6200, 1) == 1
     world.commit(1)
     world.run(0.1)
     assert (world.positions(), ends(world)) == ([1.0], 0b01)
@@ -48,17 +47,15 @@ def test_inverted_lines_are_levels_above_the_driver():
 
 def test_a_broken_wire_reads_both_ends_or_none():
     world = World([Channel("a", "can0", 5, 0, 0, input_contracted=1)]).up()
-    board = world.boards["can0", 5]
-    for broken, levels in ((world.actuators["a"].short_wires, 0b11), (world.actuators["a"].cut_wires, 0b00)):
-        broken()
-        board.step(world.now)
+    for broken, levels in (("short_wires", 0b11), ("cut_wires", 0b00)):
+        world.fault(broken, "a")
         world.run(0.01)
         assert ends(world) == levels
 
 
 def test_an_actuator_that_fails_half_way_is_at_neither_end():
     world = World([Channel("a", "can0", 5, 0, 0, input_contracted=1)]).up()
-    world.actuators["a"].jam(0.5)
+    world.fault("jam", "a", 0.5)
     world.commit(1)
     world.run(1.0)
     assert (world.positions(), ends(world)) == ([0.5], 0b00)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,24 +36,25 @@ class StatusBench(PlayedCore):
 
     def __init__(self, arm: Arm, tracker: TrackerSettings | None = None) -> None:
         super().__init__(arm)
-        bias = None if tracker is None else TipBiasEstimator(self.parts, tracker)
+        self.parts.tip_bias = None if tracker is None else TipBiasEstimator(self.parts, tracker)
         stream = Stream(arm, tracking_of(arm.manipulator.length, arm.tolerance), self.parts)
-        self.planning = 0
-        self.status = Status(self.parts, stream, bias, lambda: self.planning)
+        self.goals, self.queries = SimpleNamespace(waiting=0), SimpleNamespace(waiting=0)
+        self.status = Status(self.parts, stream, self.goals, self.queries)
 
     def state(self) -> dict[str, Any]:
-        return dict(self.status.state(self.now, self.wall))
+        return dict(self.status.state())
 
     def diagnostics(self) -> dict[str, Any]:
-        return dict(self.status.diagnostics(self.now, self.wall))
+        return dict(self.status.diagnostics())
 
     def report(self, changed: bool = True) -> None:
-        self.status.report(self.now, self.wall, changed)
+        self.status.changed |= changed
+        self.status.report()
 
     def run(self, seconds: float) -> None:
         """Lets time pass without a change."""
         for _ in range(round(seconds / TICK)):
-            if self.now >= self.status.due(self.now):
+            if self.now >= self.status.due:
                 self.report(changed=False)
             self.advance(TICK)
 
@@ -176,14 +178,12 @@ def test_diagnostics_without_and_with_an_executor(bench: StatusBench) -> None:
     told = bench.diagnostics()
     keys = {"stamp", "loop", "buses", "boards", "queues", "setpoint", "switches", "waits", "ledger", "real_time"}
     assert keys <= told.keys()
-    assert (told["counts"], told["ledger"], told["queues"]) == ([], "ok", {"inbox": 0, "planning": 0})
+    assert (told["counts"], told["ledger"], told["queues"]) == ((), "ok", {"inbox": 0, "planning": 0})
     bench.show()
-    assert bench.view.state is not None
-    assert bench.locks.tables is not None
-    assert bench.obstacles.scene is not None
-    task = PrepareSearch(bench.view.state.start, bench.locks.tables, bench.obstacles.scene)
-    bench.jobs.start(task, lambda *_: None)
-    bench.planning, bench.view.counted = 2, 4
+    basis = bench.parts.basis()
+    assert basis is not None
+    bench.jobs.start(PrepareSearch(basis), lambda *_: None)
+    bench.goals.waiting, bench.queries.waiting, bench.view.counted = 1, 1, 4
     bench.view.diagnostics = Diagnostics(bench.now, {"ticks": 100}, [], [], "on", (1,) * 12, 3, 0)
     bench.advance(0.5)
     told = bench.diagnostics()
@@ -224,7 +224,7 @@ def test_a_change_is_published_at_once_but_not_sooner_than_the_least_gap(bench: 
     bench.show(reason="the last")
     bench.report()
     assert bench.published("state") == []
-    assert bench.status.due(bench.now) == pytest.approx(bench.now + 0.0015)
+    assert bench.status.due == pytest.approx(bench.now + 0.0015)
     bench.run(0.004)
     assert [state["reason"] for state in bench.published("state")] == ["the last"]
 

@@ -30,10 +30,10 @@ class StreamBench(PlayedCore):
 
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm)
-        self.bias: np.ndarray | None = None
+        self.bias: tuple[float, ...] | None = None
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         self.timeout = tracking.timeout
-        self.parts.bias = lambda now: self.bias
+        self.parts.correction = lambda: self.bias
         self.stream = Stream(arm, tracking, self.parts)
         self.position: list[float] | None = None
         self.first: Ticket | None = None  # of the last stream
@@ -44,12 +44,12 @@ class StreamBench(PlayedCore):
         """Takes a set-point."""
         ticket = self.admission.arrive()
         self.first = self.first or ticket
-        self.stream.take(json.dumps(payload).encode(), ticket, self.now, self.wall)
+        self.stream.take(json.dumps(payload).encode(), ticket)
 
     def step(self) -> None:
         """Ends a step of the core."""
         self.steps += 1
-        self.stream.consider(self.now)
+        self.stream.consider()
 
     def run(self, seconds: float) -> None:
         """Lets time pass; the core steps when a set-point comes, and when the stream is due."""
@@ -58,7 +58,7 @@ class StreamBench(PlayedCore):
             if arrived:
                 self._next = self.now + EVERY
                 self.put({"position": self.position, "tolerance": {"position": 0.01}})
-            if arrived or self.now >= self.stream.due(self.now):
+            if arrived or self.now >= self.stream.due:
                 self.step()
             self.advance(TICK)
 
@@ -74,7 +74,7 @@ class StreamBench(PlayedCore):
         self.step()
 
     def status(self) -> dict[str, Any]:
-        return dict(self.stream.status(self.now))
+        return dict(self.stream.status())
 
 
 @pytest.fixture
@@ -84,9 +84,9 @@ def bench(small: Arm) -> StreamBench:
 
 def test_a_setpoint_is_searched_and_its_stages_are_sent(bench: StreamBench) -> None:
     number, task = bench.search()
-    assert task.start == bench.view.state.start  # type: ignore[union-attr]
+    assert task.basis.start == bench.view.state.start  # type: ignore[union-attr]
     assert task.position == pytest.approx(bench.tip(*A))
-    assert (task.tolerance, task.tables, task.scene) == (0.01, bench.locks.tables, bench.obstacles.scene)
+    assert (task.tolerance, task.basis.tables, task.basis.scene) == (0.01, bench.locks.tables, bench.obstacles.scene)
     assert bench.take(Setpoint)[0].stages == (), "the stream begins before the search ends"
     bench.found(number, (bench.states(*A),))
     (command,) = bench.take(Setpoint)
@@ -136,8 +136,8 @@ def test_an_answer_for_another_start_scene_or_tables_is_dropped(
     bench.found(number, (bench.states(*A),))
     assert all(command.stages == () for command in bench.take(Setpoint))
     _, again = bench.task(FollowSetpoint)
-    assert again.start == bench.view.state.start  # type: ignore[union-attr]
-    assert (again.scene, again.tables) == (bench.obstacles.scene, bench.locks.tables)
+    assert again.basis.start == bench.view.state.start  # type: ignore[union-attr]
+    assert (again.basis.scene, again.basis.tables) == (bench.obstacles.scene, bench.locks.tables)
 
 
 def test_without_tables_or_scene_nothing_is_searched(bench: StreamBench) -> None:
@@ -169,7 +169,7 @@ def test_new_obstacles_withdraw_stages_at_once(bench: StreamBench) -> None:
     number, _ = bench.task(FollowSetpoint)
     bench.take(Setpoint)
     bench.obstacles.scene = None
-    bench.stream.park(bench.now)
+    bench.stream.park()
     assert [command.stages for command in bench.take(Setpoint)] == [()]
     assert bench.take(Abandon) == [Abandon(number)]
     bench.found(number, (bench.states(*A),))
@@ -178,9 +178,9 @@ def test_new_obstacles_withdraw_stages_at_once(bench: StreamBench) -> None:
 
 
 def test_without_a_stream_there_is_nothing_to_withdraw_or_to_wait_for(bench: StreamBench) -> None:
-    bench.stream.park(bench.now)
+    bench.stream.park()
     bench.step()
-    assert (bench.actions, bench.stream.due(bench.now)) == ([], math.inf)
+    assert (bench.actions, bench.stream.due) == ([], math.inf)
 
 
 def test_a_cancel_ends_the_stream_until_it_pauses(bench: StreamBench) -> None:
@@ -209,7 +209,7 @@ def test_a_cancel_ends_the_stream_until_it_pauses(bench: StreamBench) -> None:
 def test_a_goal_ends_the_stream_before_it_and_waits_for_no_stream(bench: StreamBench) -> None:
     bench.search()
     (before,) = bench.take(Setpoint)
-    program = bench.numbers.next()
+    program = bench.parts.next_number()
     bench.programs.offered = True
     bench.run(0.1)
     assert not bench.take(Setpoint), "a program is offered"
@@ -229,7 +229,7 @@ def test_a_goal_ends_the_stream_before_it_and_waits_for_no_stream(bench: StreamB
 def test_a_declined_goal_does_not_end_the_stream(bench: StreamBench) -> None:
     bench.search()
     (before,) = bench.take(Setpoint)
-    bench.numbers.next()
+    bench.parts.next_number()
     bench.programs.offered = True
     bench.run(0.1)
     bench.programs.offered = False
@@ -328,14 +328,14 @@ def test_a_failed_search_from_a_state_that_has_passed_is_repeated(bench: StreamB
 
 
 def test_the_tip_bias_shifts_the_searched_position(bench: StreamBench) -> None:
-    bench.bias = np.array([0.003, -0.001])
+    bench.bias = (0.003, -0.001)
     _, task = bench.search()
-    assert task.position == pytest.approx(bench.tip(*A) - bench.bias)
+    assert task.position == pytest.approx(bench.tip(*A) - np.array(bench.bias))
 
 
 def test_set_clocks_do_not_touch_a_stream_without_stamps(bench: StreamBench) -> None:
     bench.search()
-    bench.wall += 3600.0
+    bench.moment.wall += 3600.0
     bench.run(0.5)
     assert bench.status()["alive"]
     assert bench.status()["refused"] == 0

@@ -28,11 +28,11 @@ class BiasBench(PlayedCore):
     def measure(self, age: float = 0.01, **fields: Any) -> None:
         """Takes a measured tip of some age [s]."""
         measured = {"position": (self.tip(0, 0, 0, 0) + OFFSET).tolist(), "stamp": self.wall - age}
-        self.estimator.take(json.dumps({**measured, **fields}).encode(), self.now, self.wall)
+        self.estimator.take(json.dumps({**measured, **fields}).encode())
 
     def refusal(self) -> str:
         """Returns the refusal of the only measured tip."""
-        status = self.estimator.status(self.now)
+        status = self.estimator.status()
         assert (status["received"], status["accepted"], status["refused"]) == (1, 0, 1)
         return str(status["last_refusal"])
 
@@ -46,18 +46,18 @@ def test_the_bias_is_measured_minus_computed_tip(bench: BiasBench) -> None:
     for _ in range(50):
         bench.advance(0.05)
         bench.measure()
-    assert bench.estimator.bias(bench.now) == pytest.approx(OFFSET, abs=1e-4)
-    status = bench.estimator.status(bench.now)
+    assert bench.estimator.bias() == pytest.approx(OFFSET, abs=1e-4)
+    status = bench.estimator.status()
     assert (status["accepted"], status["refused"], status["last_refusal"]) == (50, 0, None)
     assert status["estimate"] == pytest.approx(OFFSET, abs=1e-4)
     assert 0 < status["deviation"] < 1e-4
     bench.advance(HOLD + 1)
-    assert bench.estimator.bias(bench.now).tolist() == [0, 0]
+    assert bench.estimator.bias().tolist() == [0, 0]
 
 
 def test_without_samples_the_bias_is_zero_and_json(bench: BiasBench) -> None:
-    assert json.loads(json.dumps(bench.estimator.status(bench.now)))["estimate"] is None
-    assert bench.estimator.bias(bench.now).tolist() == [0.0, 0.0]
+    assert json.loads(json.dumps(bench.estimator.status()))["estimate"] is None
+    assert bench.estimator.bias().tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -91,4 +91,4 @@ def test_a_tip_without_an_executor_is_refused(bench: BiasBench) -> None:
 def test_malformed_and_far_samples_are_refused(bench: BiasBench) -> None:
     bench.measure(position=[1.0])
     bench.measure(position=[9.0, 9.0])
-    assert bench.estimator.status(bench.now)["refused"] == 2
+    assert bench.estimator.status()["refused"] == 2

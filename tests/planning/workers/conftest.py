@@ -12,7 +12,7 @@ from controller.config import Arm
 from controller.motion.goal import GoalMessage, parse
 from controller.motion.program import unpack_states
 from controller.motion.requests import decode_obstacles
-from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, PlanGoal, Scene, Tables
+from controller.planning.core.tasks import ArmStart, Basis, BuildScene, BuildTables, PlanGoal, Scene, Tables
 from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
@@ -39,7 +39,7 @@ class Bench:
         self.actuators = len(arm.manipulator.actuators)
         self.weights = np.ones(self.actuators)
         task = BuildTables(1, bytes([255] * self.actuators) if locked is None else locked)
-        self.tables: Tables = build_tables(arm, densities, self.weights, task).tables
+        self.tables: Tables = build_tables(arm, densities, self.weights, task)
         self._generations = count()
         self.free = self.scene()
 
@@ -77,7 +77,11 @@ class Bench:
     def task(self, *configurations: tuple[int, ...], **changes: Any) -> PlanGoal:
         """A goal through the tips of configurations."""
         message = self.goal(*(self.tip(*c) for c in configurations))
-        return PlanGoal(message, 0.0, self.start(), None, self.tables, self.free)._replace(**changes)
+        basis = self.basis(**{name: changes.pop(name) for name in Basis._fields if name in changes})
+        return PlanGoal(message, 0.0, None, basis)._replace(**changes)
+
+    def basis(self, **changes: Any) -> Basis:
+        return Basis(self.start(), self.tables, self.free)._replace(**changes)
 
     def switches(self, start: bytes, stages: list[bytes]) -> int:
         rows = np.array([self.states(packed) for packed in [start, *stages]]).astype(int)

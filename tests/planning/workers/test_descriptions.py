@@ -1,7 +1,5 @@
 """Descriptions of plans that are not run."""
 
-from typing import Any
-
 import pytest
 
 from controller.motion.codes import Refusal
@@ -11,9 +9,8 @@ from controller.planning.workers.computations import describe
 from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing
 
 
-def task(bench: Bench, **changes: Any) -> DescribePlan:
-    message = bench.goal(bench.tip(*A), bench.tip(*B))
-    return DescribePlan("a", message, 0.0, bench.start(), None, bench.tables, bench.free, 60.0)._replace(**changes)
+def task(bench: Bench, seconds: float = 60.0) -> DescribePlan:
+    return DescribePlan(bench.task(A, B), seconds)
 
 
 @pytest.fixture

@@ -154,7 +154,7 @@ def test_a_solver_is_kept_until_tables_or_obstacles_change(bench: Bench) -> None
 
 
 def test_a_search_is_prepared_until_it_is_abandoned(bench: Bench) -> None:
-    task = PrepareSearch(bench.start(), bench.tables, bench.free)
+    task = PrepareSearch(bench.basis())
     assert prepare_search(bench.model, task, nothing) == Done()
     with pytest.raises(Abandoned):
         prepare_search(bench.model, task, abandoned)

@@ -24,7 +24,7 @@ from controller.planning.core.tasks import (
     PrepareSearch,
     Refused,
     SceneBuilt,
-    TablesBuilt,
+    Tables,
     Task,
 )
 from controller.planning.workers import computations
@@ -96,8 +96,8 @@ def test_improvements_are_several_answers_and_the_last_is_marked(core: Core, ben
 def test_each_kind_of_task_is_carried_out(core: Core, bench: Bench) -> None:
     scene = bench.scene((bench.tip(*B), 0.03))
     tasks: list[Task] = [
-        PrepareSearch(bench.start(), bench.tables, bench.free),
-        FollowSetpoint(bench.start(), tuple(bench.tip(*A)), 0.01, bench.tables, bench.free),
+        PrepareSearch(bench.basis()),
+        FollowSetpoint(bench.basis(), tuple(bench.tip(*A)), 0.01),
         CheckStages(scene, bench.packed(*HOME), (bench.packed(*B),)),
         BuildScene(2, scene.keep_out.sent),
         BuildTables(2, bench.tables.locked),
@@ -110,7 +110,7 @@ def test_each_kind_of_task_is_carried_out(core: Core, bench: Bench) -> None:
         "Followed",
         Checked.__name__,
         SceneBuilt.__name__,
-        TablesBuilt.__name__,
+        Tables.__name__,
     ]
 
 
@@ -177,7 +177,7 @@ def test_a_query_ends_early_for_a_goal(core: Core, bench: Bench, monkeypatch: py
         return Done()
 
     monkeypatch.setattr(computations, "describe", describe)
-    query = DescribePlan("a", bench.goal(bench.tip(*A)), 0.0, bench.start(), None, bench.tables, bench.free, 1.0)
+    query = DescribePlan(bench.task(A), 1.0)
     core.workers.start(1, query)
     core.next()
     core.workers.start(2, bench.task(A))
@@ -200,6 +200,6 @@ def test_at_the_end_all_tasks_are_answered(core: Core, bench: Bench, monkeypatch
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_thread_that_ends_unexpectedly_ends_the_process(core: Core, bench: Bench) -> None:
     core.refuses_events = True
-    core.workers.start(1, PrepareSearch(bench.start(), bench.tables, bench.free))
+    core.workers.start(1, PrepareSearch(bench.basis()))
     assert "the planner's thread for goals has ended: RuntimeError" in core.fatal.get(timeout=PATIENCE)
     eventually(lambda: not core.workers._threads[0].is_alive())

@@ -13,8 +13,8 @@ from controller.planning.workers.computations import follow
 from tests.planning.workers.conftest import HOME, A, Bench
 
 
-def task(bench: Bench, position: list[float], **changes: Any) -> FollowSetpoint:
-    return FollowSetpoint(bench.start(), tuple(position), 0.01, bench.tables, bench.free)._replace(**changes)
+def task(bench: Bench, position: list[float], bias: tuple[float, ...] | None = None, **changes: Any) -> FollowSetpoint:
+    return FollowSetpoint(bench.basis(**changes), tuple(position), 0.01, bias)
 
 
 @pytest.fixture

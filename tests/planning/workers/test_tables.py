@@ -17,7 +17,7 @@ def test_densities_of_the_file_serve_while_nothing_else_is_locked(bench: Bench) 
 
 def test_locked_actuators_reduce_the_arm(bench: Bench) -> None:
     locked = bytes([1] + [255] * 11)
-    tables = build_tables(bench.arm, bench.densities, bench.weights, BuildTables(3, locked)).tables
+    tables = build_tables(bench.arm, bench.densities, bench.weights, BuildTables(3, locked))
     assert (tables.generation, tables.locked) == (3, locked)
     assert tables.solvers.goals.manipulator.states[0] == 4
     assert tables.solvers.goals.densities is not bench.densities
@@ -25,5 +25,5 @@ def test_locked_actuators_reduce_the_arm(bench: Bench) -> None:
 
 def test_weights_count(bench: Bench) -> None:
     weights = bench.weights * 2
-    tables = build_tables(bench.arm, bench.densities, weights, BuildTables(1, bench.tables.locked)).tables
+    tables = build_tables(bench.arm, bench.densities, weights, BuildTables(1, bench.tables.locked))
     assert tables.solvers.queries.least_weight == pytest.approx(2.0)

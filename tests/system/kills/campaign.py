@@ -14,8 +14,8 @@ from typing import Any
 import can
 
 from controller.planning.ledger_file import read
-from tests.system.kills.moments import LIMITS, MOMENTS, Requests, Scene, ordered
-from tests.system.kills.trigger import MARK, OUTBOX, SOCKET, STATE_PUTTING, TRANSMITTED, Order
+from tests.system.kills.moments import MOMENTS, Requests, Scene, ordered
+from tests.system.kills.trigger import MARK, SOCKET, Order
 from tests.system.lives import Lives
 from tests.system.operator import Operator
 from tests.system.places import LEFT, RIGHT
@@ -46,9 +46,8 @@ class Tally:
         missing: accepted goals without a result.
         lost: goals with the status "lost".
         repeated: goals that two planners accepted, because a client without an answer asked again.
-        limits: doubled and missing results of planners that were killed between the put of a result and its mark, or
-            within TRANSMITTED after the mark.
-        wrong: all other doubled and missing results, and what else was wrong, in words.
+        again: goals with a result that came again, and was marked as repeated.
+        wrong: doubled and missing results, and what else was wrong, in words.
     """
 
     kills: int = 0
@@ -59,7 +58,7 @@ class Tally:
     missing: int = 0
     lost: int = 0
     repeated: int = 0
-    limits: int = 0
+    again: int = 0
     wrong: list[str] = field(default_factory=list)
 
 
@@ -104,7 +103,7 @@ class Campaign:
             scene = Scene(lives, Requests(lives), chance, name)
             hit = self._reach(lives, moment, order, scene)
             self._recover(lives)
-            self._judge(scene, f"{name} {tuple(order[:4])} {hit}", hit in LIMITS, tally)
+            self._judge(scene, f"{name} {tuple(order[:4])} {hit}", tally)
             if hit:
                 tally.kills += 1
                 return
@@ -124,21 +123,19 @@ class Campaign:
         """Orders a kill, brings its moment about, and starts again what was killed.
 
         Returns:
-            what the planner's outbox did at the kill, of LIMITS, else "at rest"; "" if the moment was not reached.
+            the time of the kill [s]; "" if the moment was not reached.
         """
         system, log = lives.system, Log(lives.system.planner.log)
         planner, executor = system.planner, system.executor
         command(system, order)
-        with (MOMENTS | LIMITS)[moment].scene(scene):
+        with MOMENTS[moment].scene(scene):
             eventually(lambda: log.killed() or scene.requests.over() or not planner.alive, told=system.logs)
             if moment == "shutdown" and not log.killed():
                 planner.gone()
-            hit = ""
-            if killed_at := log.killed():
+            if hit := log.killed():
                 for process in (planner, executor):
                     if process.pid in order.pids:
                         process.gone()
-                hit = outbox_at(system, float(killed_at)) if planner.pid in order.pids else "at rest"
             elif planner.alive:
                 command(system, order._replace(moment="never"))
                 lives.client.ask("cancel")
@@ -161,17 +158,15 @@ class Campaign:
     def _unlock(self, lives: Lives, label: str) -> bool:
         return bool(lives.client.ask("degrade", actuator=label, state=None)["accepted"])
 
-    def _judge(self, scene: Scene, told: str, limit: bool, tally: Tally) -> None:
-        """Counts results of the goals, and checks the arm. `limit`: the planner was killed at a known limit."""
+    def _judge(self, scene: Scene, told: str, tally: Tally) -> None:
+        """Counts results of the goals, and checks the arm."""
         lives, goals = scene.lives, scene.requests.goals()
         for goal in (goal for goal, accepted in goals.items() if accepted):
             try:
                 eventually(lambda goal=goal: lives.client.results(goal), patience=RESULT_TIMEOUT)
             except AssertionError:
                 tally.missing += 1
-                tally.limits += limit
-                if not limit:
-                    tally.wrong.append(f"{told}: {goal} has no result; in the ledger: {rows(lives.system, goal)}")
+                tally.wrong.append(f"{told}: {goal} has no result; in the ledger: {rows(lives.system, goal)}")
         lives.move(f"{scene.name} check", LEFT, RIGHT)
         lives.motions.agree(lives.system.boards)
         with Operator(lives.system.socket) as operator:
@@ -185,15 +180,14 @@ class Campaign:
             self._goals[goal] = tally, told, len(results)
             tally.goals += accepted
             tally.results += len(results)
+            tally.again += lives.client.repeats(goal)
             tally.lost += any(result["status"] == "lost" for result in results)
             tally.unanswered += not accepted and bool(results)
             if len(results) > 1 and len(entries) == len(results):
                 tally.repeated += 1
             elif len(results) > 1:
                 tally.doubled += 1
-                tally.limits += limit
-                if not limit:
-                    tally.wrong.append(f"{told}: {goal} has the results {results}, in the ledger: {entries}")
+                tally.wrong.append(f"{told}: {goal} has the results {results}, in the ledger: {entries}")
             elif accepted and len(entries) != 1:
                 tally.wrong.append(f"{told}: {goal} has the entries {entries} in the ledger")
 
@@ -250,14 +244,6 @@ class Log:
             file.seek(self._begin)
             lines = [line for line in file.read().decode(errors="replace").splitlines(keepends=True) if MARK in line]
         return lines[-1].split()[-1] if lines and lines[-1].endswith("\n") else ""
-
-
-def outbox_at(system: System, killed_at: float) -> str:
-    """Returns which of LIMITS a planner was killed at, "at rest" if at none."""
-    state, since = (system.folder / OUTBOX).read_text().split()
-    if state == STATE_PUTTING:
-        return "unmarked"
-    return "untransmitted" if killed_at - float(since) < TRANSMITTED else "at rest"
 
 
 def command(system: System, order: Order) -> None:

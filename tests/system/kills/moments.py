@@ -181,7 +181,7 @@ MOMENTS = {
     "replaced": Moment(ACTION, 2, 0.03, changed_obstacles),
     "settled": Moment(EVENT, 8, 0.03, a_goal),
     "ended": Moment(EVENT, 2, 0.03, two_goals),
-    "published": Moment(("unsent", *EVENT), 2, 0.03, two_goals),
+    "published": Moment(("unmarked", "marked", "put", *EVENT), 2, 0.03, two_goals),
     "acknowledged": Moment(ACTION, 2, 0.03, two_goals),
     "following": Moment(ACTION, 15, 0.05, a_stream),
     "jogging": Moment(ACTION, 2, 0.1, jogs),
@@ -189,18 +189,12 @@ MOMENTS = {
     "obstacles": Moment(ACTION, 1, 0.1, changed_obstacles),
     "shutdown": Moment(EVENT, 1, 0.3, a_shutdown),
 }
-# Known limits, which are counted but not judged: a planner that is killed between the put of a result and its mark
-# publishes the result again; a result that Zenoh has not transmitted ends with the process.
-LIMITS = {
-    "unmarked": Moment(("before",), 2, 0.0, two_goals),
-    "untransmitted": Moment(("after",), 2, 0.0, two_goals),
-}
 TRIGGERS = {"jogging": "offered"}  # moments of the trigger by another name
 
 
 def ordered(moment: str, victim: str, chance: random.Random, planner: int, executor: int) -> Order:
     """Returns a random order to kill `victim` at a moment."""
-    steps, count, latest, _ = (MOMENTS | LIMITS)[moment]
+    steps, count, latest, _ = MOMENTS[moment]
     step = chance.choice(steps)
     delay = chance.uniform(0.0, latest) if step == "later" else 0.0
     pids = {"planner": [planner], "executor": [executor], "both": [executor, planner]}[victim]

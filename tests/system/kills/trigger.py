@@ -29,11 +29,8 @@ from controller.planning.ledger import PublishedResults
 from controller.planning.loop import Loop
 from controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
 
-SOCKET, OUTBOX, MARK = "kills.sock", "kills.outbox", "KILLS"
-STATE_IDLE, STATE_PUTTING = "idle", "putting"  # since its last mark; from before a put until its mark
+SOCKET, MARK = "kills.sock", "KILLS"
 RECONNECTED = 0.5  # [s] instead of 5: the clients of these tests are connected before the planner starts
-
-TRANSMITTED = 0.02  # [s] for Zenoh to transmit a result after its put, on a busy machine
 
 SENT = {
     Program: "offered",
@@ -50,7 +47,8 @@ class Order(NamedTuple):
 
     Attributes:
         moment: of the planner.
-        step: "before", "within" or "after"; within a step of the core means after one of its actions.
+        step: "before", "within" or "after"; within a step of the core means after one of its actions. Of a result
+            also "unmarked", "marked" and "put".
         count: number of times that this step is reached.
         delay: time from then on [s].
         pids: processes to kill, in order; the planner's own is the last one.
@@ -64,15 +62,9 @@ class Order(NamedTuple):
 
 
 class Trigger:
-    """Carries out one order at a time. The order is set by its own thread; any thread reaches steps.
+    """Carries out one order at a time. The order is set by its own thread; any thread reaches steps."""
 
-    Args:
-        folder: of the arm.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._outbox = (folder / OUTBOX).open("wb", buffering=0)
-        self.note_outbox(STATE_IDLE)
+    def __init__(self) -> None:
         self._order: Order | None = None
         self._reached = 0
 
@@ -83,10 +75,6 @@ class Trigger:
         server.bind(str(path))
         server.listen()
         threading.Thread(target=self._serve, args=(server,), name="kills", daemon=True).start()
-
-    def note_outbox(self, state: str) -> None:
-        """Notes what the outbox does, in a file that outlives the process."""
-        os.pwrite(self._outbox.fileno(), f"{state:<16}{time.monotonic():<24}".encode(), 0)
 
     def reach(self, moment: str | None, step: str) -> None:
         """Notes that a step was reached; kills if it is the ordered one."""
@@ -121,7 +109,7 @@ class Trigger:
 
 def install(folder: Path) -> None:
     """Has the planner of this process reach the steps of a trigger."""
-    trigger = Trigger(folder)
+    trigger = Trigger()
     trigger.listen(folder / SOCKET)
     outbox.RECONNECTED = RECONNECTED
     step, act, send, add = Loop._step, Loop._act, Outbox._send, PublishedResults.add
@@ -142,15 +130,14 @@ def install(folder: Path) -> None:
 
     def sending(self: Outbox, target: Any, key: str, payload: Any) -> None:
         if isinstance(target, PublishResult):
-            trigger.reach("published", "unsent")
-            trigger.note_outbox(STATE_PUTTING)
+            trigger.reach("published", "unmarked")
         send(self, target, key, payload)
+        if isinstance(target, PublishResult):
+            trigger.reach("published", "put")
 
     def adding(self: PublishedResults, *result: Any) -> None:
-        trigger.reach("unmarked", "before")
         add(self, *result)
-        trigger.note_outbox(STATE_IDLE)
-        trigger.reach("untransmitted", "after")
+        trigger.reach("published", "marked")
 
     Loop._step, Loop._act, Outbox._send, PublishedResults.add = stepping, acting, sending, adding  # type: ignore
 

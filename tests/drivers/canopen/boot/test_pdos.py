@@ -42,9 +42,9 @@ def test_the_order_of_a_change_is_disable_unmap_map_type_enable():
 def test_nothing_is_written_to_a_board_that_holds_it_already():
     """Some boards save each write to flash."""
     world = World(FIVE, variants={"can0/5": VARIANTS["saves-writes"]}).up()
-    board = world.boards["can0", 5]
-    board.power_cut(world.now)
-    board.power_on(world.now)
+    board = world.boards.board("can0/5")
+    world.fault("power_cut", "can0/5")
+    world.fault("power_on", "can0/5")
     world.run(0.5)
     world.frames(sdo=True)
     before = board.objects.flash_writes
@@ -56,8 +56,8 @@ def test_nothing_is_written_to_a_board_that_holds_it_already():
 
 def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
-    world.boards["can0", 5].objects.put(0x6206, 3, 0x00)  # its outputs hold in the error state
-    world.boards["can0", 5].objects.put(0x6200, 3, 0x40)
+    world.boards.board("can0/5").objects.put(0x6206, 3, 0x00)  # its outputs hold in the error state
+    world.boards.board("can0/5").objects.put(0x6200, 3, 0x40)
     world.up()
     world.commit(1, 0)
     assert world.frames()[:2] == [(0x205, "01 00 40 00 00 00 00 00"), (0x080, "")]
@@ -67,7 +67,7 @@ def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
 
 def test_a_fixed_mapping_without_the_outputs_is_refused():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
-    objects = world.boards["can0", 5].objects
+    objects = world.boards.board("can0/5").objects
     for sub in range(1, 9):
         objects.put(0x1600, sub, 0x62000808)
     world.boot()
@@ -106,13 +106,13 @@ def test_outputs_beyond_the_first_64_switch_with_the_same_sync(count, read_only)
     assert world.positions() == [1.0] * count
     assert world.faults == []
     if sync == 2:
-        objects = world.boards["can0", 5].objects
+        objects = world.boards.board("can0/5").objects
         assert objects.number(0x1404, 1) == 0x305
         assert objects.number(0x1401, 1) >> 31  # RPDO2 had 305h for analog outputs
     world.commit(*[1] * (count - 1), 0)
     world.run(0.2)
     assert world.positions() == [1.0] * (count - 1) + [0.0]
-    world.master = world.new_master()
+    world.new_master()
     world.frames()
     world.boot()
     assert world.master.boot_faults == []
@@ -151,7 +151,7 @@ def test_outputs_of_a_makers_object():
     ).up()
     world.commit(1, 0)
     world.run(0.2)
-    assert world.boards["can0", 5].objects.number(0x2201, 1) == 1
+    assert world.boards.board("can0/5").objects.number(0x2201, 1) == 1
     assert world.measured() == [1, 0]
 
 
@@ -175,7 +175,7 @@ def test_another_device_than_the_arms_file_names_is_refused(named, words):
 
 def test_the_named_device_is_taken():
     world = World(FIVE)
-    held = [world.boards["can0", 5].objects.number(0x1018, sub) for sub in (1, 2, 3, 4)]
+    held = [world.boards.board("can0/5").objects.number(0x1018, sub) for sub in (1, 2, 3, 4)]
     names = dict(zip(("vendor", "product", "revision", "serial"), held, strict=True))
     World(FIVE, nodes=(NodeSettings("can0", 5, **names),)).up()
 
@@ -190,7 +190,7 @@ def test_quirks_are_found_by_vendor_and_product(monkeypatch):
 
 def test_a_quirk_takes_a_bit_of_the_error_register_as_no_fault(monkeypatch):
     world = World(FIVE, variants={"can0/5": VARIANTS["standing-error"]})
-    vendor = world.boards["can0", 5].objects.number(0x1018, 1)
+    vendor = world.boards.board("can0/5").objects.number(0x1018, 1)
     monkeypatch.setitem(quirks.QUIRKS, (vendor, None), Quirk("special", "made up", ignored_errors=0x80))
     world.up()
     world.run(3.0)

@@ -28,35 +28,33 @@ def lose_master(world: World) -> None:
     world.stalled = True
     world.run(1.0)
     world.stalled = False
-    world.master = world.new_master()
+    world.new_master()
 
 
 def boot(world: World) -> list[str]:
     world.master.boot(world.now)
-    world.flush()
     world.until(lambda: not world.master.booting)
     return [fault.message for fault in world.master.boot_faults]
 
 
 def lose_answers(world: World, state: State) -> None:
     """Boots until the board is in a state; then its SDO answers are lost, and the boot fails."""
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     world.master.boot(world.now)
-    world.flush()
     world.until(lambda: board.state is state)
-    world.lost = lambda bus, node, frame: frame.id & 0x780 == cia301.SDO_ANSWER
+    world.lost = lambda bus, frame: frame.id & 0x780 == cia301.SDO_ANSWER
     world.until(lambda: not world.master.booting)
     assert world.master.boot_faults
-    world.lost = lambda bus, node, frame: False
+    world.lost = lambda bus, frame: False
 
 
 def outputs(world: World) -> int:
-    return world.boards["can0", 5].objects.number(0x6200, 1)
+    return world.boards.board("can0/5").objects.number(0x6200, 1)
 
 
 def test_outputs_that_the_error_state_switched_off_are_written_off_and_told():
     world = extended(on_loss="contract")
-    assert world.boards["can0", 5].state is State.STOPPED
+    assert world.boards.board("can0/5").state is State.STOPPED
     assert boot(world) == []
     assert outputs(world) == 0
     told = [(fault.code, fault.message) for fault in world.master.warnings()]
@@ -68,7 +66,7 @@ def test_outputs_that_the_error_state_switched_off_are_written_off_and_told():
 
 def test_outputs_that_held_keep_their_values():
     world = extended(on_loss="hold")
-    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
     assert boot(world) == []
     assert (outputs(world), world.measured(), world.master.warnings()) == (0b11, [1, 1], ())
 
@@ -85,7 +83,7 @@ def test_a_boot_that_is_tried_again_still_writes_them_off():
 def test_another_process_writes_them_off_after_an_interrupted_boot():
     world = extended(on_loss="contract")
     lose_answers(world, State.PRE_OPERATIONAL)
-    world.master = world.new_master()
+    world.new_master()
     assert boot(world) == []
     world.run(0.5)
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
@@ -103,7 +101,7 @@ def test_another_program_may_have_made_a_stopped_board_pre_operational():
 def test_the_error_mode_is_read_before_another_one_is_written():
     world = extended(on_loss="contract")
     world.wiring = replace(world.wiring, on_loss="hold")
-    world.master = world.new_master()
+    world.new_master()
     assert boot(world) == []
     world.run(0.5)
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
@@ -121,7 +119,7 @@ def test_without_an_error_mode_the_arms_file_tells(error_state, left):
 def test_no_entry_of_the_history_keeps_outputs_on():
     variant = VARIANTS["no-error-mode-off"]
     world = extended(variants={"can0/5": variant}, error_state="device")
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     board.objects.put(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
     board.objects.put(0x1003, 2, 0x8130)
     assert boot(world) == []
@@ -134,7 +132,7 @@ def test_the_coil_that_contracts_on_loss_stays_on():
     world.commit(1, 0)
     world.run(0.3)
     lose_master(world)
-    assert world.boards["can0", 5].state is State.STOPPED
+    assert world.boards.board("can0/5").state is State.STOPPED
     assert boot(world) == []
     assert (outputs(world), world.positions()) == (0b10, [0.0])
 
@@ -144,7 +142,7 @@ def test_outputs_are_not_written_while_the_board_is_operational():
     world.commit(1, 1)
     world.run(0.3)
     world.wiring = replace(world.wiring, on_loss="hold")
-    world.master = world.new_master()
+    world.new_master()
     world.frames(sdo=True)
     assert boot(world) == []
     written = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data.startswith("2f 00 62")]
@@ -159,8 +157,8 @@ def test_words_that_cannot_be_read_are_read_as_bytes():
     world = World(
         [Channel("1.a", "can0", 5, 0, None)], variants={"can0/5": replace(VARIANTS["standard"], changes=words)}
     )
-    world.boards["can0", 5].objects.put(0x6200, 1, 1)
-    world.boards["can0", 5].objects.put(0x6206, 1, 0)
+    world.boards.board("can0/5").objects.put(0x6200, 1, 1)
+    world.boards.board("can0/5").objects.put(0x6206, 1, 0)
     world.boot()
     assert (world.master.boot_faults, world.master.outputs) == ([], 1)
 
@@ -170,7 +168,7 @@ def test_a_foreign_object_that_cannot_be_read_is_not_overwritten():
     mapped = dictionary.pdo(0x1400, 0x200, [0x62000108, 0x64110110], fixed=True)
     variant = replace(variant, changes={**variant.changes, **mapped})
     world = World(one_board(), variants={"can0/5": variant})
-    world.boards["can0", 5].objects.refused[0x6411, 1] = 0x06010001
+    world.boards.board("can0/5").objects.refused[0x6411, 1] = 0x06010001
     world.boot()
     [fault] = world.master.boot_faults
     assert fault.message.startswith("board can0/5 refuses to read 6411h sub 1")

@@ -15,7 +15,7 @@ CHANGING = (0x1001, 0x1003, 0x6000)  # values that the board sets itself
 
 
 def values(world: World) -> dict[tuple[int, int], bytes]:
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     places = [(index, sub) for index, subs in board.variant.objects.items() for sub in subs if index not in CHANGING]
     return {place: board.objects._value(*place) for place in places}
 
@@ -31,7 +31,7 @@ def test_a_board_that_ignores_a_write_gets_its_objects_back(deaf, on_loss):
     [sentence] = boot(world)
     assert f"{deaf:04X}h" in sentence
     assert values(world) == before
-    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
 
 
 def test_a_board_with_an_error_is_pre_operational_again():
@@ -42,12 +42,12 @@ def test_a_board_with_an_error_is_pre_operational_again():
     [sentence] = boot(world)
     assert "1001h sub 0 is 80h" in sentence
     assert values(world) == before
-    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
 
 
 def test_a_stopped_board_is_stopped_again_and_its_outputs_stay_off():
     world = extended(on_loss="contract")
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     board.objects.refused[0x6005, 0] = 0x06060000
     [sentence] = boot(world)
     assert "6005h" in sentence
@@ -61,8 +61,8 @@ def test_an_operational_board_is_operational_again_and_its_outputs_hold():
     world.commit(1, 1)
     world.run(0.3)
     world.wiring = replace(world.wiring, on_loss="contract")
-    world.master = world.new_master()
-    board = world.boards["can0", 5]
+    world.new_master()
+    board = world.boards.board("can0/5")
     board.variant = board.objects._variant = replace(board.variant, deaf=frozenset({0x1029}))
     before = values(world)
     [sentence] = boot(world)

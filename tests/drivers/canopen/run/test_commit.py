@@ -131,11 +131,11 @@ def test_without_an_end_stop_the_output_counts_as_measured():
 
 def test_rpdos_that_do_not_leave_in_time_end_the_commit():
     world = World().up()
-    world.buses["can0"].blocked = True
+    world.buses["can0"].stuck = True
     world.commit(1, 0)
     assert "were not sent" in world.master.commit_failed
-    world.buses["can0"].blocked = False
-    world.buses["can0"].next()
+    world.buses["can0"].stuck = False
+    world.buses["can0"].begin()
     world.run(0.1)
     assert (0x080, "") not in world.frames()
     assert world.switches() == [0, 0]
@@ -146,7 +146,6 @@ def test_rpdos_that_do_not_leave_in_time_end_the_commit():
 def test_no_sync_follows_a_stall_of_the_loop():
     world = World().up()
     world.master.commit(1, world.now)
-    world.flush()
     world.stall(0.2)
     assert not world.master.committing
     assert "halted" in world.master.commit_failed or "not sent" in world.master.commit_failed
@@ -157,19 +156,18 @@ def test_no_sync_follows_a_stall_of_the_loop():
 
 def test_frames_that_never_leave_make_the_bus_stuck():
     world = World().up()
-    world.buses["can0"].blocked = True
+    world.buses["can0"].stuck = True
     world.run(0.5)
     assert world.codes()[0] == "bus-busy"
     assert world.measured() == [-1, -1]
     assert not world.master.back
     with pytest.raises(Busy, match="can0"):
         world.master.commit(1, world.now)
-    world.buses["can0"].blocked = False
-    world.buses["can0"].next()
+    world.buses["can0"].stuck = False
+    world.buses["can0"].begin()
 
     def back():
         world.master.probe_silent(world.now)
-        world.flush()
         world.run(0.1)
         return world.master.back
 
@@ -184,15 +182,14 @@ def test_a_sync_on_its_way_when_the_bus_is_lost_is_read_back():
     world = World().up()
     bus = world.buses["can0"]
     world.master.commit(bits(1, 0), world.now)
-    world.flush()
     world.until(lambda: world.master._commit.unknown)
     assert not world.master.outputs_known
-    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    world.buses["can0"].go_off()
     assert not world.master.committing
     assert "lost" in world.master.commit_failed
     assert not world.master.outputs_known
     world.run(0.1)
     assert bus.log
-    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].restore()
     world.up()
     assert (world.master.outputs, world.switches()) == (0b01, [1, 0])

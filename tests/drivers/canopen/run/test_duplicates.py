@@ -10,12 +10,12 @@ def doubling(world: World, every: int) -> World:
     """Has each `every`-th SDO answer sent twice."""
     count = 0
 
-    def twice(bus: str, node: int, frame: cia301.Frame) -> bool:
+    def twice(bus: str, frame: cia301.Frame) -> bool:
         nonlocal count
         if frame.id == cia301.SDO_ANSWER + 5:
             count += 1
             if count % every == 0:
-                world.buses[bus].put(world.boards[bus, node], frame)
+                world.buses[bus].from_other(frame)
         return False
 
     world.lost = twice

@@ -12,7 +12,7 @@ from tests.drivers.canopen.world import World, two_boards, two_buses
 
 def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot():
     world = World().up()
-    world.boards["can0", 5].silent = True
+    world.boards.board("can0/5").silent = True
     world.run(2)
     assert world.codes() == ["board-lost"]
     assert world.measured() == [-1, -1]
@@ -21,7 +21,7 @@ def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot():
     with pytest.raises(Busy, match="can0/5"):
         world.master.commit(1, world.now)
     assert world.frames() == []
-    world.boards["can0", 5].silent = False
+    world.boards.board("can0/5").silent = False
     world.up()
     world.commit(1, 0)
     world.run(0.1)
@@ -30,18 +30,16 @@ def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot():
 
 def test_a_lost_board_is_asked_whether_it_is_back():
     world = World().up()
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     board.silent = True
     world.run(1)
     assert not world.master.back
     world.master.probe_silent(world.now)
-    world.flush()
     world.run(1)
     assert not world.master.back
     board.silent = False
     board.objects.set_data(0x1017, 0, bytes(2))  # it came back with no heartbeat of its own
     world.master.probe_silent(world.now)
-    world.flush()
     world.run(0.1)
     assert world.master.back
     world.up()
@@ -88,7 +86,6 @@ def test_a_halt_while_booting_begins_the_boot_again():
     world = World()
     world.run(0.05)
     world.master.boot(world.now)
-    world.flush()
     world.run(0.03)
     world.stall(0.5)
     assert world.master.booting
@@ -101,9 +98,8 @@ def test_a_reboot_is_reported_and_boot_adopts_the_states():
     world = World().up()
     world.commit(1, 1)
     world.run(0.1)
-    board = world.boards["can0", 5]
-    board.power_cut(world.now)
-    board.power_on(world.now)
+    world.fault("power_cut", "can0/5")
+    world.fault("power_on", "can0/5")
     world.run(0.1)
     assert world.codes() == ["board-rebooted"]
     assert world.positions() == [0, 0]
@@ -133,7 +129,6 @@ def test_another_master_is_reported(cob_id):
 def test_another_program_on_the_same_computer_is_another_master():
     world = World().up()
     world.master.echoed("can0", Frame(0x205, b"\x00"), world.now)
-    world.flush()
     assert world.codes() == ["foreign-master"]
 
 
@@ -198,9 +193,8 @@ def test_error_frames_change_the_state_of_the_bus():
 @pytest.mark.parametrize("told", [True, False])
 def test_after_bus_off_nothing_is_sent_until_boot(told):
     world = World().up()
-    world.boards["can0", 5].silent = True
-    world.master.bus_changed("can0", "bus-off", "", None, world.now)
-    world.flush()
+    world.boards.board("can0/5").silent = True
+    world.buses["can0"].go_off()
     assert world.codes() == ["bus-off"]
     world.run(0.01)
     world.buses["can0"].log.clear()
@@ -211,8 +205,9 @@ def test_after_bus_off_nothing_is_sent_until_boot(told):
     assert [fault.code for fault in world.master.boot_faults] == ["bus-off"]
     assert world.buses["can0"].log == []
     if told:
-        world.master.bus_changed("can0", "active", "", None, world.now)
-    world.boards["can0", 5].silent = False
+        world.buses["can0"].restore()
+    world.buses["can0"].state = "active"
+    world.boards.board("can0/5").silent = False
     world.run(0.2)  # its heartbeat shows that the bus is back
     assert world.master.status().buses[0].state == "active"
     with pytest.raises(Busy, match="booted"):
@@ -227,12 +222,13 @@ def test_after_bus_off_nothing_is_sent_until_boot(told):
 
 def test_a_bus_that_goes_down_loses_only_its_boards():
     world = World(two_buses()).up()
-    world.master.bus_changed("can1", "down", "reading failed", None, world.now)
-    world.flush()
-    assert [(f.code, f.source, f.message) for f in world.faults] == [("bus-down", "can1", "can1: reading failed")]
+    world.buses["can1"].go_down()
+    assert [(f.code, f.source, f.message) for f in world.faults] == [
+        ("bus-down", "can1", "can1: the interface is down")
+    ]
     assert world.measured() == [0, -1]
     world.run(1)
-    world.master.bus_changed("can1", "active", "", None, world.now)
+    world.buses["can1"].restore()
     world.run(0.3)
     assert world.master.back
     world.up()
@@ -267,7 +263,7 @@ def test_boards_without_their_master_hold_or_contract(on_loss, states):
 
 def test_a_question_reads_inputs_whose_tpdo_was_lost():
     world = World(two_boards()).up()
-    world.lost = lambda bus, node, frame: frame.id == 0x185
+    world.lost = lambda bus, frame: frame.id == 0x185
     world.commit(1, 0)
     world.run(0.1)
     assert world.measured() == [0, 0]
@@ -275,7 +271,6 @@ def test_a_question_reads_inputs_whose_tpdo_was_lost():
     world.master.question(0, world.now)
     assert world.master.questioning(0)
     assert not world.master.questioning(1)
-    world.flush()
     world.until(lambda: not world.master.questioning(0))
     assert world.measured() == [1, 0]
     assert world.frames(sdo=True) == [(0x605, "40 00 60 01 00 00 00 00"), (0x585, "4f 00 60 01 01 00 00 00")]
@@ -283,9 +278,8 @@ def test_a_question_reads_inputs_whose_tpdo_was_lost():
 
 def test_a_question_that_is_not_answered_times_out():
     world = World(timing=Timing(heartbeat_timeout=60.0)).up()
-    world.boards["can0", 5].silent = True
+    world.boards.board("can0/5").silent = True
     world.master.question(0, world.now)
-    world.flush()
     assert 0.5 < world.until(lambda: not world.master.questioning(0)) < 1.0
 
 
@@ -294,7 +288,6 @@ def test_a_second_question_is_asked_after_the_first():
     world.frames()
     world.master.question(0, world.now)
     world.master.question(0, world.now)
-    world.flush()
     world.until(lambda: not world.master.questioning(0))
     world.run(0.01)
     asked = [cob_id for cob_id, data in world.frames(sdo=True) if data[3:11] == "00 60 01"]

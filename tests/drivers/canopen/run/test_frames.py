@@ -96,15 +96,14 @@ def test_nothing_is_sent_if_nothing_changes():
 def test_sync_waits_for_the_rpdos_of_all_buses():
     world = World(two_buses()).up()
     world.frames("can1")
-    world.buses["can1"].blocked = True
+    world.buses["can1"].stuck = True
     world.master.commit(3, world.now)
-    world.flush()
     world.run(0.02)
     assert (world.frames(), world.frames("can1")) == ([(0x205, "01")], [])
     assert world.master.committing
     assert world.master.outputs == 0
-    world.buses["can1"].blocked = False
-    world.buses["can1"].next()
+    world.buses["can1"].stuck = False
+    world.buses["can1"].begin()
     world.run(0.1)
     assert world.frames()[0] == (0x080, "")
     assert world.frames("can1")[:2] == [(0x205, "01"), (0x080, "")]

@@ -29,18 +29,18 @@ def test_a_guarded_board_is_polled_and_its_answers_alternate():
 
 def test_the_life_time_is_the_heartbeat_time_out_rounded_up():
     world = World(variants={"can0/5": VARIANTS["guarding-only"]}, timing=Timing(heartbeat=0.1, heartbeat_timeout=0.35))
-    objects = world.up().boards["can0", 5].objects
+    objects = world.up().boards.board("can0/5").objects
     assert (objects.number(0x100C), objects.number(0x100D)) == (88, 4)
 
 
 def test_a_guarded_board_that_falls_silent_is_lost():
     world = guarded().up()
-    world.boards["can0", 5].silent = True
+    world.boards.board("can0/5").silent = True
     took = world.until(lambda: world.codes())
     assert world.codes() == ["board-lost"]
     assert "no answer to node guarding for 0.35 s" in world.faults[0].message
     assert 0.2 < took < 0.5
-    world.boards["can0", 5].silent = False
+    world.boards.board("can0/5").silent = False
     world.run(0.2)
     assert world.master.back
     world.up()
@@ -48,7 +48,7 @@ def test_a_guarded_board_that_falls_silent_is_lost():
 
 def test_answers_whose_bit_does_not_alternate_do_not_count():
     world = guarded().up()
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     board.silent = True
     for _ in range(5):
         world.say(0x705, b"\x05")
@@ -61,8 +61,8 @@ def test_a_guarded_board_without_polls_leaves_operational():
     world.commit(1, 0)
     world.run(0.2)
     world.stalled = True  # of the executor: no tick, no poll
-    world.until(lambda: world.boards["can0", 5].state is not State.OPERATIONAL)
-    assert world.boards["can0", 5].state is State.PRE_OPERATIONAL
+    world.until(lambda: world.boards.board("can0/5").state is not State.OPERATIONAL)
+    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
     world.stalled = False
     world.run(0.3)
     world.up()
@@ -72,8 +72,8 @@ def test_a_guarded_board_without_polls_leaves_operational():
 
 def test_a_guarded_board_that_starts_anew_is_reported():
     world = guarded().up()
-    world.boards["can0", 5].power_cut(world.now)
-    world.boards["can0", 5].power_on(world.now)
+    world.fault("power_cut", "can0/5")
+    world.fault("power_on", "can0/5")
     world.run(0.1)
     assert world.codes() == ["board-rebooted"]
     world.up()
@@ -83,7 +83,7 @@ def test_a_second_master_leaves_a_guarded_board_alone():
     world = guarded().up()
     world.commit(1, 1)
     world.run(0.1)
-    world.master = world.new_master()
+    world.new_master()
     world.boot()
     assert world.master.boot_faults == []
     assert not any(cob_id == 0 for cob_id, _ in world.frames())
@@ -98,3 +98,14 @@ def test_forty_guarded_boards_are_polled_in_time(bitrate):
     world.run(2.0)
     assert world.faults == []
     assert world.master.status().buses[0].dropped == 0
+
+
+def test_a_guarded_board_keeps_its_outputs_while_it_is_booted_again_on_a_slow_bus() -> None:
+    variants = {"can0/5": VARIANTS["guarding-with-1029h"]}
+    timing = Timing(heartbeat=0.02, heartbeat_timeout=0.07)
+    world = World(one_board(), timing, variants=variants, bitrate=125_000, latency=0.02, on_loss="contract").up()
+    world.commit(1, 1)
+    world.boot()
+    assert world.master.boot_faults == []
+    assert world.master.outputs == 0b11
+    assert world.codes() == []

@@ -13,14 +13,14 @@ def lose_one_tpdo(world: World, node: int) -> None:
     """Changes input 0 of a board, whose TPDO is lost."""
     lost: list[int] = []
 
-    def loses(bus: str, sender: int, frame: cia301.Frame) -> bool:
+    def loses(bus: str, frame: cia301.Frame) -> bool:
         if frame.id != cia301.TPDO1 + node or lost:
             return False
         lost.append(frame.id)
         return True
 
     world.lost = loses
-    board = world.boards["can0", node]
+    board = world.boards.board(f"can0/{node}")
     board.contacts[8] = 0
     board.step(world.now)
     assert lost
@@ -30,7 +30,7 @@ def guarded(nodes: int, bitrate: int) -> World:
     """A world whose last board has a closed interlock in bit 8."""
     channels = [Channel(f"{node}.a", "can0", node, 0, 0) for node in range(1, nodes + 1)]
     world = World(channels, bitrate=bitrate, interlocks=(Interlock("gate", "can0", nodes, 8),))
-    world.boards["can0", nodes].contacts[8] = 1
+    world.boards.board(f"can0/{nodes}").contacts[8] = 1
     return world.up()
 
 
@@ -49,8 +49,8 @@ def test_interlocks_on_all_boards_of_a_slow_bus_are_read_within_two_seconds() ->
     channels = [Channel(f"{node}.a", "can0", node, 0, None) for node in range(1, 31)]
     interlocks = tuple(Interlock(f"{node}", "can0", node, 8) for node in range(1, 31))
     world = World(channels, bitrate=125_000, interlocks=interlocks)
-    for board in world.boards.values():
-        board.contacts[8] = 1
+    for node in range(1, 31):
+        world.boards.board(f"can0/{node}").contacts[8] = 1
     world.boot()
     world.run(3.0)
     lose_one_tpdo(world, 17)
@@ -59,7 +59,7 @@ def test_interlocks_on_all_boards_of_a_slow_bus_are_read_within_two_seconds() ->
 
 def test_an_end_stop_whose_one_tpdo_is_lost_is_noticed() -> None:
     world = World([Channel("5.left", "can0", 5, 0, 8)])
-    world.boards["can0", 5].contacts[8] = 1
+    world.boards.board("can0/5").contacts[8] = 1
     world.up()
     lose_one_tpdo(world, 5)
     assert world.until(lambda: not world.master.ends) < 2.0
@@ -77,11 +77,10 @@ def test_end_stops_of_many_boards_take_one_hundredth_of_a_slow_bus() -> None:
 
 def test_inputs_are_read_at_once_after_an_overrun_of_the_controller() -> None:
     world = World([Channel("5.left", "can0", 5, 0, 8)])
-    world.boards["can0", 5].contacts[8] = 1
+    world.boards.board("can0/5").contacts[8] = 1
     world.up()
     lose_one_tpdo(world, 5)
     world.master.overrun("can0", world.now)
-    world.flush()
     assert world.until(lambda: not world.master.ends) < 0.1
     assert world.master.status().buses[0].overruns == 1
 
@@ -89,12 +88,11 @@ def test_inputs_are_read_at_once_after_an_overrun_of_the_controller() -> None:
 def test_the_buses_work_on_when_echoes_are_lost_in_an_overrun() -> None:
     world = World([Channel("5.left", "can0", 5, 0, 0)]).up()
     bus = world.buses["can0"]
-    bus.echo = False
+    bus.echoes = False
     world.until(lambda: world.master._links["can0"].pending.count > 0)
     world.run(0.02)
-    bus.echo = True
+    bus.echoes = True
     world.master.overrun("can0", world.now)
-    world.flush()
     world.run(1.0)
     assert world.faults == []
     world.commit(1)

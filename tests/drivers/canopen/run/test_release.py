@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from drivers.canopen.faults import Busy
+from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import Channel
 from tests.drivers.canopen.world import World
+from tests.simulation.bus_model import BusModel
 
 
 def pairs() -> list[Channel]:
@@ -17,10 +21,9 @@ def lost(*nodes: int) -> World:
     """A world in which both actuators have an output on, and the boards are silent."""
     world = World(pairs()).up()
     world.master.commit(0b1001, world.now)  # the first extends, the second contracts
-    world.flush()
     world.run(0.05)
-    assert [actuator.coils for actuator in world.actuators.values()] == [(1, 0), (0, 1)]
-    world.lost = lambda bus, node, frame: node in nodes
+    assert world.boards.coils() == [(1, 0), (0, 1)]
+    world.lost = lambda bus, frame: cia301.split(frame.id)[1] in nodes
     world.run(1.0)
     assert [fault.source for fault in world.faults] == [f"can0/{node}" for node in nodes]
     world.frames()
@@ -33,18 +36,16 @@ def test_outputs_go_off_on_boards_that_are_not_heard_but_hear(nodes: tuple[int, 
     with pytest.raises(Busy):
         world.master.commit(0, world.now)
     world.master.commit(0, world.now, release=True)
-    world.flush()
     world.run(0.05)
-    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+    assert world.boards.coils() == [(0, 0), (0, 0)]
     assert world.master.outputs == 0
 
 
 def test_a_release_of_one_board_leaves_the_other_alone() -> None:
     world = lost(2)
     world.master.commit(0b1000, world.now, release=True)
-    world.flush()
     world.run(0.05)
-    assert [actuator.coils[0] for actuator in world.actuators.values()] == [0, 0]
+    assert [on for on, _ in world.boards.coils()] == [0, 0]
     assert world.master.outputs == 0b1000
 
 
@@ -52,9 +53,8 @@ def bus_lost(channels: list[Channel] | None = None) -> World:
     """A world in which both actuators have an output on, and the bus was off for a moment."""
     world = World(channels or pairs()).up()
     world.master.commit(0b1001, world.now)
-    world.flush()
     world.run(0.02)
-    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    world.buses["can0"].go_off()
     return world
 
 
@@ -62,84 +62,73 @@ def test_outputs_go_off_as_soon_as_a_lost_bus_is_usable() -> None:
     world = bus_lost()
     with pytest.raises(Busy, match="bus-off"):
         world.master.commit(0, world.now, release=True)
-    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].restore()
     with pytest.raises(Busy, match="until its boards are booted"):
         world.master.commit(0, world.now)
     world.master.commit(0, world.now, release=True)
-    world.flush()
     world.run(0.02)
-    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+    assert world.boards.coils() == [(0, 0), (0, 0)]
     assert world.master.outputs == 0
 
 
 def test_a_release_after_a_lost_bus_switches_nothing_that_was_latched_before() -> None:
     world = World(pairs()).up()
     world.commit_when_possible(1, 0, 0, 0)
-    world.buses["can0"].echo = False  # the RPDO of the second board is latched, and its SYNC is never sent
+    world.buses["can0"].echoes = False  # the RPDO of the second board is latched, and its SYNC is never sent
     world.run(0.02)
     world.frames()
     world.master.commit(0b0011, world.now)
-    world.flush()
     world.run(0.005)
     assert (0x202, "01") in world.frames()
-    world.master.bus_changed("can0", "bus-off", "", None, world.now)
-    world.buses["can0"].echo = True
-    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].go_off()
+    world.buses["can0"].echoes = True
+    world.buses["can0"].restore()
     world.master.commit(0b0010, world.now, release=True)
-    world.flush()
     world.run(0.02)
     frames = world.frames()
     assert frames.index((0x000, "80 02")) < frames.index((0x080, "")), "the other board leaves operational first"
-    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+    assert world.boards.coils() == [(0, 0), (0, 0)]
 
 
 @pytest.mark.parametrize("sent", [False, True])
 def test_an_output_whose_sync_is_in_doubt_goes_off_too(sent: bool) -> None:
     world = World(pairs()).up()
     world.master.commit(0b0001, world.now)
-    world.flush()
     world.until(lambda: not world.master.collecting)  # SYNC was handed out
     if not sent:
-        world.buses["can0"].queues["master"].clear()
+        world.buses["can0"].drop()
     world.run(0.00001)
-    world.master.bus_changed("can0", "bus-off", "", None, world.now)
+    world.buses["can0"].go_off()
     world.run(0.02)
     assert (world.master.outputs, world.master.doubtful) == (0, 0b0001)
-    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].restore()
     world.master.commit(0, world.now, release=True)
-    world.flush()
     world.run(0.02)
-    assert [actuator.coils for actuator in world.actuators.values()] == [(0, 0), (0, 0)]
+    assert world.boards.coils() == [(0, 0), (0, 0)]
     assert world.master.doubtful == 0
 
 
 def test_outputs_of_a_ready_board_go_off_while_another_one_is_booted() -> None:
     world = lost(2)
-    world.lost = lambda bus, node, frame: node == 2
+    world.lost = lambda bus, frame: cia301.split(frame.id)[1] == 2
     world.master.boot(world.now)
-    world.flush()
     world.until(lambda: world.master.known == 0b01)
     assert world.master.booting
     world.master.commit(0b1000, world.now, release=True)
-    world.flush()
     world.run(0.02)
-    assert world.actuators["1"].coils == (0, 0)
+    assert world.boards.coils()[0] == (0, 0)
 
 
 def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
     world = World([*pairs(), Channel("plain", "can0", 1, 5, None)]).up()
     world.master.commit(0b00101, world.now)
-    world.flush()
     world.run(0.05)
-    board = world.boards["can0", 1]
-    board.power_cut(world.now)
-    board.power_on(world.now)
-    world._schedule(board)
+    world.fault("power_cut", "can0/1")
+    world.fault("power_on", "can0/1")
     world.run(0.1)
     assert world.codes() == ["board-rebooted"]
     world.frames()
     world.master.commit(0b00100, world.now, release=True)
-    world.flush()
     world.run(0.05)
     assert world.frames() == []
     assert not world.master.committing
@@ -147,30 +136,62 @@ def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
 
 def test_a_release_that_waits_for_its_echo_is_not_sent_again_at_each_tick() -> None:
     world = bus_lost()
-    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].restore()
     world.frames()
-    world.buses["can0"].blocked = True
+    world.buses["can0"].stuck = True
     for _ in range(5):
         world.master.commit(0, world.now, release=True)
-        world.flush()
         world.run(0.01)
-    world.buses["can0"].blocked = False
+    world.buses["can0"].stuck = False
     world.run(0.05)
     assert [cob_id for cob_id, _ in world.frames()] == [0x201, 0x202, 0x080]
 
 
 def test_a_release_whose_frames_the_controller_has_dropped_is_sent_again_at_its_restart() -> None:
     world = bus_lost()
-    world.master.bus_changed("can0", "active", "", None, world.now)
-    world.buses["can0"].blocked = True  # nothing is echoed
+    world.buses["can0"].restore()
+    world.buses["can0"].stuck = True  # nothing is echoed
     world.master.commit(0, world.now, release=True)
-    world.flush()
-    world.buses["can0"].queues.clear()
-    world.buses["can0"].blocked = False
-    world.master.bus_changed("can0", "active", "", None, world.now)
+    world.buses["can0"].restart()
+    world.buses["can0"].stuck = False
     world.frames()
     world.master.commit(0, world.now, release=True)
-    world.flush()
     world.run(0.01)
     frames = [frame for frame in world.frames() if frame[0] in (0x201, 0x80)]
     assert frames == [(0x201, "00"), (0x80, "")]
+
+
+def on_two_buses() -> World:
+    """A world in which an actuator of each bus has an output on."""
+    world = World([Channel(bus, bus, 1, 0, None, 1, pulse=0.05) for bus in ("can0", "can1")]).up()
+    world.master.commit(0b0011, world.now)
+    world.run(0.02)
+    assert world.boards.coils() == [(1, 0), (1, 0)]
+    return world
+
+
+def test_outputs_of_a_bus_go_off_while_frames_of_another_bus_are_not_sent() -> None:
+    world = on_two_buses()
+    world.buses["can1"].stuck = True
+    for _ in range(2):
+        world.master.commit(0, world.now, release=True)
+        world.run(0.01)
+    assert world.boards.coils() == [(0, 0), (1, 0)]
+    world.buses["can1"].restore()
+    for _ in range(3):
+        world.master.commit(0, world.now, release=True)
+        world.run(0.01)
+    assert world.boards.coils() == [(0, 0), (0, 0)]
+    assert world.master.outputs == 0
+
+
+@pytest.mark.parametrize("lose", [BusModel.go_down, BusModel.go_off])
+def test_outputs_of_a_bus_go_off_while_another_bus_is_lost(lose: Callable[[BusModel], None]) -> None:
+    world = on_two_buses()
+    lose(world.buses["can1"])
+    world.master.commit(0, world.now, release=True)
+    world.run(0.01)
+    assert world.boards.coils() == [(0, 0), (1, 0)]
+    assert world.master.outputs == 0b0010
+    with pytest.raises(Busy, match="can1"):
+        world.master.commit(0, world.now, release=True)

@@ -41,7 +41,6 @@ def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     world = World(two_boards()).up()
     for frame in frames:
         world.master.receive("can0", frame, world.now)  # the boards do not hear it
-        world.flush()
         world.master.status()
     world.run(0.05)
     assert not [frame for frame in world.frames() if frame[0] in (0x000, 0x080, 0x205, 0x209)]
@@ -167,7 +166,7 @@ STEPS = st.lists(
 @given(steps=STEPS, on_loss=st.sampled_from(["hold", "contract"]))
 def test_outputs_change_only_by_commits_whatever_fails(steps, on_loss):
     world = World(two_buses(), Timing(boot_timeout=0.5), on_loss=on_loss).up()
-    boards = list(world.boards.values())
+    boards = [world.boards.board(name) for name in ("can0/5", "can1/5")]
     bus = world.buses["can1"]
 
     def driven() -> list[int]:
@@ -182,37 +181,34 @@ def test_outputs_change_only_by_commits_whatever_fails(steps, on_loss):
                 states = [number & 1, number >> 1]
             except Busy:
                 assert driven() == before
-            world.flush()
         elif what == "boot":
             world.master.boot(world.now)
-            world.flush()
         elif what in ("hold", "release"):
-            bus.blocked = what == "hold"
-            bus.next()
+            bus.stuck = what == "hold"
+            bus.begin()
         elif what in ("full", "room"):
             bus.room = 0 if what == "full" else None
         elif what in ("bus-off", "active", "down"):
-            world.master.bus_changed("can1", what, "", None, world.now)
-            world.flush()
+            {"bus-off": bus.go_off, "active": bus.restore, "down": bus.go_down}[what]()
         elif what in ("silent", "heard"):
             boards[number % 2].silent = what == "silent"
         elif what == "cut":
-            boards[number % 2].power_cut(world.now)
-            boards[number % 2].power_on(world.now)
+            world.fault("power_cut", f"can{number % 2}/5")
+            world.fault("power_on", f"can{number % 2}/5")
         elif what in ("lose", "find"):
-            world.lost = lambda bus, node, frame, lost=what == "lose": lost and frame.id & 0x780 == 0x180
+            world.lost = lambda bus, frame, lost=what == "lose": lost and frame.id & 0x780 == 0x180
         elif what == "stall":
             world.stall(0.15 * number)
         before = driven()
         world.run(0.03 * number)
         for k, state in enumerate(driven()):  # what was asked for last, or contracted by a cut or a lost master
             assert state in (before[k], states[k], 0)
-    bus.blocked, bus.room = False, None
-    bus.next()
+    bus.stuck, bus.room = False, None
+    bus.begin()
     for board in boards:
         board.silent = False
-    world.lost = lambda bus, node, frame: False
-    world.master.bus_changed("can1", "active", "", None, world.now)
+    world.lost = lambda bus, frame: False
+    world.buses["can1"].restore()
     world.run(2)
     world.up()
     world.commit_when_possible(1, 1)

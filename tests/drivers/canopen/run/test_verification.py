@@ -12,7 +12,7 @@ BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, 
 
 def sdo(world: World, index: int, sub: int, value: int, size: int) -> None:
     """Another program writes to board 5."""
-    board = world.boards["can0", 5].objects
+    board = world.boards.board("can0/5").objects
     board.set_data(index, sub, value.to_bytes(size, "little"))
 
 
@@ -79,7 +79,7 @@ def test_another_program_that_changes_a_board_is_noticed(index, sub, value, size
 
 def test_an_error_of_which_no_emergency_was_heard_is_noticed():
     world = World(BLIND).up()
-    world.boards["can0", 5].objects.put(0x1001, 0, 0x09)
+    world.boards.board("can0/5").objects.put(0x1001, 0, 0x09)
     world.until(lambda: world.codes())
     assert world.codes() == ["board-error"]
     assert "1001h sub 0 is 09h" in world.faults[0].message
@@ -107,15 +107,13 @@ def test_nothing_is_read_of_boards_that_switch_all_the_time_but_they_are_no_faul
 def pulse(world: World, length: float) -> None:
     """Switches an output on for a time."""
     world.master.commit(1, world.now)
-    world.flush()
     world.run(length)
     world.master.commit(0, world.now, release=True)
-    world.flush()
 
 
 def deaf(length: float) -> World:
     world = World([Channel("1.a", "can0", 5, 0, None, output_off=1, pulse=length)]).up()
-    world.boards["can0", 5]._pdos.receive = lambda cob_id, data, now: False
+    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: False
     return world
 
 
@@ -142,9 +140,9 @@ def test_pulses_that_are_too_short_to_be_read_back_are_told():
 def test_outputs_that_cannot_be_read_back_are_not_verified(answer):
     world = World([Channel("1.a", "can0", 5, 0, None)]).up()
     if answer == "abort":
-        world.boards["can0", 5].objects.refused[0x6200, 1] = 0x08000022
+        world.boards.board("can0/5").objects.refused[0x6200, 1] = 0x08000022
     else:
-        world.lost = lambda bus, node, frame: frame.id == 0x585
+        world.lost = lambda bus, frame: frame.id == 0x585
     world.commit(1)
     assert world.codes() == ["not-verified"]
     assert world.master.commit_failed == world.faults[0].message
@@ -154,10 +152,10 @@ def test_outputs_that_cannot_be_read_back_are_not_verified(answer):
 def test_an_old_emergency_does_not_hide_another_error():
     world = World(BLIND)
     world.run(0.05)
-    world.boards["can0", 5].send_message(0x85, bytes.fromhex("2081") + bytes(6))
+    world.boards.board("can0/5").send_message(0x85, bytes.fromhex("2081") + bytes(6))
     world.run(0.01)
     world.up()
-    world.boards["can0", 5].objects.put(0x1001, 0, 0x05)
+    world.boards.board("can0/5").objects.put(0x1001, 0, 0x05)
     world.until(lambda: world.codes())
     assert world.codes() == ["board-error"]
 
@@ -167,8 +165,8 @@ def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(new
     world = World(BLIND).up()
     board = world.master._network.stations[0].board
     board.ignored_errors, board.history = 0x11, 0x8130
-    world.boards["can0", 5].objects.put(0x1001, 0, 0x11)
+    world.boards.board("can0/5").objects.put(0x1001, 0, 0x11)
     for sub, value in ((0, 1), (1, newest)):
-        world.boards["can0", 5].objects.put(0x1003, sub, value)
+        world.boards.board("can0/5").objects.put(0x1003, sub, value)
     world.run(10.0)
     assert world.codes() == codes

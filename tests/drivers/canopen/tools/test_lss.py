@@ -173,14 +173,14 @@ def test_boards_without_a_node_id_are_listed() -> None:
 def test_a_simulated_board_has_its_new_node_id_after_power_on() -> None:
     world = World(two_boards())
     world.run(0.05)
-    board = world.boards["can0", 5]
+    board = world.boards.board("can0/5")
     for data in ("04 01", "11 21", "17"):
         world.say(REQUEST, bytes.fromhex(data).ljust(8, b"\0"))
         world.run(0.01)
-        world.boards["can0", 9].lss.state = 0  # which is not meant
+        world.boards.board("can0/9").lss.state = 0  # which is not meant
     assert [data for cob_id, data in world.frames() if cob_id == ANSWER] == ["11 00" + " 00" * 6, "17 00" + " 00" * 6]
     assert board.node == 5
-    board.power_on(world.now)
+    world.fault("power_on", "can0/5")
     assert board.node == 33
     world.frames()
     world.say(0x600 + 33, bytes.fromhex("40 00 10 00 00 00 00 00"))

@@ -9,70 +9,45 @@ import pytest
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.probe import Answer, Probe, probe
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Received
+from drivers.canopen.wire.cia301 import State
+from drivers.canopen.wire.events import Changed
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from drivers.simulation.objects import Objects
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
-class Asking:
-    """Takes the place of the master in a world."""
-
-    def __init__(self, world: World) -> None:
-        self.outbox: list[tuple[str, Frame]] = world._outbox
-        self.probe = Probe(world.wiring, world.timing, lambda bus, frame: self.outbox.append((bus, frame)))
-
-    def receive(self, bus, frame, now):
-        self.probe.take(Received(bus, frame), now)
-
-    def echoed(self, bus, frame, now):
-        self.probe.take(Echoed(bus, frame), now)
-
-    def send_failed(self, bus, frame, why, now):
-        self.probe.send_failed(bus, frame, now)
-
-    def tick(self, now):
-        self.probe.tick(now)
-
-    def take_faults(self):
-        return []
-
-    take_switched = take_faults
-
-
 def asked(world: World, lose: str | None = None, patience: float = 20.0, **changes: object) -> tuple[Answer, ...]:
     world.run(0.05)
     world.wiring = replace(world.wiring, **changes)
     world.stalled = False
-    world.master = asking = Asking(world)
+    asking = Probe(world.wiring, world.timing, world.send)
+    world.use(asking)
     world.frames()
-    asking.probe.start(world.now)
-    world.flush()
+    asking.start(world.now)
     if lose:
-        asking.probe.take(Changed(lose, "down", "it is down", None), world.now)
-    world.until(lambda: asking.probe.answers is not None, patience)
-    return asking.probe.answers
+        asking.take(Changed(lose, "down", "it is down", None), world.now)
+    world.until(lambda: asking.answers is not None, patience)
+    return asking.answers
 
 
 def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     world = World(two_boards())
-    world.boards["can0", 9].objects.put(0x1000, 0, 0x00020191)
-    fresh = World(two_boards()).boards["can0", 5].objects
+    world.boards.board("can0/9").objects.put(0x1000, 0, 0x00020191)
+    fresh = World(two_boards()).boards.board("can0/5").objects
     good, other = asked(world)
     assert (good.board, good.ok, good.code) == ("can0/5", True, "")
     assert good.text.startswith("device type 00030191h, error register 00h; to be written: 1016h sub 1 (heartbeat of")
     assert (other.board, other.ok) == ("can0/9", True)
     assert "1000h sub 0 is 00020191h, without the bit of digital inputs" in other.text
-    held = world.boards["can0", 5].objects
+    held = world.boards.board("can0/5").objects
     assert all(held.number(*place) == fresh.number(*place) for place in held._values)
     assert not any(cob_id < 0x580 for cob_id, _ in world.frames())
 
 
 def test_an_error_register_is_told():
     world = World()
-    world.boards["can0", 5].objects.put(0x1001, 0, 0x81)
+    world.boards.board("can0/5").objects.put(0x1001, 0, 0x81)
     [answer] = asked(world)
     assert (answer.ok, answer.code) == (False, "board-error")
     assert "error register 1001h sub 0 is 81h; 00h is needed" in answer.text
@@ -99,11 +74,11 @@ def test_no_write_changes_a_value_so_no_lost_frame_and_no_kill_leaves_one(monkey
 
 def test_a_lost_answer_leaves_the_error_mode_of_a_running_arm():
     world = World(two_boards(), on_loss="hold").up()
-    world.lost = lambda bus, node, frame: frame.id == 0x585 and frame.data[0] == 0x60
+    world.lost = lambda bus, frame: frame.id == 0x585 and frame.data[0] == 0x60
     world.stalled = True
     [told, _] = asked(world, on_loss="contract")
     assert told.code == "board-missing"
-    objects = world.boards["can0", 5].objects
+    objects = world.boards.board("can0/5").objects
     assert [objects.number(0x6206, 1), objects.number(0x1029, 1)] == [0xFE, 0]
 
 
@@ -111,12 +86,12 @@ def test_a_lost_answer_leaves_the_error_mode_of_a_running_arm():
 def test_a_stopped_board_is_said_to_be_stopped(variant):
     world = World(two_boards(), variants={"can0/5": VARIANTS[variant]}).up()
     if variant != "standard":  # guarded: no heartbeat tells the state
-        world.boards["can0", 5].objects.put(0x1017, 0, 0)
-        world.boards["can0", 5]._supervision.begin(world.now)
+        world.boards.board("can0/5").objects.put(0x1017, 0, 0)
+        world.boards.board("can0/5")._supervision.begin(world.now)
     world.stalled = True
     world.say(cia301.NMT, bytes([cia301.Command.STOP, 5]))
     world.run(1.0)
-    assert world.boards["can0", 5].state is State.STOPPED
+    assert world.boards.board("can0/5").state is State.STOPPED
     five, nine = asked(world)
     assert (five.code, nine.ok) == ("board-stopped", True)
     assert five.text == (
@@ -127,7 +102,7 @@ def test_a_stopped_board_is_said_to_be_stopped(variant):
 
 def test_a_board_that_is_heard_and_does_not_answer_is_not_asked_for_its_power():
     world = World(two_boards()).up()
-    world.lost = lambda bus, node, frame: frame.id == 0x585
+    world.lost = lambda bus, frame: frame.id == 0x585
     five, _ = asked(world)
     assert (five.code, "board can0/5 is pre-operational, but does not answer" in five.text) == ("board-missing", True)
 
@@ -135,23 +110,25 @@ def test_a_board_that_is_heard_and_does_not_answer_is_not_asked_for_its_power():
 def test_the_heartbeat_of_an_executor_is_heard():
     world = World(two_boards())
     world.run(0.05)
-    world.master = asking = Asking(world)
-    asking.probe.start(world.now)
-    assert asking.probe.master_on is None
+    asking = Probe(world.wiring, world.timing, world.send)
+    world.use(asking)
+    asking.start(world.now)
+    assert asking.master_on is None
     world.say(cia301.HEARTBEAT + 0x7F, b"\x05")
-    world.until(lambda: asking.probe.over)
-    assert asking.probe.master_on == "can0"
+    world.until(lambda: asking.over)
+    assert asking.master_on == "can0"
 
 
 def test_silent_boards_are_asked_in_parallel():
     world = World([Channel(str(n), "can0", n, 0, 0) for n in range(1, 101)])
-    for board in world.boards.values():
-        board.silent = True
+    for node in range(1, 101):
+        world.fault("silence", f"can0/{node}")
+    begun = world.now
     answers = asked(world)
     assert not any(answer.ok for answer in answers)
     assert "can0/1 neither booted nor answered" in answers[0].text
     assert {answer.code for answer in answers} == {"board-missing"}
-    assert world.now < 2.5
+    assert world.now - begun < 2.5
 
 
 def test_boards_of_a_lost_bus_do_not_answer():

@@ -8,44 +8,19 @@ from drivers.canopen.faults import BusError
 from drivers.canopen.tools.survey import Found, Survey, survey
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Received
+from drivers.canopen.wire.events import Changed, Received
 from drivers.canopen.wiring import BusSettings, Channel
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards
 
 
-class Asking:
-    """Takes the place of the master in a world."""
-
-    def __init__(self, world: World, **options: bool) -> None:
-        outbox = world._outbox
-        self.survey = Survey(world.wiring.buses[0], lambda bus, frame: outbox.append((bus, frame)), **options)
-
-    def receive(self, bus, frame, now):
-        self.survey.take(Received(bus, frame), now)
-
-    def echoed(self, bus, frame, now):
-        self.survey.take(Echoed(bus, frame), now)
-
-    def send_failed(self, bus, frame, why, now):
-        self.survey.send_failed(bus, frame, now)
-
-    def tick(self, now):
-        self.survey.tick(now)
-
-    def take_faults(self):
-        return []
-
-    take_switched = take_faults
-
-
 def begun(world: World, **options: bool) -> Survey:
     world.run(0.05)
-    world.master = asking = Asking(world, **options)
+    asking = Survey(world.wiring.buses[0], world.send, **options)
+    world.use(asking)
     world.frames(sdo=True)
-    asking.survey.start(world.now)
-    world.flush()
-    return asking.survey
+    asking.start(world.now)
+    return asking
 
 
 def surveyed(world: World, **options: bool) -> Survey:
@@ -77,7 +52,7 @@ def test_each_variant_has_its_row(name: str) -> None:
     world.run(6.0)
     five = surveyed(world).found[0]
     assert (five.node, five.answers, five.trouble) == (5, True, None)
-    board = world.boards["can0", 5].objects
+    board = world.boards.board("can0/5").objects
     for (index, sub), value in five.numbers.items():
         assert value == board.number(index, sub), f"{index:04X}h sub {sub}"
     assert [pdo.parameters for pdo in five.rpdos] == [i for i in range(0x1400, 0x1420) if board.has(i)]
@@ -85,8 +60,8 @@ def test_each_variant_has_its_row(name: str) -> None:
 
 def test_a_survey_takes_no_longer_with_many_silent_nodes() -> None:
     world = World([Channel(str(n), "can0", n, 0, 0) for n in range(1, 101)])
-    for board in list(world.boards.values())[1:]:
-        board.silent = True
+    for node in range(2, 101):
+        world.fault("silence", f"can0/{node}")
     begun_at = world.now
     assert [node.node for node in surveyed(world).found] == [1]
     assert world.now - begun_at < 2.5
@@ -137,7 +112,7 @@ def test_a_node_that_stops_answering_is_reported() -> None:
     world = World()
     asking = begun(world)
     world.until(lambda: (0x1005, 0) in asking._nodes[5].numbers)
-    world.boards["can0", 5].silent = True
+    world.boards.board("can0/5").silent = True
     world.until(lambda: asking.over, 60.0)
     assert "it stopped answering at" in asking.found[0].trouble
 

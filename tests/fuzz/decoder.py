@@ -1,0 +1,32 @@
+"""The decoding of python-can's messages by the executor's bus, one message at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+
+from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.wire.events import Event
+from drivers.canopen.wiring import BusSettings
+
+
+class Decoder(CanBus):
+    """Makes events of python-can's messages as the executor's bus does."""
+
+    def __init__(self, settings: BusSettings) -> None:
+        super().__init__(settings)
+        self._message: can.Message | None = None
+        self.open()
+        self.poll()
+
+    def decode(self, it: can.Message) -> list[Event]:
+        self._message = it
+        return list(self.poll())
+
+    def _open(self) -> Any:
+        return self
+
+    def recv(self, timeout: float) -> can.Message | None:
+        message, self._message = self._message, None
+        return message

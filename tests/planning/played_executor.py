@@ -1,0 +1,125 @@
+"""An executor that the test plays: it says what an executor says, and the test decides when."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import msgspec
+
+from controller.program import (
+    Accepted,
+    Answer,
+    Begun,
+    Cancel,
+    Declined,
+    Down,
+    Ended,
+    Program,
+    Settled,
+    Snapshot,
+    Up,
+    pack,
+)
+
+T = TypeVar("T", bound=Down)
+
+
+class PlayedExecutor(ABC):
+    """The executor, played by the test.
+
+    Attributes:
+        state: the latest snapshot; `show` changes and sends it.
+    """
+
+    def __init__(self, actuators: int) -> None:
+        self.actuators, self.instance = actuators, 1
+        full, none = (1 << actuators) - 1, bytes((actuators + 7) // 8)
+        known = pack(full, actuators)
+        self.state = Snapshot(
+            self.now(), "ready", "holding", 1, none, none, known, known, none, 0, False, 0.0, -1, -1, -1, ()
+        )
+        self._results = 0
+
+    @abstractmethod
+    def now(self) -> float:
+        """Returns the time [s]."""
+
+    @abstractmethod
+    def send(self, message: Up) -> None:
+        """Sends a message to the planner."""
+
+    @abstractmethod
+    def take(self) -> Down | None:
+        """Returns the next message of the planner; None if none comes."""
+
+    @abstractmethod
+    def waiting(self) -> Sequence[Down]:
+        """Returns the messages that `take` has not returned yet."""
+
+    # --- messages of the planner
+
+    def expect(self, kind: type[T], *passing: type[Any]) -> T:
+        """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
+        while (message := self.take()) is not None:
+            if isinstance(message, kind):
+                return message
+            assert isinstance(message, passing), f"{message} came where {kind.__name__} was expected"
+        raise AssertionError(f"no {kind.__name__} came")
+
+    def nothing(self, kind: type[Any]) -> bool:
+        """Whether no message of a kind has come."""
+        return not any(isinstance(message, kind) for message in self.waiting())
+
+    # --- messages of the executor
+
+    def show(self, **changes: Any) -> None:
+        """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""
+        if isinstance(bits := changes.get("outputs"), int):
+            changes["outputs"] = pack(bits, self.actuators)
+        if "outputs" in changes and "measured" not in changes:
+            changes["measured"] = changes["outputs"]
+        self.state = msgspec.structs.replace(self.state, at=self.now(), **changes)
+        self.send(self.state)
+
+    def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
+        """Answers a request as the executor does: it begins a new epoch if needed, and sends a snapshot."""
+        ends = not isinstance(message, Cancel) or message.program is None
+        self.send(Answer(message.request, accepted, text))
+        self.show(epoch=self.state.epoch + (ends and accepted), **changes)
+
+    def accept(self, program: Program) -> None:
+        self.send(Accepted(program.program, program.begin or self.now()))
+        self.show(mode="executing", reason=program.name, program=program.program)
+
+    def decline(self, program: Program, cause: Any, reason: str = "because") -> None:
+        self.send(Declined(program.program, cause, reason))
+
+    def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
+        """Carries out a stage of a program, and settles its mark if it has one."""
+        states = program.stages[stage]
+        self.send(Begun(program.program, stage, switches))
+        self.show(outputs=states.states, measured=measured or states.states)
+        if states.mark >= 0:
+            at = measured or states.states
+            self.send(Settled(program.program, states.mark, at, self.state.known, switches, 1, True))
+
+    def end(self, program: Program, status: Any = "done", message: str = "done", **fields: Any) -> Ended:
+        """Sends the result of a program."""
+        self._results += 1
+        ended = Ended(
+            self._results,
+            program.program,
+            program.context,
+            status,
+            message,
+            fields.get("mark", program.stages[-1].mark),
+            fields.get("switches", 1),
+            fields.get("measured", self.state.measured),
+            self.state.known,
+            fields.get("travels", ()),
+        )
+        self.send(ended)
+        self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
+        return ended

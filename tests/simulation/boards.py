@@ -1,0 +1,79 @@
+"""Simulated boards on an agenda, which steps them when something is due."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wiring import Timing, Wiring
+from drivers.simulation.buses import SimulatedBuses
+from drivers.simulation.fault_commands import perform
+from drivers.simulation.variants import Variant
+from tests.simulation.agenda import Agenda
+
+
+class AttachedBoards:
+    """All boards of an arm, with power.
+
+    Attributes:
+        simulated: boards and actuators, to be read; `fault` changes them.
+
+    Args:
+        wiring: buses, boards and actuators.
+        timing: times of boards and actuators.
+        variants: variants of boards by name.
+        agenda: time and events.
+        send: takes the frames of the boards.
+    """
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        timing: Timing,
+        variants: Mapping[str, Variant] | None,
+        agenda: Agenda,
+        send: Callable[[str, Frame], None],
+    ) -> None:
+        self.simulated = SimulatedBuses(wiring, timing, send, variants)
+        self._agenda, self._timer = agenda, float("inf")
+        self.step()
+
+    def see(self, cause: str, belongs_to: object = None) -> None:
+        """Is called when outputs may have changed.
+
+        Args:
+            cause: "time", "fault", or a frame.
+            belongs_to: the commit of a frame.
+        """
+
+    def receive(self, bus: str, frame: Frame, cause: str = "frame", belongs_to: object = None) -> None:
+        """Takes a frame from a bus."""
+        self.simulated.step(self._agenda.now)
+        self.see("time")
+        self.simulated.receive(bus, frame, self._agenda.now)
+        self.see(cause, belongs_to)
+        self._set_timer()
+
+    def fault(self, verb: str, name: str, *numbers: float | str) -> None:
+        """Causes or ends a fault of a board, an actuator or an interlock."""
+        self.step()
+        perform(self.simulated, verb, name, *numbers)
+        self.see("fault")
+        self._set_timer()
+
+    def step(self) -> None:
+        """Advances boards and actuators to the present time."""
+        self.simulated.step(self._agenda.now)
+        self.see("time")
+        self._set_timer()
+
+    def _set_timer(self) -> None:
+        due = self.simulated.next_due()
+        if due < self._timer - 1e-12:
+            self._timer = due
+            self._agenda.at(due, lambda: self._ring(due))
+
+    def _ring(self, due: float) -> None:
+        if due == self._timer:
+            self._timer = float("inf")
+            self.step()
