@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from controller.commands.demo import patient
+from controller.commands.operate.demo import patient
 from controller.program import (
     MOST_BYTES,
     Acknowledge,
@@ -148,7 +148,7 @@ def test_without_simulated_boards_neither_simulation_nor_canopen_is_loaded(tmp_p
     code, out, err = process.end()
     assert code == 0, err
     loaded = set(out.split())
-    assert "controller.executor.buses" in loaded
+    assert "controller.executor.process.buses" in loaded
     assert not [name for name in loaded if any(f"{name}.".startswith(f"{room}.") for room in SIMULATION)]
 
 
