@@ -111,9 +111,9 @@ def serve(
     """
     import zenoh
 
+    from controller.gateway.claim import AlreadyRunning
     from controller.gateway.daemon import running
     from controller.network import session
-    from controller.network.session import AlreadyRunning
     from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
 
