@@ -22,7 +22,7 @@ REAL_TIME := tests/system
 test: check $(VENV)/kernels
 	failed=0; \
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
-		--ignore tests/page || failed=$$?; \
+		--ignore tests/browser || failed=$$?; \
 	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS) || failed=$$?; \
 	exit $$failed
 
@@ -37,7 +37,7 @@ vm-test: $(VENV)/installed
 
 # The operator's page in Debian's Chromium: apt-get install chromium chromium-driver
 page-test: $(VENV)/kernels $(VENV)/page
-	$(BIN)/pytest tests/page $(ARGS)
+	$(BIN)/pytest tests/browser $(ARGS)
 
 check: $(VENV)/installed
 	$(BIN)/ruff check .
@@ -76,7 +76,7 @@ $(VENV)/program: pyproject.toml
 
 # Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
 $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controller)
-	$(BIN)/python -m controller.kernels
+	$(BIN)/python -m controller.host.kernels
 	touch $@
 
 # The developers' tools.

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from controller.commands.table import COMMANDS, GROUPS, Entry
-from controller.machine_code import ADVICE, REFUSAL, watch
+from controller.host.machine_code import ADVICE, REFUSAL, watch
 
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
@@ -136,8 +136,8 @@ def main() -> None:
     try:
         app()
     except Exception as error:
+        from controller.armfile.strict import InputFaults
         from controller.commands.common import Failed
-        from controller.strict import InputFaults
 
         if isinstance(error, RuntimeError) and REFUSAL in str(error):
             error = Failed(f"numba cannot write its machine code: {ADVICE}")

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from hypothesis import settings
 
-from controller.config import Arm, load
+from controller.arm.arm import Arm, load
 from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver
 from controller.workspace.cache import load_or_map

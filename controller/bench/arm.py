@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller import config
+from controller.arm import arm as config
 from controller.bench.goal_sets import arm_path, load_arm
 from controller.library import arm as library
 from controller.library.obstacles import KINDS, Obstacle

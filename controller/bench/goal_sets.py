@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.config import Arm, load
+from controller.arm.arm import Arm, load
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.arm.arm import Arm
 from controller.calibration.fit import CannotFit, angles, distances, fit, plausible
 from controller.calibration.model import Array, Model
 from controller.calibration.parameters import (
@@ -25,7 +26,6 @@ from controller.calibration.parameters import (
     written,
 )
 from controller.calibration.samples import Samples
-from controller.config import Arm
 from controller.manipulator.frames import Frame
 
 FOLDS = 5

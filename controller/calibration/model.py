@@ -7,6 +7,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.arm.chain import build_modules
+from controller.armfile.settings import ModuleSettings
 from controller.calibration.parameters import (
     Description,
     Key,
@@ -19,9 +21,7 @@ from controller.calibration.parameters import (
 )
 from controller.calibration.platforms import pose_derivatives, tracked
 from controller.calibration.samples import Samples
-from controller.chain import build_modules
 from controller.manipulator.frames import Frame
-from controller.settings import ModuleSettings
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.manipulator.vgt import ACTUATORS

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.arm.tables import PLANAR, SPATIAL, read_row
+from controller.armfile.strict import MOST_FAULTS, InputFaults
 from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
-from controller.strict import MOST_FAULTS, InputFaults
-from controller.tables import PLANAR, SPATIAL, read_row
 
 MOST_SAMPLES = 5000
 STATES = ("configuration", "actuators")

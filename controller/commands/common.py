@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from msgspec import Meta, Struct
 
-from controller.strict import UNIT, InputFaults, check, read_yaml
+from controller.armfile.strict import UNIT, InputFaults, check, read_yaml
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from controller.config import Arm
+    from controller.arm.arm import Arm
     from controller.manipulator.manipulator import Configuration
     from controller.workspace.densities import Densities
 
@@ -128,7 +128,7 @@ def load_wired(path: Path) -> Arm:
     Raises:
         InputFaults: the file is wrong, or maps no actuator.
     """
-    from controller.config import load
+    from controller.arm.arm import load
 
     arm = load(path)
     if not arm.wiring:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import typer
 
+from controller.armfile.strict import InputFaults, read_yaml
 from controller.commands.common import Failed, arm_name, print_json, refusal
-from controller.strict import InputFaults, read_yaml
 
 if TYPE_CHECKING:
     import zenoh
 
-    from controller.client import Client
+    from controller.network.client import Client
 
 START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 
@@ -36,8 +36,8 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     """
     import zenoh
 
-    from controller.client import Client, Unanswered
-    from controller.gateway import session
+    from controller.network import session
+    from controller.network.client import Client, Unanswered
 
     name = arm_name(arm)
     zenoh.init_log_from_env_or("error")

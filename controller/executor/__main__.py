@@ -7,19 +7,19 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from controller.executor.arm import read_arm
-from controller.executor.buses import Buses, CanBuses
-from controller.executor.core import Executor
-from controller.executor.journal_copy import JournalInUse
-from controller.executor.log_lines import start_logging
-from controller.executor.real_time import enter_real_time
-from controller.executor.run import MOST_PENDING, EventLoop
-from controller.executor.server import Server, SocketInUse
-from controller.executor.switch_journal import FileJournal, default_path
+from controller.armfile.strict import InputFaults
+from controller.executor.core.arm import read_arm
+from controller.executor.core.core import Executor
+from controller.executor.process.buses import Buses, CanBuses
+from controller.executor.process.journal_copy import JournalInUse
+from controller.executor.process.log_lines import start_logging
+from controller.executor.process.real_time import enter_real_time
+from controller.executor.process.run import MOST_PENDING, EventLoop
+from controller.executor.process.server import Server, SocketInUse
+from controller.executor.process.switch_journal import FileJournal, default_path
 from controller.flight_recorder import FlightRecorder, Label
-from controller.notify import Notifier
-from controller.sockets import socket_path
-from controller.strict import InputFaults
+from controller.host.notify import Notifier
+from controller.host.sockets import socket_path
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -63,7 +63,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     """
     arm = read_arm(file)
     if simulate:  # the process of a real arm loads no simulation
-        from controller.executor.embedded_boards import simulated
+        from controller.executor.process.embedded_boards import simulated
 
         arm, simulation = simulated(arm, board)
     elif board:

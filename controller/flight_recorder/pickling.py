@@ -18,16 +18,15 @@ from controller.flight_recorder.keeper import Refused
 
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
-    r"controller\.(settings|program(\.\w+)?|(manipulator|motion|obstacles|planning\.core)\.\w+)"
-    r"|controller\.executor\.(actuation|arm|clearance|clients|core|ending|events|kinds|locked|modes|motion"
-    r"|motion_supervision|program_execution|reports|requests|results|setpoint_stream|travel_times)"
+    r"controller\.(armfile\.settings|program(\.\w+)?|(manipulator|motion(\.\w+)?|obstacles|planning\.core)\.\w+)"
+    r"|controller\.executor\.((core|motion)\.\w+|process\.clients)"
     r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
 )
 CORE = "controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # stands for an opaque value that is not None
 OTHERS = {
     ("controller.flight_recorder.pickling", "method_of"),
-    ("controller.executor.switch_journal", "MemoryJournal"),
+    ("controller.executor.process.switch_journal", "MemoryJournal"),
     ("collections", "Counter"),
     ("collections", "OrderedDict"),
     ("collections", "defaultdict"),

@@ -14,14 +14,15 @@ from pathlib import Path
 
 import zenoh
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.flight_recorder import FlightRecorder, Label
 from controller.gateway.arrivals import RepeatedGoals
+from controller.gateway.claim import Claim
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
-from controller.gateway.session import Claim, lease, reachable
-from controller.journal import fields_of_fault
-from controller.notify import Notifier
+from controller.host.journal import fields_of_fault
+from controller.host.notify import Notifier
+from controller.network.session import lease, reachable
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Recorded
 from controller.planning.ledger import Ledger, PublishedResults, published_path

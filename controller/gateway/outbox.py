@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 import zenoh
 
-from controller.gateway.session import LEASE
 from controller.motion import codes
+from controller.network.session import LEASE
 from controller.planning.core.events import Identity, Payload, Published, PublishResult, refused
 
 log = logging.getLogger(__name__)

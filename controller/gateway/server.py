@@ -16,7 +16,7 @@ import zenoh
 from controller.gateway.arrivals import BRIEFLY, FloodBrake, Rate, RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.events import CancelMessage, Key, Message, Payload, SetpointArrived, TipArrived, refused
 from controller.planning.loop import Receive
 from controller.planning.planner import Planner

@@ -11,7 +11,9 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller import config
+from controller.arm import arm as config
+from controller.armfile.settings import ArmSettings
+from controller.armfile.strict import InputFaults
 from controller.library.density import Density
 from controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
 from controller.library.modules import Module, base_settings, checked
@@ -19,8 +21,6 @@ from controller.library.obstacles import Obstacle, obstacle_settings
 from controller.manipulator.locked import STATES, LockedStates, lock_actuators, transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.settings import ArmSettings
-from controller.strict import InputFaults
 from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
 from controller.workspace.locked_reach import LockedReach, reach_when_locked

@@ -7,13 +7,13 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
+from controller.armfile.settings import ArmSettings
 from controller.calibration.calibration import Calibration, calibrated
 from controller.calibration.fit import CannotFit
 from controller.calibration.samples import Samples
 from controller.library.arm import Arm, build
 from controller.library.errors import CalibrationError
 from controller.library.modules import checked
-from controller.settings import ArmSettings
 
 
 class Fitted(NamedTuple):

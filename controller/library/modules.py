@@ -7,9 +7,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
-from controller.library.errors import ArmError
-from controller.manipulator import frames
-from controller.settings import (
+from controller.armfile.settings import (
     Diagonal,
     FrameSettings,
     ModuleSettings,
@@ -19,7 +17,9 @@ from controller.settings import (
     TransformsSettings,
     VgtSettings,
 )
-from controller.strict import check
+from controller.armfile.strict import check
+from controller.library.errors import ArmError
+from controller.manipulator import frames
 
 S = TypeVar("S", bound=Struct)
 

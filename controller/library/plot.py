@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller import plots
 from controller.library.arm import Arm
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.library.solver import Path
 from controller.obstacles.obstacles import together
+from controller.pictures import plots
 from controller.search.solution import Solution
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import

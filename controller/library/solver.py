@@ -17,9 +17,9 @@ from controller.library.goals import Goal, Request, request
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
-from controller.motion.pacing import pace_of
+from controller.motion.plans.whole import WHOLE_TIME, Goals, plan_whole, unhurried
+from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
-from controller.motion.whole import WHOLE_TIME, Goals, plan_whole, unhurried
 from controller.search import solver as search
 from controller.search.method import METHODS, Method
 from controller.search.solution import Certificate, Solution

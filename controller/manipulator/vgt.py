@@ -7,10 +7,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.armfile.settings import Diagonal
 from controller.manipulator.displacement_rates import truss_rates
 from controller.manipulator.frames import Frame, planar
 from controller.manipulator.module import Array, Module, binary_code
-from controller.settings import Diagonal
 
 Point = NDArray[np.float64]
 Lengths = tuple[float, float]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from controller.motion.codes import INVALID_GOAL, Refusal
 
 if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
-    from controller.motion.pacing import Pace
+    from controller.motion.stages.pacing import Pace
 
 MOST_POINTS = 10_000  # of a trajectory
 FINEST, COARSEST = 4, 2  # parts a path tolerance of length: if there is time, and at least

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from controller.client import Client, Unanswered
+from controller.network.client import Client, Unanswered
 from controller.panel.drawing import Drawing, cloud, picture
 from controller.panel.faults import advice
 from controller.panel.pages import Control, Page

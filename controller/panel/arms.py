@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import zenoh
 
-from controller.client import Client
+from controller.network.client import Client
 from controller.panel.arm_view import ArmView
 from controller.panel.metrics import Counters
 from controller.panel.pages import Page

@@ -10,7 +10,8 @@ from typing import Any
 
 import msgspec
 
-from controller.client import Unanswered
+from controller.armfile.strict import InputFaults, parse_yaml
+from controller.network.client import Unanswered
 from controller.panel.arm_view import ArmView
 from controller.panel.pages import Allowance, Page
 from controller.panel.requests import (
@@ -28,7 +29,6 @@ from controller.panel.requests import (
     Stop,
     Take,
 )
-from controller.strict import InputFaults, parse_yaml
 
 log = logging.getLogger(__name__)
 

@@ -16,12 +16,12 @@ import zenoh
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from controller.gateway import session
-from controller.notify import Notifier
+from controller.armfile.strict import InputFaults
+from controller.host.notify import Notifier
+from controller.network import session
 from controller.panel.access import Access, Listed, cookie_key, digest_of, new_token, read_people
 from controller.panel.app import Panel
 from controller.panel.requests import MOST_BYTES
-from controller.strict import InputFaults
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, Protocol
 
 from controller.flight_recorder import FlightRecorder
+from controller.host.notify import Notifier
 from controller.motion.codes import INVALID_GOAL
-from controller.notify import Notifier
 from controller.planning.core import events
 from controller.planning.core.core import Core
 from controller.planning.core.requests import CANCELED

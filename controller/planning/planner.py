@@ -9,13 +9,13 @@ from collections.abc import Callable, Collection, Iterator
 import msgspec
 import numpy as np
 
-from controller.config import Arm
-from controller.description import density, description, drawing, file
+from controller.arm.arm import Arm
+from controller.arm.description import density, description, drawing, file
 from controller.flight_recorder import FlightRecorder
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, Refusal
-from controller.motion.goal import GoalMessage, Id, parse
-from controller.motion.pacing import pace_of
-from controller.motion.requests import decode_degrade, decode_jog, decode_obstacles
+from controller.motion.decoding.goal import GoalMessage, Id, parse
+from controller.motion.decoding.requests import decode_degrade, decode_jog, decode_obstacles
+from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
 from controller.planning.core import events
 from controller.planning.core.core import Beginning, Core

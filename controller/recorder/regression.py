@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import msgspec
 import zenoh
 
-from controller.client import Client, Unanswered
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client, Unanswered
 from controller.planning.ledger import Ledger
 from controller.recorder.history import Change, Goal, history
 from controller.recorder.reader import RecordingReader

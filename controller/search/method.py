@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.settings import Method as Method
-from controller.settings import PaperMethod as PaperMethod
-from controller.settings import Variant as Variant
+from controller.armfile.settings import Method as Method
+from controller.armfile.settings import PaperMethod as PaperMethod
+from controller.armfile.settings import Variant as Variant
 
 if TYPE_CHECKING:  # importing its kernels is slow, and commands need only the names
     from controller.manipulator.manipulator import Manipulator

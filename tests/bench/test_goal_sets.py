@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller.arm.arm import load
 from controller.bench.arm import bench_arm
 from controller.bench.checking import check
 from controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, sample_evenly
-from controller.config import load
 from tests.benchmarks.goal_sets import RECIPES, ROUNDING, again, drawn, same
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hyperbit as hb
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator.frame_kernels import angle_between
 from controller.search.target import within
 from tests.arms import every_configuration

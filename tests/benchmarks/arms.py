@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import load
+from controller.arm.arm import load
 from controller.search.method import Method
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from controller.arm.arm import load
 from controller.calibration.calibration import calibrated
-from controller.config import load
 from tests.calibration.making import erring, measured
 
 SAMPLES, SEED = 300, 1

@@ -18,9 +18,9 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from controller.client import decoded
-from controller.config import load
-from controller.gateway import session
+from controller.arm.arm import load
+from controller.network import session
+from controller.network.client import decoded
 from tests.benchmarks.chain.parts import Parts, free_port, report
 
 MEDIAN, NEARLY_ALL = 1.0, 3.0  # bars: [ms] of half of the goals and of 99 % of them

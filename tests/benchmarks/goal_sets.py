@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.arm.arm import Arm
 from controller.bench.goal_sets import COLUMNS, FOLDER, SETS, Task, goal_frame, load_arm, read
-from controller.config import Arm
 from controller.manipulator.frames import angle
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration

@@ -11,10 +11,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import load
-from controller.motion.lookahead import LookAhead
-from controller.motion.pacing import Pace
-from controller.motion.point_by_point import plan
+from controller.arm.arm import load
+from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.point_by_point import plan
+from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory, along
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities

@@ -18,7 +18,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from controller.client import decoded
+from controller.network.client import decoded
 from tests.benchmarks.chain.parts import Parts, report
 from tests.benchmarks.chain.records import figures
 from tests.benchmarks.real_time import place

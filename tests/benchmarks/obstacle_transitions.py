@@ -23,8 +23,8 @@ from rich.table import Table
 from controller.manipulator.frames import spatial
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.codes import Refusal
-from controller.motion.pacing import Pace
-from controller.motion.point_by_point import plan
+from controller.motion.plans.point_by_point import plan
+from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.search.method import Method

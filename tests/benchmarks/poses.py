@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import Arm, load
+from controller.arm.arm import Arm, load
 from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration
 from controller.search.solution import Solution

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from controller.client import Client, Unanswered
+from controller.network.client import Client, Unanswered
 from tests.benchmarks.chain.parts import Parts, report
 from tests.benchmarks.chain.records import figures
 

@@ -15,9 +15,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import load
-from controller.motion.stages import order_stages
-from controller.motion.tracking import GoalTracker
+from controller.arm.arm import load
+from controller.motion.stages.stages import order_stages
+from controller.motion.tracking.tracking import GoalTracker
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 BATCHES, RUNS = 20, 50

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import Arm, load
+from controller.arm.arm import Arm, load
 from controller.manipulator.locked import LockedStates, lock_actuators, none_locked, transferred
 from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.config import load
+from controller.arm.arm import load
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.label_setting import LabelSetting
-from controller.motion.lookahead import LookAhead
+from controller.motion.plans.label_setting import LabelSetting
+from controller.motion.plans.lookahead import LookAhead
 from controller.motion.trajectory import Trajectory, through
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities

@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from controller import cli
-from controller.commands import demo
 from controller.commands.connection import connected
+from controller.commands.operate import demo
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 

@@ -12,7 +12,7 @@ import can
 import pytest
 import yaml
 
-from controller.executor.arm import read_arm
+from controller.executor.core.arm import read_arm
 from controller.program import Goodbye, Welcome, encode
 from drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from controller.config import load
+from controller.arm.arm import load
 from controller.manipulator import frames
 from controller.manipulator.notation import format_configuration
 from tests.calibration.making import ARMS, arm_of, erring, measured

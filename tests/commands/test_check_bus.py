@@ -12,8 +12,8 @@ import can
 import pytest
 import yaml
 
-from controller.commands.check import summary
-from controller.executor.arm import read_arm
+from controller.commands.configure.check import summary
+from controller.executor.core.arm import read_arm
 from controller.program import Welcome, encode
 from drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM

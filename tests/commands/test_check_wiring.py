@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from tests.documents import document
+from tests.arm_files import document
 
 
 def written(folder: Path, value: dict[str, Any]) -> Path:

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from controller import cli
-from controller.commands import requests
+from controller.armfile.strict import InputFaults
 from controller.commands.common import arm_name
 from controller.commands.table import GROUPS
+from controller.commands.use import requests
 from controller.manipulator import locked
-from controller.strict import InputFaults
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 HEAVY = {"numba", "numpy", "scipy", "matplotlib", "can", "canopen"}
@@ -175,7 +175,7 @@ def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):
     def refuse(path: object) -> None:
         raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
 
-    monkeypatch.setattr("controller.config.load", refuse)
+    monkeypatch.setattr("controller.arm.arm.load", refuse)
     code, _, err = hyperbit("check", str(ARM))
     assert (code, err) == (
         1,

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 import hyperbit as hb
-from controller.commands.plan import sentence
-from controller.motion import whole
+from controller.commands.study.plan import sentence
+from controller.motion.plans import whole
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 

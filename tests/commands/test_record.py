@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.commands import record_events
-from controller.commands.record import parse_size
-from controller.strict import InputFaults
+from controller.armfile.strict import InputFaults
+from controller.commands.use import record_events
+from controller.commands.use.record import parse_size
 from tests.keys import DEPLOY
 
 
@@ -48,7 +48,7 @@ def test_bad_input_gives_a_message(tmp_path: Path) -> None:
 
 def test_recording_needs_neither_kernels_nor_pictures() -> None:
     script = (
-        "import sys, controller.commands.record, controller.recorder.recorder, controller.recorder.listener\n"
+        "import sys, controller.commands.use.record, controller.recorder.recorder, controller.recorder.listener\n"
         "print([name for name in ('numba', 'scipy', 'matplotlib', 'canopen', 'can') if name in sys.modules])"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -58,8 +58,9 @@ def test_recording_needs_neither_kernels_nor_pictures() -> None:
 def test_the_daemon_needs_nothing_of_the_recorder() -> None:
     script = (
         "import sys\nsys.modules['mcap'] = None\n"
-        "import controller.gateway.daemon, controller.commands.run, controller.executor.run, controller.cli\n"
-        "from controller.commands.record import require\n"
+        "import controller.gateway.daemon, controller.executor.process.run\n"
+        "import controller.commands.operate.run, controller.cli\n"
+        "from controller.commands.use.record import require\n"
         "print(any(name.startswith('controller.recorder') for name in sys.modules))"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from controller.commands import wear
+from controller.commands.operate import wear
 from controller.planning.core.events import Accepted, Ended, Identity, Record
 from controller.planning.ledger import Ledger
 from controller.planning.ledger_file import SCHEMA

@@ -7,9 +7,9 @@ import re
 
 import pytest
 
-from controller.commands import demo
 from controller.commands.common import refusal
 from controller.commands.connection import connected
+from controller.commands.operate import demo
 
 
 def test_a_stop_holds_until_reset(hyperbit, endpoint):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-import controller.commands.run as run_module
+import controller.commands.operate.run as run_module
 from controller.commands.common import Failed
 from controller.gateway import daemon
 
@@ -17,7 +17,7 @@ MEASURE = """
 import re
 import numpy as np
 from pathlib import Path
-from controller.commands.run import return_large_blocks
+from controller.commands.operate.run import return_large_blocks
 
 def resident():
     return int(re.search(r"RssAnon:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1024  # [MiB]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.commands import demo
 from controller.commands.connection import connected
-from controller.commands.send import cancel_goal
+from controller.commands.operate import demo
+from controller.commands.use.send import cancel_goal
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 

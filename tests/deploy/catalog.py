@@ -1,6 +1,6 @@
 """Writes deploy/hyperbit.catalog, the explanations for `journalctl -x`. python -m tests.deploy.catalog"""
 
-from controller.journal import message_id
+from controller.host.journal import message_id
 from controller.panel.faults import ADVICE
 from tests.keys import DEPLOY
 

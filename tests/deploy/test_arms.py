@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.commands.demo import CURVE_WAYPOINTS, closed_curve, sample
-from controller.config import Arm, load
+from controller.arm.arm import Arm, load
+from controller.commands.operate.demo import CURVE_WAYPOINTS, closed_curve, sample
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.search.solver import Solver

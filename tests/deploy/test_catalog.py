@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor import modes
-from controller.journal import message_id
+from controller.executor.core import modes
+from controller.host.journal import message_id
 from controller.panel.faults import ADVICE
 from tests.deploy.catalog import OTHERS, PATH, text
 from tests.keys import DEPLOY
@@ -21,7 +21,7 @@ def test_the_file_is_up_to_date() -> None:
 def test_every_kind_has_one_entry() -> None:
     ids = re.findall(r"^-- ([0-9a-f]{32})$", PATH.read_text(), re.MULTILINE)
     assert len(ids) == len(set(ids)) == len(ADVICE) + len(OTHERS)
-    words = Path(modes.__file__).parents[1] / "program" / "parts.py"
+    words = Path(modes.__file__).parents[2] / "program" / "parts.py"
     for mode in re.findall(r"Mode = Literal\[([^\]]+)\]", words.read_text())[0].replace('"', "").split(", "):
         assert message_id(f"mode-{mode}") in ids
 

@@ -9,10 +9,10 @@ import logging
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
-from controller.executor.arm import ExecutedArm
-from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Client, ClientGone, FromClient, Log, Notify, Tick, ToClient
-from controller.executor.switch_journal import MemoryJournal
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Client, ClientGone, FromClient, Log, Notify, Tick, ToClient
+from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import (
     Alive,
     Diagnostics,

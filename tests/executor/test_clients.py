@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.events import Quit
+from controller.executor.core.events import Quit
 from controller.program import (
     MOST_BYTES,
     Acknowledge,

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.core import PERIOD
-from controller.executor.program_execution import FED_WITHIN
+from controller.executor.core.core import PERIOD
+from controller.executor.motion.program_execution import FED_WITHIN
 from controller.program import Begun, Ended, Program, Replaced, Replacement, Settled, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core import PERIOD
+from controller.executor.core.core import PERIOD
 from controller.program import Answer, Halt, Lock, Reset
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import CAN, LOST, SIZE, Rig, ready

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.kinds import Ends, Kinds
+from controller.executor.core.kinds import Ends, Kinds
 from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
 
 CAN0 = BusSettings("can0", "virtual", "x")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core import PERIOD
-from controller.executor.events import Quit
+from controller.executor.core.core import PERIOD
+from controller.executor.core.events import Quit
 from controller.program import Answer, Ended, Reset, Snapshot, unpack
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import SIZE

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core import PERIOD
-from controller.executor.modes import RETRY
+from controller.executor.core.core import PERIOD
+from controller.executor.core.modes import RETRY
 from controller.program import Answer, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 

@@ -4,10 +4,10 @@ import logging
 
 import pytest
 
-from controller.executor.actuation import BUSY_FOR
-from controller.executor.core import PERIOD
-from controller.executor.events import Quit
-from controller.executor.modes import CLEARING, RETRY
+from controller.executor.core.core import PERIOD
+from controller.executor.core.events import Quit
+from controller.executor.core.modes import CLEARING, RETRY
+from controller.executor.motion.actuation import BUSY_FOR
 from controller.program import (
     Answer,
     Cancel,

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from controller.commands.demo import patient
+from controller.commands.operate.demo import patient
 from controller.program import (
     MOST_BYTES,
     Acknowledge,
@@ -33,13 +33,7 @@ from controller.program import (
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {
-    "controller." + name
-    for name in (
-        *("actuators", "error_states", "executor", "flight_recorder", "journal", "notify", "program"),
-        *("scheduling", "settings", "sockets", "strict", "terminals"),
-    )
-}
+ROOMS = {f"controller.{name}" for name in ("armfile", "executor", "flight_recorder", "host", "program")}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48
@@ -148,7 +142,7 @@ def test_without_simulated_boards_neither_simulation_nor_canopen_is_loaded(tmp_p
     code, out, err = process.end()
     assert code == 0, err
     loaded = set(out.split())
-    assert "controller.executor.buses" in loaded
+    assert "controller.executor.process.buses" in loaded
     assert not [name for name in loaded if any(f"{name}.".startswith(f"{room}.") for room in SIMULATION)]
 
 

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.core import PERIOD
+from controller.executor.core.core import PERIOD
 from controller.program import (
     Accepted,
     Begun,

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor import real_time
-from controller.executor.real_time import enter_real_time, leave_real_time
-from controller.scheduling import shorten_slice
-from controller.settings import RealTimeSettings
+from controller.armfile.settings import RealTimeSettings
+from controller.executor.process import real_time
+from controller.executor.process.real_time import enter_real_time, leave_real_time
+from controller.host.scheduling import shorten_slice
 
 
 def in_thread(work: Callable[[], None]) -> None:

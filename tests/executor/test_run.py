@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core import DEFECT, PERIOD, Executor
-from controller.executor.events import Defect, Tick, ToClient
-from controller.executor.run import CLOSE, EventLoop
-from controller.executor.server import Server
-from controller.executor.switch_journal import MemoryJournal
-from controller.notify import Notifier
+from controller.executor.core.core import DEFECT, PERIOD, Executor
+from controller.executor.core.events import Defect, Tick, ToClient
+from controller.executor.process.run import CLOSE, EventLoop
+from controller.executor.process.server import Server
+from controller.executor.process.switch_journal import MemoryJournal
+from controller.host.notify import Notifier
 from controller.program import (
     MOST_BYTES,
     Accepted,

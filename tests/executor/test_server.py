@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor.connections import HELLO_TIMEOUT, PLACES, Connection, superfluous
-from controller.executor.events import Client, ClientGone, FromClient
-from controller.executor.server import MOST_QUEUED, Server, SocketInUse
+from controller.executor.core.events import Client, ClientGone, FromClient
+from controller.executor.process.connections import HELLO_TIMEOUT, PLACES, Connection, superfluous
+from controller.executor.process.server import MOST_QUEUED, Server, SocketInUse
+from controller.host.sockets import default_socket, found_sockets, socket_path
 from controller.program import (
     MOST_BYTES,
     Alive,
@@ -23,7 +24,6 @@ from controller.program import (
     decode_up,
     encode,
 )
-from controller.sockets import default_socket, found_sockets, socket_path
 
 TELEMETRY = Diagnostics(0.0, {}, [], [], "off", tuple(range(3000)), 0, 0)
 
@@ -258,8 +258,8 @@ def test_a_stale_socket_is_replaced(path: Path) -> None:
 
 
 def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("controller.sockets.SYSTEM", tmp_path / "run")
-    monkeypatch.setattr("controller.sockets.INSTANCES", tmp_path / "arms")
+    monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / "run")
+    monkeypatch.setattr("controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
@@ -276,8 +276,8 @@ def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
 
 
 def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("controller.sockets.SYSTEM", tmp_path / "run")
-    monkeypatch.setattr("controller.sockets.INSTANCES", tmp_path / "arms")
+    monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / "run")
+    monkeypatch.setattr("controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     paths = [tmp_path / "arms" / instance / f"{instance}-arm.sock" for instance in ("left", "right")]
@@ -292,6 +292,6 @@ def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 def test_folders_that_a_user_may_not_read_hide_their_sockets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("controller.sockets.SYSTEM", tmp_path / ("x" * 300))  # a name that cannot be looked at
+    monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / ("x" * 300))  # a name that cannot be looked at
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.actuation import BUSY_FOR
-from controller.executor.core import PERIOD
-from controller.executor.events import Quit
+from controller.executor.core.core import PERIOD
+from controller.executor.core.events import Quit
+from controller.executor.motion.actuation import BUSY_FOR
 from controller.program import Answer, Cancel, Ended, Halt, Reset
 from tests.executor.rig import CAN, TRAVEL, Rig, ready
 

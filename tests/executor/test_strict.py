@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.clearance import ANSWER_WITHIN
-from controller.executor.core import PERIOD
+from controller.executor.core.core import PERIOD
+from controller.executor.motion.clearance import ANSWER_WITHIN
 from controller.program import Clearance, Ended, Question, Replaced, Replacement, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 

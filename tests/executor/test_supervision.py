@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.core import PERIOD
+from controller.executor.core.core import PERIOD
 from controller.program import Ended, Reset
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 

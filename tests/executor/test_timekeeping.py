@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.run import Timekeeper
+from controller.executor.process.run import Timekeeper
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core import Executor
-from controller.executor.embedded_boards import EmbeddedBoards
-from controller.executor.events import FromClient, Send, Tick, ToClient
-from controller.executor.kinds import Ends
-from controller.executor.switch_journal import MemoryJournal
-from controller.executor.travel_times import TravelTimes
+from controller.executor.core.core import Executor
+from controller.executor.core.events import FromClient, Send, Tick, ToClient
+from controller.executor.core.kinds import Ends
+from controller.executor.motion.travel_times import TravelTimes
+from controller.executor.process.embedded_boards import EmbeddedBoards
+from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from drivers.simulation.buses import _LEAST_PULSE
 from tests.executor.rig import PLANNER, SIZE, small_arm

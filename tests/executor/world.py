@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from random import Random
 from typing import Any
 
-from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Client, ClientGone, Event, FromClient
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Client, ClientGone, Event, FromClient
 from controller.program import Alive, Hello, Program, Snapshot, Stage, Up, pack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from controller.executor.core import Executor
+from controller.executor.core.core import Executor
 from controller.program import (
     Accepted,
     Down,

@@ -9,18 +9,19 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
+from controller.arm.arm import load
+from controller.armfile.strict import InputFaults
 from controller.commands.common import parse_goal
-from controller.config import load
-from controller.executor.arm import read_arm
+from controller.executor.core.arm import read_arm
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion import bias, goal, requests, setpoint
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.pacing import Pace
+from controller.motion.decoding import goal, requests, setpoint
+from controller.motion.stages.pacing import Pace
+from controller.motion.tracking import bias
 from controller.obstacles.notation import MOST
-from controller.strict import InputFaults
 from tests.fuzz.requests import NOW
 
 LONGEST = 2 * goal.LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write

@@ -11,8 +11,8 @@ from typing import Literal
 
 import can
 
-from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Client, ClientGone, Event, FromClient
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Client, ClientGone, Event, FromClient
 from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.client import Client
-from controller.gateway import session
 from controller.gateway.arrivals import RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.goal import GoalMessage, parse
+from controller.motion.decoding.goal import GoalMessage, parse
+from controller.network import session
+from controller.network.client import Client
 from controller.planning.core.events import LockMessage, Message, Payload, SetpointArrived, TipArrived, done, refused
 from controller.planning.planner import decode_cancel
 from tests.waiting import PATIENCE, eventually

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from controller.client import TRIES, Client, Unanswered
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
+from controller.network.client import TRIES, Client, Unanswered
 from controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually

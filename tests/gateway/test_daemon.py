@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.client import Client, Unanswered
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client, Unanswered
 from controller.planning.ledger_file import read
 from tests.waiting import PATIENCE, eventually
 
@@ -22,7 +22,7 @@ RUN = """
 import sys
 import typer
 from controller.commands.common import Failed
-from controller.commands.run import run
+from controller.commands.operate.run import run
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 app.command()(run)

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 
-from controller.gateway import session
-from controller.gateway.session import AlreadyRunning, Claim
+from controller.gateway.claim import AlreadyRunning, Claim
+from controller.network import session
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from controller.gateway import session
+from controller.network import session
 from controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.keys import DEPLOY
 
 HEAR = """
 import sys, zenoh
-from controller.gateway import session
+from controller.network import session
 from controller.planning.core.events import Identity, PublishResult
 
 with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:

@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion import point_by_point, stage_sequencer
 from controller.motion.codes import Refusal
-from controller.motion.pacing import Pace
-from controller.motion.plan import Plan
-from controller.motion.point_by_point import plan
+from controller.motion.plans import point_by_point
+from controller.motion.plans.plan import Plan
+from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.whole import look_ahead, plan_whole
+from controller.motion.stages import stage_sequencer
+from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory, through
-from controller.motion.whole import look_ahead, plan_whole
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import NONE, sphere
 from controller.search.solution import EPSILON

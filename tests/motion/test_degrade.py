@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
-from controller.motion.requests import decode_degrade
+from controller.motion.decoding.requests import decode_degrade
 from tests.motion.requests import scalars, unreadable
 
 anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)

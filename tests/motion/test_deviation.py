@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.deviation import COUNTED, Transition
-from controller.motion.transition import build_transition
+from controller.motion.stages.deviation import COUNTED, Transition
+from controller.motion.stages.transition import build_transition
 from tests.arms import paper_arm, spatial_arm
 
 

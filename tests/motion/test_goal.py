@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
-from controller.motion import goal as module
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.goal import LONGEST_SENTENCE, parse, parse_quickly, parse_strictly, schedule
-from controller.motion.pacing import Pace
+from controller.motion.decoding import goal as module
+from controller.motion.decoding.goal import LONGEST_SENTENCE, parse, parse_quickly, parse_strictly, schedule
+from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory
 from tests.motion.requests import json_values
 

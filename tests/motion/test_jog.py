@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import Refusal
-from controller.motion.requests import decode_jog
+from controller.motion.decoding.requests import decode_jog
 from tests.motion.requests import scalars, unreadable
 
 LABELS = ("1.left", "1.right", "2.left")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.frame_kernels import angle_between
-from controller.motion.label_setting import LabelSetting, least_remaining_cost
+from controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from controller.manipulator.frame_kernels import angle_between
-from controller.motion import lookahead
-from controller.motion.lookahead import LookAhead
+from controller.motion.plans import lookahead
+from controller.motion.plans.lookahead import LookAhead
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.pacing import MOST_STAGES, Infeasible, Pace
-from controller.motion.point_by_point import plan
+from controller.motion.plans.point_by_point import plan
+from controller.motion.stages.pacing import MOST_STAGES, Infeasible, Pace
+from controller.motion.stages.transition import build_transition
 from controller.motion.trajectory import through
-from controller.motion.transition import build_transition
 from tests.arms import paper_arm
 
 LEAD = 0.06

@@ -9,7 +9,7 @@ from controller.manipulator.frame_kernels import angle_between
 from controller.manipulator.frames import planar
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.point_by_point import plan
+from controller.motion.plans.point_by_point import plan
 from controller.motion.trajectory import Trajectory, through
 from controller.search.solver import Solver
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.program import delay_of, in_groups, pack_states, unpack_states
+from controller.motion.stages.program import delay_of, in_groups, pack_states, unpack_states
 from controller.motion.trajectory import Trajectory, through
 from controller.program import pack, unpack
 

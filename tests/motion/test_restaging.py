@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.pacing import Pace
-from controller.motion.restaging import is_configuration, module_step, restage
+from controller.motion.stages.pacing import Pace
+from controller.motion.stages.restaging import is_configuration, module_step, restage
 from tests.arms import paper_arm, spatial_arm
 
 ARMS = [paper_arm(4), spatial_arm(4)]  # the second's modules have 6 of 8 codes

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.goal import LONGEST_SENTENCE
-from controller.motion.setpoint import MOST_BYTES, Setpoint, decode
+from controller.motion.decoding.goal import LONGEST_SENTENCE
+from controller.motion.decoding.setpoint import MOST_BYTES, Setpoint, decode
 from tests.motion.requests import json_values
 
 

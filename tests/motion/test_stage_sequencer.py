@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.motion import stage_sequencer
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.pacing import Blocked, Pace, Staged
-from controller.motion.point_by_point import plan
+from controller.motion.plans.point_by_point import plan
+from controller.motion.stages import stage_sequencer
+from controller.motion.stages.pacing import Blocked, Pace, Staged
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import box, sphere, together

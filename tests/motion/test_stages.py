@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
-from controller.motion.stages import Stages, order_stages
+from controller.motion.stages.stages import Stages, order_stages
 from tests.arms import paper_arm, short_arms, spatial_arm
 
 Plan = tuple[tuple[int, ...], ...]

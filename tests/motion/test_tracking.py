@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.goal_motion import tracking_of
-from controller.motion.tracking import GoalTracker, Tracking
+from controller.motion.tracking.goal_motion import tracking_of
+from controller.motion.tracking.tracking import GoalTracker, Tracking
 from controller.search.solver import Solver
 
 NOW = 1_800_000_000.0
@@ -299,7 +299,7 @@ def test_finite_setpoints_never_give_nan(dimension, data):
 
 
 def test_importing_it_does_not_import_filterpy():
-    code = "import sys, controller.motion.tracking; assert not {'filterpy', 'scipy'} & set(sys.modules)"
+    code = "import sys, controller.motion.tracking.tracking; assert not {'filterpy', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 

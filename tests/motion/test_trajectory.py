@@ -9,9 +9,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.lookahead import LookAhead
-from controller.motion.pacing import MOST_STAGES, Pace
-from controller.motion.point_by_point import plan
+from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.point_by_point import plan
+from controller.motion.stages.pacing import MOST_STAGES, Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
 
 PACE = Pace(0.06)
@@ -147,7 +147,9 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
 
 
 def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver, monkeypatch):
-    monkeypatch.setattr("controller.motion.point_by_point.PLANNING_TIME", 0.0)  # the first answers have many switches
+    monkeypatch.setattr(
+        "controller.motion.plans.point_by_point.PLANNING_TIME", 0.0
+    )  # the first answers have many switches
     home, times = np.zeros(16, dtype=np.int64), np.array([0.0, 15.0])
     line = np.array([(-0.2, 2.5), (0.2, 2.25)])
     staged = Pace(0.06, inrush=2)

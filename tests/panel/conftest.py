@@ -12,10 +12,10 @@ import zenoh
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from controller.config import load
-from controller.description import description, drawing
-from controller.gateway import session
+from controller.arm.arm import load
+from controller.arm.description import description, drawing
 from controller.manipulator.notation import format_configuration, pose
+from controller.network import session
 from controller.panel.access import Access, Listed, digest_of
 from controller.panel.app import Panel
 from controller.panel.serve import zenoh_configuration

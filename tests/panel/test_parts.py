@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from controller.commands.run import reachable, run
-from controller.config import load
-from controller.description import density, description, drawing
+from controller.arm.arm import load
+from controller.arm.description import density, description, drawing
+from controller.armfile.strict import InputFaults
+from controller.commands.operate.run import reachable, run
 from controller.panel.access import Access, Listed, Person, TooManyWrong, digest_of, read_people
 from controller.panel.drawing import Drawing, cloud, picture
 from controller.panel.pages import Allowance, Page
 from controller.panel.serve import parse_address, serve, zenoh_configuration
-from controller.strict import InputFaults
 from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 

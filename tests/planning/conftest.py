@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 from tests.planning.desk import Desk

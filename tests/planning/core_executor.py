@@ -7,10 +7,10 @@ import threading
 import time
 from pathlib import Path
 
-from controller.executor.arm import ExecutedArm
-from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Client, ClientGone, FromClient, Tick, ToClient
-from controller.executor.switch_journal import MemoryJournal
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Client, ClientGone, FromClient, Tick, ToClient
+from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import decode_down, encode
 from tests.executor.rig import SIZE, FakeMaster, small_arm
 from tests.planning.executor import DIGEST

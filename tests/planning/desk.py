@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion.codes import Refusal
-from controller.motion.pacing import pace_of
+from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
 from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import (

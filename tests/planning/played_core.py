@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
-from controller.motion.pacing import pace_of
+from controller.arm.arm import Arm
+from controller.motion.stages.pacing import pace_of
 from controller.planning.core.arm import ExecutorView, packed
 from controller.planning.core.events import Action, Start
 from controller.planning.core.parts import Parts

@@ -5,8 +5,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from controller.config import Arm
-from controller.notify import Notifier
+from controller.arm.arm import Arm
+from controller.host.notify import Notifier
 from controller.planning.core.events import Published, PublishResult, Recorded
 from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink

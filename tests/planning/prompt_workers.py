@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.planning.core.tasks import (
     BuildScene,
     BuildTables,

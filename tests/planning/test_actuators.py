@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.planning.core.tasks import BuildTables
 from controller.program import (
     Acknowledge,

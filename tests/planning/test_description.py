@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from controller.config import Arm, load
-from controller.description import density, drawing, file
+from controller.arm.arm import Arm, load
+from controller.arm.description import density, drawing, file
 from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.planning.core.events import SetpointArrived
 from controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT

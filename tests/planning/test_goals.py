@@ -5,8 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from controller.motion import codes, whole
-from controller.motion.pacing import pace_of
+from controller.motion import codes
+from controller.motion.plans import whole
+from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import Answered
 from controller.planning.core.parts import BARRED
 from controller.planning.core.tasks import ImprovePlan, PlanGoal

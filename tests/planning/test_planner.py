@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.planning.core.events import (
     CancelMessage,
     FromExecutor,

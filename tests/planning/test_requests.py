@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.events import CancelMessage, Key, LockMessage, ObstaclesMessage
 from controller.planning.planner import RequestDecoder
 from tests.fuzz.requests import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT, wrong

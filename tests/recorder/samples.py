@@ -9,8 +9,8 @@ import small_mcap
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from controller.config import Arm, load
-from controller.description import description, drawing, file
+from controller.arm.arm import Arm, load
+from controller.arm.description import description, drawing, file
 from controller.recorder.listener import Received
 from tests.keys import DEPLOY
 

@@ -9,7 +9,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.json_format import ParseDict
 
-from controller.config import load
+from controller.arm.arm import load
 from controller.recorder.scene import Scene
 from controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
 from tests.keys import DEPLOY

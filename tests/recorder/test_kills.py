@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.gateway import session
+from controller.network import session
 from controller.recorder.folder import Folder
 from controller.recorder.recording import FLUSH_EVERY
 from tests.recorder.samples import planar, read, read_by_another, read_unfinished, recovered_by_another, state, told

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.gateway import session
+from controller.network import session
 from controller.recorder import listener as listening
 from controller.recorder.listener import Listener, LogClock, Received
 from tests.waiting import eventually

@@ -12,9 +12,9 @@ from unittest import mock
 import pytest
 import zenoh
 
-from controller.client import Client
-from controller.config import Arm
-from controller.gateway import session
+from controller.arm.arm import Arm
+from controller.network import session
+from controller.network.client import Client
 from controller.recorder import player
 from controller.recorder.folder import Folder
 from controller.recorder.player import Player, Timeline

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.recorder import recorder as module
 from controller.recorder.folder import Folder
 from controller.recorder.recorder import MOST_TOPICS, Limits, Recorder

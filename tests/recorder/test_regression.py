@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from controller.config import load
+from controller.arm.arm import load
 from controller.recorder.folder import Folder
 from controller.recorder.history import Change, Goal, history
 from controller.recorder.listener import Listener

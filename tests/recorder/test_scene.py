@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.config import load
+from controller.arm.arm import load
 from controller.manipulator import frames
 from controller.recorder.scene import MEASURED, TRAVELLING, UNKNOWN, Scene, quaternion, rgba, turn_to
 from controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.locked import lock_actuators, transferred
-from controller.motion.lookahead import LookAhead
+from controller.motion.plans.lookahead import LookAhead
 from controller.motion.trajectory import through
 from controller.search.method import METHODS
 from controller.search.solver import Solver

@@ -9,10 +9,10 @@ from typing import Any
 
 import can
 
-from controller.executor.arm import ExecutedArm
-from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Client, FromClient, Log, Send, Tick, ToClient
-from controller.executor.switch_journal import MemoryJournal
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Client, FromClient, Log, Send, Tick, ToClient
+from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring

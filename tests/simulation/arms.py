@@ -6,7 +6,7 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-from controller.executor.arm import ExecutedArm
+from controller.executor.core.arm import ExecutedArm
 from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
 from drivers.simulation.buses import board_names
 from drivers.simulation.variants import VARIANTS, Variant

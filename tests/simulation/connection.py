@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.events import Client, ClientGone, FromClient
+from controller.executor.core.events import Client, ClientGone, FromClient
 from controller.program import VERSION, Down, Halt, Hello, Up, decode_down, decode_up, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.process import ExecutorProcess

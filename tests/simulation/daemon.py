@@ -8,11 +8,11 @@ from random import Random
 
 import numpy as np
 
-from controller.config import Arm
-from controller.executor.arm import ExecutedArm
-from controller.executor.events import Quit
-from controller.motion.goal import schedule
-from controller.motion.pacing import pace_of
+from controller.arm.arm import Arm
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.events import Quit
+from controller.motion.decoding.goal import schedule
+from controller.motion.stages.pacing import pace_of
 from controller.program import Snapshot, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.clients import Clients

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller import config
+from controller.arm import arm as config
 from controller.flight_recorder.loading import Entry, Generation, load
 
 

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.feed import Improved, PlannedPoint, Proof
-from controller.motion.goal import schedule
-from controller.motion.pacing import pace_of
-from controller.motion.program import unpack_states
-from controller.motion.restaging import restage
+from controller.motion.decoding.goal import schedule
+from controller.motion.stages.feed import Improved, PlannedPoint, Proof
+from controller.motion.stages.pacing import pace_of
+from controller.motion.stages.program import unpack_states
+from controller.motion.stages.restaging import restage
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.tasks import (
     Answer,

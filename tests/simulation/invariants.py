@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from controller.executor.bits import indices
-from controller.executor.core import PERIOD
-from controller.executor.program_execution import FED_WITHIN, STARVED
+from controller.executor.core.bits import indices
+from controller.executor.core.core import PERIOD
+from controller.executor.motion.program_execution import FED_WITHIN, STARVED
 from controller.program import Begun
 from drivers.canopen.wire import cia301
 from tests.simulation.board_side import FOREIGN_START

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from controller.executor.events import Client, ClientGone, FromClient
+from controller.executor.core.events import Client, ClientGone, FromClient
 from controller.planning.link import RETRY, Connection, ExecutorLink
 from controller.program import VERSION, Down, Goodbye, Halt, Hello, Up, decode_down, encode
 from tests.simulation.agenda import Agenda

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
-from controller.executor.arm import ExecutedArm
+from controller.arm.arm import Arm
+from controller.armfile.settings import ArmSettings
+from controller.executor.core.arm import ExecutedArm
 from controller.manipulator.frames import planar
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, binary_code, lines
-from controller.settings import ArmSettings
 
 TOLERANCE = 0.001
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from random import Random
 
-from controller.executor.arm import ExecutedArm
+from controller.executor.core.arm import ExecutedArm
 from controller.program import (
     ALIVE_EVERY,
     Accepted,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.motion.pacing import pace_of
+from controller.motion.stages.pacing import pace_of
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import (

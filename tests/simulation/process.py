@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from random import Random
 
-from controller.executor.arm import ExecutedArm
-from controller.executor.core import PERIOD, Executor
-from controller.executor.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
-from controller.executor.switch_journal import MemoryJournal
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
+from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
 from controller.program import Up
 from drivers.canopen.wire.cia301 import Frame

@@ -8,7 +8,7 @@ from random import Random
 
 import msgspec
 
-from controller.executor.arm import ExecutedArm
+from controller.executor.core.arm import ExecutedArm
 from controller.program import Program, Replacement, Setpoint, Snapshot, Stage, pack, unpack
 
 

@@ -6,10 +6,10 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable
 
-from controller.executor.arm import ExecutedArm
-from controller.executor.core import LONGEST, PERIOD, Executor
-from controller.executor.events import ClientGone, Event, FromClient, Tick
-from controller.executor.program_execution import STARVED
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.core import LONGEST, PERIOD, Executor
+from controller.executor.core.events import ClientGone, Event, FromClient, Tick
+from controller.executor.motion.program_execution import STARVED
 from controller.program import (
     Accepted,
     Acknowledge,

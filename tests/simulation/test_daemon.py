@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from controller.motion.feed import Feed
+from controller.motion.stages.feed import Feed
 from controller.planning.core import goals, offers, parts
 from controller.planning.core.arm import ExecutorView
 from controller.planning.core.events import Reply, Request, ToExecutor

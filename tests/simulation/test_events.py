@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from controller import config
-from controller.executor.events import Log, Send
-from controller.executor.server import Server
+from controller.arm import arm as config
+from controller.executor.core.events import Log, Send
+from controller.executor.process.server import Server
 from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
 from controller.flight_recorder import recorder as recording
 from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save

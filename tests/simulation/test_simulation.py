@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from controller.executor.actuation import Actuation
-from controller.executor.core import Executor
-from controller.executor.kinds import Kinds
-from controller.executor.locked import LockedActuators
-from controller.executor.modes import Modes
-from controller.executor.motion import Motion
-from controller.executor.program_execution import STARVED, End, ProgramExecution
-from controller.executor.results import Results
-from controller.executor.switch_journal import MemoryJournal
+from controller.executor.core.core import Executor
+from controller.executor.core.kinds import Kinds
+from controller.executor.core.locked import LockedActuators
+from controller.executor.core.modes import Modes
+from controller.executor.core.results import Results
+from controller.executor.motion.actuation import Actuation
+from controller.executor.motion.motion import Motion
+from controller.executor.motion.program_execution import STARVED, End, ProgramExecution
+from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Replacement
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import Heartbeat

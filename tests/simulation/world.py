@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.kinds import Kinds
+from controller.executor.core.kinds import Kinds
 from controller.program import unpack
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event

@@ -42,7 +42,7 @@ def planar() -> dict[str, Any]:
 
 def mixed() -> dict[str, Any]:
     """Four motors of five positions, a slide, a platform and a measured gripper, on boards of at most twelve bits."""
-    from tests.test_chain import PLATFORM
+    from tests.arm.test_chain import PLATFORM
 
     actuators: list[dict[str, Any]] = []
     for node, modules in enumerate(BOARDS, 1):

@@ -9,7 +9,7 @@ from typing import Any
 import can
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from drivers.simulation.simulation import Simulation
 from tests import vcan
 from tests.emulated import Interface

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.client import Client
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client
 from controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
 from controller.planning.loop import Mailboxes, Receive
 from controller.planning.planner import RequestDecoder

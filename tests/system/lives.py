@@ -6,8 +6,8 @@ from contextlib import ExitStack
 
 import zenoh
 
-from controller.client import Client, Message
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client, Message
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.operator import Operator

@@ -20,7 +20,7 @@ from tests import emulated  # noqa: F401
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 NEEDED = {
     "executor": ("controller.executor.__main__",),
-    "planner": ("controller.commands.run", "controller.gateway.daemon", "filterpy.kalman"),
+    "planner": ("controller.commands.operate.run", "controller.gateway.daemon", "filterpy.kalman"),
 }
 
 
@@ -35,7 +35,7 @@ def run(arguments: list[str]) -> int:
     """The process of `hyperbit run`."""
     import typer
 
-    from controller.commands.run import run
+    from controller.commands.operate.run import run
 
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     single.command("run")(run)
@@ -48,8 +48,8 @@ COMMANDS = {"executor": execute, "planner": run}
 
 def prepare(file: Path) -> None:
     """Loads the kernels' machine code and an arm's densities."""
+    from controller.arm.arm import load
     from controller.commands.common import densities_of
-    from controller.config import load
     from controller.search.solver import Solver
 
     arm = load(file)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator.notation import parse_configuration
 from drivers.simulation.simulation import Simulation
 from tests.system.observer import Observer

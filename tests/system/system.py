@@ -16,11 +16,12 @@ from typing import Any
 import can
 import zenoh
 
-from controller.client import Client
-from controller.config import Arm, load
-from controller.executor.arm import read_arm
-from controller.gateway import daemon, session
+from controller.arm.arm import Arm, load
+from controller.executor.core.arm import read_arm
+from controller.gateway import daemon
 from controller.gateway.daemon import Daemon
+from controller.network import session
+from controller.network.client import Client
 from controller.planning.ledger_file import read
 from controller.workspace.cache import load_or_map
 from drivers.canopen.wiring import BusSettings, Wiring

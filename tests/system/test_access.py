@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.client import Client, Unanswered
+from controller.network.client import Client, Unanswered
 from drivers.simulation.simulation import Simulation
 from tests.keys import DEPLOY, certificates, made
 from tests.system.guard import (

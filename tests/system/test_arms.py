@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator.notation import format_configuration
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.client import Client
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client
 from controller.planning.ledger_file import read
 from tests.system import arms
 from tests.system.observer import Observer
@@ -20,7 +20,7 @@ from tests.system.processes import ROOT
 from tests.system.system import free_port
 from tests.waiting import PATIENCE, eventually
 
-RUN = "import sys, typer; from controller.commands.run import run; typer.run(run)"
+RUN = "import sys, typer; from controller.commands.operate.run import run; typer.run(run)"
 NAME = "demonstrated"
 
 

@@ -7,7 +7,7 @@ import can
 import numpy as np
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion import codes
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame, State

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from tests.fuzz import requests
 from tests.system.motions import Motions
 from tests.system.observer import Observer

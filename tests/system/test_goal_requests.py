@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.gateway.arrivals import BRIEFLY
 from controller.motion import codes
 from controller.planning.ledger_file import read

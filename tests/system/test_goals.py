@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator.frames import angle
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation

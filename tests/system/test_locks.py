@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.client import Message
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion import codes
+from controller.network.client import Message
 from drivers.simulation.simulation import Simulation
 from tests.system.arms import QUICK
 from tests.system.observer import Observer

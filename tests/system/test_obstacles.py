@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator.frames import planar
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions

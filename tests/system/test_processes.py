@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from controller.gateway import session
+from controller.network import session
 from controller.planning.ledger_file import read
 from drivers.canopen.wire import cia301
 from tests import emulated
@@ -178,7 +178,7 @@ def test_the_result_of_a_planner_that_stood_still_for_longer_than_its_lease_is_h
 
 
 def test_a_local_halt_works_while_the_planner_is_stopped(lives: Lives, system: System) -> None:
-    from controller.commands.halt import halt_local
+    from controller.commands.use.halt import halt_local
 
     client = lives.client
     goal = lives.send("a", MIDDLE, RIGHT, times=[0.0, HOUR])

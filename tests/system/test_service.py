@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.client import Client, Message, Unanswered
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.gateway import daemon
-from controller.gateway.session import AlreadyRunning, configuration
+from controller.network.client import Client, Message, Unanswered
+from controller.network.session import AlreadyRunning, configuration
 from controller.planning.ledger import LedgerInUse
 from tests.system.motions import Motions
 from tests.system.observer import Observer
@@ -121,7 +121,7 @@ def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, system: Sy
 
 FROZEN = """
 import sys, zenoh
-from controller.gateway import session
+from controller.network import session
 
 def hear(sample):
     print("heard", flush=True)

@@ -6,8 +6,8 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from controller.client import Client
-from controller.config import Arm
+from controller.arm.arm import Arm
+from controller.network.client import Client
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer

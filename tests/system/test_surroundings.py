@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway import session
 from controller.gateway.daemon import Warnings
+from controller.network import session
 from controller.planning.ledger_file import read
 from controller.planning.loop import Loop
 from tests.system.motions import Motions

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from tests.system.observer import Observer
 from tests.system.places import LEFT, MIDDLE, RIGHT
 from tests.system.system import System

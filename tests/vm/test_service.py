@@ -18,8 +18,8 @@ import can
 import pytest
 import zenoh
 
-from controller.client import Client, Message
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client, Message
 from tests import vcan
 from tests.system import arms
 from tests.system.observer import Observer

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.locked import STATES, require_states
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.program import pack_states, unpack_states
+from controller.motion.stages.program import pack_states, unpack_states
 from controller.planning.core.events import LockMessage, Log
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables
@@ -20,7 +20,7 @@ from controller.program import Diagnostics, Fault, Mode, Settled, Snapshot, Welc
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Configuration, Manipulator
-    from controller.motion.pacing import Pace
+    from controller.motion.stages.pacing import Pace
 
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from controller import program
 from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
-from controller.motion.goal_motion import tracking_of
+from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core import events
 from controller.planning.core.arm import ExecutorView, Locks
 from controller.planning.core.goals import Goals
@@ -26,8 +26,8 @@ from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
 
 if TYPE_CHECKING:
-    from controller.config import Arm
-    from controller.motion.pacing import Pace
+    from controller.arm.arm import Arm
+    from controller.motion.stages.pacing import Pace
 
 # Fields that the core does not look inside: the flight recorder leaves them out.
 OPAQUE: dict[type, str] = {

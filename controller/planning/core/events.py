@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from controller.motion import codes
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
 

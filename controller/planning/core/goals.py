@@ -9,7 +9,7 @@ from collections import deque
 from functools import partial
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core import tasks
 from controller.planning.core.arm import ArmState, no_motion, obstruction, packed
 from controller.planning.core.events import CLOSING, Log, Reply, Request, refused

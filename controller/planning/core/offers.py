@@ -9,8 +9,8 @@ import numpy as np
 
 from controller.manipulator.locked import STATES
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.feed import Feed, PlannedPoint, Proof, Route
-from controller.motion.program import delay_of, in_groups
+from controller.motion.stages.feed import Feed, PlannedPoint, Proof, Route
+from controller.motion.stages.program import delay_of, in_groups
 from controller.planning.core.arm import ArmState, States, packed
 from controller.planning.core.events import done
 from controller.planning.core.parts import Parts, Ticket
@@ -20,8 +20,8 @@ from controller.planning.core.tasks import Basis, Planned
 from controller.program import Program
 
 if TYPE_CHECKING:
-    from controller.motion.goal import GoalMessage
-    from controller.motion.pacing import Pace
+    from controller.motion.decoding.goal import GoalMessage
+    from controller.motion.stages.pacing import Pace
 
 UNCHECKED = "; collisions were not checked, because the arm is in no configuration"
 

@@ -15,7 +15,7 @@ from controller.planning.core.events import Abandon, Action, Fail, Start
 from controller.planning.core.tasks import Answer, Basis, Task
 
 if TYPE_CHECKING:
-    from controller.motion.pacing import Pace
+    from controller.motion.stages.pacing import Pace
     from controller.planning.core.arm import ExecutorView, Locks
     from controller.planning.core.obstacles import ObstacleOwner
     from controller.planning.core.programs import Programs

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from controller.motion.codes import PATH_TOLERANCE_VIOLATED
-from controller.motion.feed import Feed, Improved
+from controller.motion.stages.feed import Feed, Improved
 from controller.planning.core.arm import ArmState
 from controller.planning.core.events import Accepted as AcceptedEntry
 from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor

@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
-from controller.motion.feed import Proof
+from controller.motion.stages.feed import Proof
 from controller.motion.targets import Target, measured_pose
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.arm import Measured

@@ -6,7 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.arm import no_motion, obstruction
 from controller.planning.core.events import (
     CLOSING,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from controller.journal import fields_of_result
+from controller.host.journal import fields_of_result
 from controller.manipulator.locked import STATES
 from controller.motion import codes
-from controller.motion.feed import Proof
+from controller.motion.stages.feed import Proof
 from controller.motion.targets import Target, measured_pose
 from controller.planning.core.arm import Measured, measured_states
 from controller.planning.core.events import (

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from controller.journal import fields_of_fault, message_id
+from controller.host.journal import fields_of_fault, message_id
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion.targets import measured_tip
 from controller.planning.core.events import Log, Notify, Payload, Publish

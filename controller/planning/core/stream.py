@@ -14,22 +14,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.motion.bias import DRIFT, TipBias, Tracker
-from controller.motion.bias import decode as decode_tip
+from controller.armfile.settings import TrackerSettings
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.setpoint import decode
-from controller.motion.tracking import GoalTracker
+from controller.motion.decoding.setpoint import decode
+from controller.motion.tracking.bias import DRIFT, TipBias, Tracker
+from controller.motion.tracking.bias import decode as decode_tip
+from controller.motion.tracking.tracking import GoalTracker
 from controller.planning.core.arm import obstruction
 from controller.planning.core.events import Log, Payload, ToExecutor
 from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
 from controller.program import Setpoint
-from controller.settings import TrackerSettings
 
 if TYPE_CHECKING:
-    from controller.config import Arm
-    from controller.motion.goal_motion import Tracking
-    from controller.motion.setpoint import Setpoint as TrackedSetpoint
+    from controller.arm.arm import Arm
+    from controller.motion.decoding.setpoint import Setpoint as TrackedSetpoint
+    from controller.motion.tracking.goal_motion import Tracking
     from controller.planning.core.arm import ArmState
 
 PERIOD = 0.01  # [s] of the executor's loop

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.feed import Improved, PlannedPoint, Proof
-from controller.motion.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage
+from controller.motion.stages.feed import Improved, PlannedPoint, Proof
 from controller.motion.trajectory import Trajectory
 
 

@@ -6,12 +6,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.manipulator.locked import lock_actuators, transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.pacing import pace_of
-from controller.motion.program import pack_states, unpack_states
+from controller.motion.stages.pacing import pace_of
+from controller.motion.stages.program import pack_states, unpack_states
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, Scene, SceneBuilt, Tables
 from controller.search.solver import Solver

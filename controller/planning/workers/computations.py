@@ -11,17 +11,17 @@ import numpy as np
 from controller.manipulator.manipulator import Configuration
 from controller.motion import codes
 from controller.motion.codes import Refusal
-from controller.motion.description import describe_plan
-from controller.motion.feed import Improved, PlannedPoint, Proof, most_stages
-from controller.motion.following import SetpointQuery, find, stages_to
-from controller.motion.goal import check_reach, schedule
-from controller.motion.improvement import Improvement, changed_points
-from controller.motion.pacing import Blocked, Staged
-from controller.motion.plan import Plan, first_transition
-from controller.motion.point_by_point import PLANNING_TIME, plan
-from controller.motion.program import unpack_states
+from controller.motion.decoding.goal import check_reach, schedule
+from controller.motion.plans.description import describe_plan
+from controller.motion.plans.improvement import Improvement, changed_points
+from controller.motion.plans.plan import Plan, first_transition
+from controller.motion.plans.point_by_point import PLANNING_TIME, plan
+from controller.motion.plans.whole import first_time, look_ahead
+from controller.motion.stages.feed import Improved, PlannedPoint, Proof, most_stages
+from controller.motion.stages.pacing import Blocked, Staged
+from controller.motion.stages.program import unpack_states
+from controller.motion.tracking.following import SetpointQuery, find, stages_to
 from controller.motion.trajectory import Trajectory
-from controller.motion.whole import first_time, look_ahead
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.planning.core import tasks
 from controller.planning.core.events import done

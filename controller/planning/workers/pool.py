@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config import Arm
+from controller.arm.arm import Arm
 from controller.motion.codes import Refusal
 from controller.planning.core import tasks
 from controller.planning.core.events import Answered, Event

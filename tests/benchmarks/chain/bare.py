@@ -11,9 +11,9 @@ import sys
 import time
 from pathlib import Path
 
-from controller.executor.core import PERIOD
-from controller.executor.real_time import enter_real_time
-from controller.settings import RealTimeSettings
+from controller.armfile.settings import RealTimeSettings
+from controller.executor.core.core import PERIOD
+from controller.executor.process.real_time import enter_real_time
 from tests.benchmarks.chain.records import Record
 
 AHEAD = 1  # of the executor's default priority: it does nothing, and must not wait for the executor's tick

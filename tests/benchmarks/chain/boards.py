@@ -15,8 +15,8 @@ import sys
 import time
 from pathlib import Path
 
-from controller.executor.arm import read_arm
-from controller.executor.real_time import lock_memory, raise_priority
+from controller.executor.core.arm import read_arm
+from controller.executor.process.real_time import lock_memory, raise_priority
 from drivers.canopen.wire.cia301 import HEARTBEAT, SYNC, Frame
 from drivers.canopen.wiring import MASTER
 from drivers.simulation.buses import SimulatedBuses

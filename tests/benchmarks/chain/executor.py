@@ -13,9 +13,9 @@ from pathlib import Path
 import can.interfaces
 
 from controller.executor.__main__ import main
-from controller.executor.modes import Modes
-from controller.executor.requests import Requests
-from controller.executor.run import Timekeeper
+from controller.executor.core.modes import Modes
+from controller.executor.core.requests import Requests
+from controller.executor.process.run import Timekeeper
 from controller.program import Program
 from tests import emulated  # noqa: F401
 from tests.benchmarks.chain.records import Record

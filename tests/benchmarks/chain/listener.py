@@ -11,7 +11,7 @@ from pathlib import Path
 
 import zenoh
 
-from controller.gateway import session
+from controller.network import session
 from tests.benchmarks.chain.records import Record
 
 

@@ -18,8 +18,8 @@ import yaml
 import zenoh
 from numpy.typing import NDArray
 
-from controller.client import Client
-from controller.gateway import session
+from controller.network import session
+from controller.network.client import Client
 from tests.benchmarks.chain import records
 from tests.conftest import PAPER_ARM
 from tests.system.observer import Observer

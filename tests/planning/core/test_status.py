@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.config import Arm
-from controller.motion.goal_motion import tracking_of
+from controller.arm.arm import Arm
+from controller.armfile.settings import TrackerSettings
+from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core.events import Log, Notify, Publish
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import PrepareSearch
 from controller.program import Diagnostics, Fault
-from controller.settings import TrackerSettings
 from tests.planning.conftest import DOCUMENT
 from tests.planning.played_core import PlayedCore, PlayedProgram, PlayedReport
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.config import Arm
-from controller.motion.goal_motion import tracking_of
+from controller.arm.arm import Arm
+from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core.events import Abandon, Log, Start
 from controller.planning.core.parts import Ticket
 from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY, Stream

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.config import Arm
-from controller.motion.goal import GoalMessage, parse
-from controller.motion.program import unpack_states
-from controller.motion.requests import decode_obstacles
+from controller.arm.arm import Arm
+from controller.motion.decoding.goal import GoalMessage, parse
+from controller.motion.decoding.requests import decode_obstacles
+from controller.motion.stages.program import unpack_states
 from controller.planning.core.tasks import ArmStart, Basis, BuildScene, BuildTables, PlanGoal, Scene, Tables
 from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
 from controller.workspace.densities import Densities

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller.motion.feed import Improved, PlannedPoint
+from controller.motion.stages.feed import Improved, PlannedPoint
 from controller.planning.core.tasks import Deviations, ImprovePlan, Planned
 from controller.planning.workers import computations
 from controller.planning.workers.arm_model import Abandoned

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.motion.pacing import Blocked
+from controller.motion.stages.pacing import Blocked
 from controller.planning.core.tasks import FollowSetpoint
 from controller.planning.workers import computations
 from controller.planning.workers.arm_model import ArmModel

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any, NamedTuple
 
-from controller.client import Message, Unanswered
+from controller.network.client import Message, Unanswered
 from tests.system.kills.trigger import Order
 from tests.system.lives import Lives
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT

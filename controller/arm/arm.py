@@ -1,0 +1,150 @@
+"""Builds the arm from its YAML file, and reports each fault with the path of its field."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.arm.chain import build_frame, build_modules
+from controller.armfile.actuators import longest_travel, map_actuators
+from controller.armfile.settings import ActuatorSettings, ArmSettings, read_settings
+from controller.armfile.strict import InputFaults
+from controller.manipulator.locked import STATES, LockedStates, lock_actuators, none_locked
+from controller.manipulator.manipulator import Manipulator
+from controller.obstacles.clearance import Clearance
+from controller.obstacles.notation import parse_obstacles
+from controller.obstacles.obstacles import NONE, Obstacles, together
+
+MOST_PIXELS = 2**19
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm as its file describes it.
+
+    Attributes:
+        settings: the file's fields.
+        manipulator: the chain.
+        wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
+        obstacles: the file's obstacles, which no module may touch.
+        path: path of the file; None if the arm was not read from a file.
+    """
+
+    settings: ArmSettings
+    manipulator: Manipulator
+    wiring: tuple[ActuatorSettings, ...]
+    obstacles: Obstacles = NONE
+    path: Path | None = None
+
+    @cached_property
+    def locked(self) -> LockedStates:
+        """The states of the actuators that the file declares stuck, -1 for the others, shape (A,)."""
+        locked = none_locked(self.manipulator)
+        for k, entry in enumerate(self.wiring):
+            if entry.stuck is not None:
+                locked[k] = STATES.index(entry.stuck)
+        return locked
+
+    @cached_property
+    def reduced(self) -> Manipulator:
+        """The chain without the module states that the stuck actuators rule out."""
+        return lock_actuators(self.manipulator, self.locked)
+
+    def clearance(self, manipulator: Manipulator | None = None, others: Obstacles = NONE) -> Clearance:
+        """Returns the collision checks of the chain, or of a reduced one, against the file's obstacles and others."""
+        return Clearance(
+            manipulator or self.manipulator,
+            together([self.obstacles, others]),
+            self.settings.body_radius,
+            self_collision=self.settings.self_collision,
+        )
+
+    @property
+    def pixel(self) -> float:
+        """Side of the finest pixel of the densities."""
+        return self.settings.workspace.pixel or self.manipulator.length / 400
+
+    @property
+    def level_pixels(self) -> int:
+        """Greatest number of pixels of one intermediate workspace, of four bytes each; at most MOST_PIXELS."""
+        share = self.settings.workspace.memory * 2**20 / 4 / (len(self.manipulator.modules) + 1)
+        return max(1, min(MOST_PIXELS, int(share)))
+
+    def weights(self, switches: Mapping[str, int] | None = None) -> NDArray[np.float64]:
+        """Returns the cost of a switch of each actuator, shape (A,).
+
+        Args:
+            switches: number of switches of each actuator so far, by label; 0 if absent.
+        """
+        modules, settings = len(self.manipulator.modules), self.settings.weights
+        place = np.array([int(label.split(".")[0]) - 1 for label in self.manipulator.actuators])
+        own = np.linspace(settings.base, 1.0, modules)[place] * ([entry.weight for entry in self.wiring] or 1.0)
+        worn = np.array([(switches or {}).get(label, 0) for label in self.manipulator.actuators], dtype=float)
+        return np.asarray(own * (1.0 + settings.wear * worn / max(worn.max(), 1.0)))
+
+    @property
+    def travel_time(self) -> float:
+        """Longest time of any actuator from end to end [s]."""
+        return longest_travel(self.settings)
+
+    @property
+    def tolerance(self) -> float:
+        """Position tolerance of goals without one of their own."""
+        return self.settings.tolerance.position
+
+    @property
+    def angle_tolerance(self) -> float:
+        """Orientation tolerance of goals without one of their own [rad]."""
+        return self.settings.tolerance.orientation
+
+
+def load(path: Path) -> Arm:
+    """Returns the arm that a YAML file describes.
+
+    Raises:
+        InputFaults: the file is missing or wrong; one line per fault, each with the path of its field.
+    """
+    settings, faults = read_settings(path)
+    return replace(build(settings, path, faults), path=path)
+
+
+def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
+    """Returns the arm that a file's fields describe.
+
+    Args:
+        settings: the fields.
+        path: path of the file, for messages; tables are read from its folder.
+        faults: faults found so far.
+
+    Raises:
+        InputFaults: the fields are wrong; one line per fault, each with the path of its field.
+    """
+    modules = build_modules(settings.modules, path.parent, faults)
+    base = build_frame(settings.base, "base", faults)
+    if faults or not modules or base is None:
+        raise InputFaults(path, faults)
+    manipulator = Manipulator(modules, base)
+    wiring = map_actuators(settings, [module.actuators for module in modules], faults)
+    if faults:
+        raise InputFaults(path, faults)
+    obstacles = parse_obstacles(settings.obstacles, manipulator.dimension, "obstacles", faults)
+    arm = Arm(settings, manipulator, wiring, obstacles)
+    if not faults and (walled := walled_in(arm)) is not None:
+        faults.append(f"obstacles: {walled} in every state; the arm could not move")
+    try:
+        lock_actuators(manipulator, arm.locked)
+    except ValueError as error:
+        faults.append(f"actuators: as they are stuck, {error}")
+    if faults:
+        raise InputFaults(path, faults)
+    return arm
+
+
+def walled_in(arm: Arm) -> str | None:
+    """Returns what the first module touches, if it collides in every state; else None."""
+    clearance = arm.clearance(Manipulator(arm.manipulator.modules[:1], arm.manipulator.base))
+    states = np.arange(len(arm.manipulator.modules[0].frames))[:, None]
+    return clearance.where(states[0]) if clearance.blocked(states).all() else None

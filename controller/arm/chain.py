@@ -1,0 +1,140 @@
+"""Builds the modules of an arm's file, type by type; each fault names the path of its field."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from controller.arm.tables import is_unit, read_table
+from controller.armfile.settings import (
+    Diagonal,
+    FrameSettings,
+    Legs,
+    ModuleSettings,
+    PlatformSettings,
+    PrismaticSettings,
+    RevoluteSettings,
+    TransformsSettings,
+    VgtSettings,
+)
+from controller.manipulator import frames
+from controller.manipulator.joints import prismatic, revolute
+from controller.manipulator.module import Module, transforms
+from controller.manipulator.platform import platform
+from controller.manipulator.vgt import ACTUATORS, vgt
+
+PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three in space", (3, 2): "three in the plane"}
+
+
+def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[Module]:
+    """Returns the valid modules of the chain.
+
+    Args:
+        groups: `modules` of the file.
+        folder: folder of the tables.
+        faults: a sentence is appended for each wrong field.
+    """
+    modules: list[Module] = []
+    for g, group in enumerate(groups):
+        path = f"modules[{g}]"
+        match group:
+            case VgtSettings():
+                own = build_vgt(group, path, faults)
+            case RevoluteSettings() | PrismaticSettings():
+                own = build_joint(group, path, faults)
+            case PlatformSettings():
+                own = build_platform(group, path, faults)
+            case TransformsSettings():
+                own = build_transforms(group, path, folder, faults)
+        if own:
+            modules += [own[k % len(own)] for k in range(group.count)]
+    return modules
+
+
+def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames.Frame | None:
+    """Returns the frame (4, 4); appends a fault and returns None if it is invalid."""
+    angle, position = settings.orientation, settings.position
+    if isinstance(angle, list):
+        if not is_unit(angle):
+            faults.append(f"{path}.orientation: a quaternion x, y, z, w of length 1 is needed, got {angle}")
+            return None
+        return frames.spatial([*position, 0.0][:3], angle)
+    if len(position) == 3:
+        if angle != 0.0:
+            faults.append(f"{path}.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle {angle:g}")
+            return None
+        return frames.spatial(position)
+    return frames.planar(position[0], position[1], angle)
+
+
+def build_vgt(group: VgtSettings, path: str, faults: list[str]) -> list[Module]:
+    """Returns the two kinds of truss that alternate; none if there are faults."""
+    legs = group.lengths if isinstance(group.lengths, Legs) else Legs(*[group.lengths] * 3)
+    lengths = (legs.left, legs.diagonal, legs.right)
+    for name, (contracted, extended) in zip(ACTUATORS, lengths, strict=True):
+        if contracted >= extended:
+            faults.append(f"{path}.lengths: {name} is {contracted:g} contracted, so not {extended:g} extended")
+    order: list[Diagonal] = ["BC", "AD"] if group.first_diagonal == "BC" else ["AD", "BC"]
+    try:
+        return [vgt(diagonal, group.width, *lengths) for diagonal in order]
+    except ValueError as error:
+        faults.append(f"{path}.lengths: {error}")
+        return []
+
+
+def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: list[str]) -> list[Module]:
+    """Returns the joint; none if there are faults."""
+    before = len(faults)
+    if math.hypot(*group.axis) < 1e-9:
+        faults.append(f"{path}.axis: a direction is needed, got {group.axis}")
+    link = build_frame(group.link, f"{path}.link", faults)
+    if isinstance(group, RevoluteSettings):
+        twice = [a for k, a in enumerate(group.angles) if a in group.angles[:k]]
+        faults += [f"{path}.angles: {angle:g} occurs twice" for angle in twice]
+    else:
+        falling = [(a, b) for a, b in pairwise(group.lengths) if a >= b]
+        faults += [f"{path}.lengths: {b:g} after {a:g}, but each must be greater than the last" for a, b in falling]
+    if len(faults) > before or link is None:
+        return []
+    if isinstance(group, RevoluteSettings):
+        return [revolute(group.axis, group.angles, link)]
+    return [prismatic([*group.axis, 0.0][:3], group.lengths, link)]
+
+
+def build_platform(group: PlatformSettings, path: str, faults: list[str]) -> list[Module]:
+    """Returns the platform; none if there are faults."""
+    before, (contracted, extended) = len(faults), group.lengths
+    if contracted >= extended:
+        faults.append(f"{path}.lengths: {contracted:g} contracted, so not {extended:g} extended")
+    shapes = [(len(joints), *sorted({len(point) for point in joints})) for joints in (group.base, group.top)]
+    for name, shape in zip(("base", "top"), shapes, strict=True):
+        if shape not in PLATFORMS:
+            sizes = " and ".join(map(str, shape[1:]))
+            known = ", ".join(f"{n} of {size} coordinates" for n, size in PLATFORMS)
+            faults.append(f"{path}.{name}: {shape[0]} joints of {sizes} coordinates, but platforms have {known}")
+    if len(faults) == before and shapes[0] != shapes[1]:
+        faults.append(f"{path}.top: {PLATFORMS[shapes[1]]}, but the joints of base are {PLATFORMS[shapes[0]]}")
+    if len(faults) > before:
+        return []
+    try:
+        return [platform(group.base, group.top, group.lengths)]
+    except ValueError as error:
+        faults.append(f"{path}: {error}")
+        return []
+
+
+def build_transforms(group: TransformsSettings, path: str, folder: Path, faults: list[str]) -> list[Module]:
+    """Returns the module of listed or tabulated frames; none if there are faults."""
+    if (group.states is None) == (group.table is None):
+        faults.append(f"{path}: either states or table is needed, got {'both' if group.table else 'neither'}")
+        return []
+    if group.table is not None:
+        table = read_table(folder, group.table, f"{path}.table", faults)
+        return [] if table is None else [transforms(table.frames, planar=table.planar)]
+    listed = group.states or []
+    each = [build_frame(state, f"{path}.states[{k}]", faults) for k, state in enumerate(listed)]
+    stack = [frame for frame in each if frame is not None]
+    if len(stack) < len(listed):
+        return []
+    flat = all(len(s.position) == 2 and not isinstance(s.orientation, list) for s in listed)
+    return [transforms(stack, planar=flat)]

@@ -1,0 +1,96 @@
+"""The description of the arm: the payload of `arm`, and the parts that it has on request."""
+
+import base64
+import hashlib
+import math
+import zlib
+from importlib.metadata import version
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from controller.arm.arm import Arm
+from controller.armfile.settings import TransformsSettings
+from controller.manipulator.notation import format_configuration
+from controller.workspace.densities import Densities
+
+Payload = dict[str, Any]
+
+
+def description(arm: Arm) -> Payload:
+    """Returns the payload of `arm`."""
+    manipulator = arm.manipulator
+    return {
+        "name": arm.settings.name,
+        "version": version("hyperbit"),
+        "dimension": manipulator.dimension,
+        "length": manipulator.length,
+        "states": manipulator.states.tolist(),
+        "frames": [module.frames.tolist() for module in manipulator.modules],
+        "base": manipulator.base.tolist(),
+        "actuators": list(manipulator.actuators),
+        "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
+        "tolerance": {"position": arm.tolerance, "orientation": arm.angle_tolerance},
+        "travel_time": arm.travel_time,
+        "on_stop": arm.settings.on_stop,
+        "on_loss": arm.settings.boards.on_loss,
+        "inrush": arm.settings.inrush,
+        "rest_time": arm.settings.rest_time,
+        "method": arm.settings.method,
+        "obstacles": [msgspec.to_builtins(entry) for entry in arm.settings.obstacles],
+        "body_radius": arm.settings.body_radius,
+        "self_collision": arm.settings.self_collision,
+        "boards": [msgspec.to_builtins(entry) for entry in arm.wiring],
+    }
+
+
+def drawing(arm: Arm) -> Payload:
+    """Returns the drawing of the arm: `kinds`, the distinct modules, and `modules`, the kind of each module (B,).
+
+    A kind has `bits`, the actuator states (K, A) of its states, and `body`, line segments (K, L, 2, 3) of its structure
+    in the frame before the module.
+    """
+    kinds = list(dict.fromkeys(arm.manipulator.modules))
+    return {
+        "modules": [kinds.index(module) for module in arm.manipulator.modules],
+        "kinds": [{"bits": kind.bits.tolist(), "body": kind.body.tolist()} for kind in kinds],
+    }
+
+
+def file(arm: Arm) -> Payload | None:
+    """Returns the arm's file as it is now, with the tables that it names; None if it cannot be read.
+
+    `sha256` is of the file's bytes.
+    """
+    if arm.path is None:
+        return None
+    groups = [group for group in arm.settings.modules if isinstance(group, TransformsSettings)]
+    names = [group.table for group in groups if group.table is not None]
+    try:
+        data = arm.path.read_bytes()
+        tables = {name: (arm.path.parent / name).read_text(encoding="utf-8-sig") for name in names}
+        text = data.decode()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return {"name": arm.path.name, "sha256": hashlib.sha256(data).hexdigest(), "text": text, "tables": tables}
+
+
+def density(densities: Densities, *, planar: bool) -> Payload:
+    """Returns the logarithm of the whole arm's point density, as bytes.
+
+    `values` are the pixels (z, y, x), compressed by zlib, in Base64: 0 for no configuration, otherwise 1 to 255 from
+    the least to the greatest. `first` is the first pixel's centre in the base's frame, `pixel` the side of a pixel,
+    `greatest` the logarithm of the greatest density.
+    """
+    values = densities.level(0)
+    most = float(values.max(initial=0.0))
+    shades = 1 + np.round(254 * np.maximum(values, 0.0) / max(most, 1e-9))
+    shades[values < 0] = 0
+    return {
+        "shape": shades.shape,
+        "first": densities.references[0].tolist(),
+        "pixel": float(densities.pixels[0]),
+        "greatest": most - math.log(densities.volume(0, planar=planar)),
+        "values": base64.b64encode(zlib.compress(shades.astype(np.uint8).tobytes(), 1)).decode(),
+    }

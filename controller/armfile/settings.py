@@ -1,0 +1,307 @@
+"""The fields of an arm's YAML file, their bounds and defaults; no geometry, so that the executor can read the file."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct, field
+
+from controller.armfile.strict import InputFaults, check, read_yaml
+
+# Greater lengths are mistakes of the unit, and overflow when they are squared.
+Positive = Annotated[float, Meta(gt=0, le=1e6)]
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Pair = tuple[Positive, Positive]
+Count = Annotated[int, Meta(ge=1, le=10_000)]
+Bit = Annotated[int, Meta(ge=0, le=2031)]  # of 254 bytes
+Node = Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
+Word = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
+Travel = Annotated[float, Meta(gt=0, le=60)]
+Margin = Annotated[float, Meta(ge=0, le=10)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
+Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
+Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
+Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
+Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # greater values are degrees or mistakes
+Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
+Diagonal = Literal["BC", "AD"]  # of a truss module
+PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
+Variant = Literal["ipop-fewest-switches", "ipop-fewest-extended"]  # the paper's IPOP, counting actuators
+Method = Literal["minimum-switch", PaperMethod, Variant]
+OnLoss = Literal["hold", "contract"]
+ErrorState = Literal["off", "hold", "device"] | bool  # YAML reads a plain off as false
+
+MOST_OBSTACLES = 256  # in one list
+
+
+class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A frame: planar with an angle [rad], or spatial with a quaternion x, y, z, w."""
+
+    position: Vector
+    orientation: float | Quaternion = 0.0
+
+
+class Legs(Struct, forbid_unknown_fields=True, frozen=True):
+    """Contracted and extended length of each actuator of a truss module."""
+
+    left: Pair
+    diagonal: Pair
+    right: Pair
+
+
+class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=True, frozen=True):
+    """`count` truss modules of the paper's section 4; the diagonals alternate, beginning with `first_diagonal`."""
+
+    width: Positive
+    lengths: Pair | Legs
+    count: Count = 1
+    first_diagonal: Diagonal = "BC"
+
+
+class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_fields=True, frozen=True):
+    """`count` revolute joints that stand at one of the angles [rad], each followed by a link."""
+
+    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)]
+    axis: Direction = field(default_factory=lambda: [0.0, 0.0, 1.0])
+    link: FrameSettings = FrameSettings([0.0, 0.0])
+    count: Count = 1
+
+
+class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknown_fields=True, frozen=True):
+    """`count` prismatic joints that stand at one of the lengths, each followed by a link."""
+
+    axis: Vector
+    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)]
+    link: FrameSettings = FrameSettings([0.0, 0.0])
+    count: Count = 1
+
+
+class PlatformSettings(Struct, tag_field="type", tag="platform", forbid_unknown_fields=True, frozen=True):
+    """`count` platforms on legs: lower joints in the frame below, upper joints in the frame above, lengths of a leg."""
+
+    base: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
+    top: Annotated[list[Vector], Meta(min_length=3, max_length=6)]
+    lengths: Pair
+    count: Count = 1
+
+
+class TransformsSettings(Struct, tag_field="type", tag="transforms", forbid_unknown_fields=True, frozen=True):
+    """`count` modules whose states are frames, listed here or in a CSV file beside the arm's file."""
+
+    states: Annotated[list[FrameSettings], Meta(min_length=2, max_length=4096)] | None = None
+    table: str | None = None
+    count: Count = 1
+
+
+ModuleSettings = VgtSettings | RevoluteSettings | PrismaticSettings | PlatformSettings | TransformsSettings
+
+
+class RoundSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A disc or a sphere."""
+
+    centre: Vector
+    radius: Positive
+
+
+class BoxSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A box, rotated about its centre: in the plane by an angle [rad], in space by a quaternion x, y, z, w."""
+
+    centre: Vector
+    size: Sides
+    angle: Angle | None = None
+    orientation: Quaternion | None = None
+
+
+class HalfSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """A half-plane or half-space, on the side of `point` that is opposite to `normal`."""
+
+    point: Vector
+    normal: Vector
+
+
+class ObstacleSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """An obstacle: one of these shapes, and a name for messages."""
+
+    disc: RoundSettings | None = None
+    sphere: RoundSettings | None = None
+    box: BoxSettings | None = None
+    half_plane: HalfSettings | None = None
+    half_space: HalfSettings | None = None
+    name: Name | None = None
+
+
+ObstacleList = Annotated[list[ObstacleSettings], Meta(max_length=MOST_OBSTACLES)]
+
+
+class ToleranceSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Default tolerances of goals."""
+
+    position: Positive
+    orientation: Positive = 0.05  # [rad]
+
+
+class WeightSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The cost of a switch: at the base, relative to 1 at the tip; and the extra cost of the most worn actuator."""
+
+    base: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    wear: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+
+
+class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Finest pixel (default: 1/400 of the arm's length), and memory for all densities together [MiB]."""
+
+    pixel: Positive | None = None
+    memory: Annotated[float, Meta(gt=0, le=65536)] = 512.0
+
+
+class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One CAN bus, with python-can's names."""
+
+    name: Name
+    channel: str
+    interface: Literal["socketcan", "virtual"] = "socketcan"
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000
+
+
+class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One board: its identity by 1018h, the object of its outputs, and the state of its outputs without the master."""
+
+    bus: str
+    node: Node
+    object: Annotated[int, Meta(ge=0x2000, le=0x6200)] = 0x6200
+    vendor: Word | None = None
+    product: Word | None = None
+    revision: Word | None = None
+    serial: Word | None = None
+    error_state: ErrorState | None = None
+
+
+class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Settings of all boards; `nodes` has those of single boards. Times are seconds."""
+
+    heartbeat: Annotated[float, Meta(ge=0.01, le=10)] = 0.1
+    heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30)] = 0.35
+    boot_timeout: Annotated[float, Meta(gt=0, le=120)] = 3.0
+    on_loss: OnLoss = "hold"
+    error_state: ErrorState | None = None
+    shared_rpdo: bool = False
+    settle_margin: Margin = 0.03  # after travel_time, before an actuator counts as stuck
+    nodes: list[NodeSettings] = field(default_factory=list)
+
+
+class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The tip's tracker: noise, greatest corrected bias, change of the bias in a second, and time that it holds [s].
+
+    The default of `drift` is a tenth of the noise.
+    """
+
+    noise: Positive
+    clamp: Positive
+    drift: Positive | None = None
+    hold: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
+
+
+class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The priority of the executor's thread under SCHED_FIFO; 99 is left to the kernel's threads."""
+
+    priority: Annotated[int, Meta(ge=1, le=98)] = 50
+
+
+class BitSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One output or input of a board; an inverted one is electrically 0 for 1."""
+
+    bit: Bit
+    inverted: bool = False
+
+
+class InputSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """One end-stop; `board` such as "can0/9" is its board, if it is another one than that of the outputs."""
+
+    bit: Bit
+    inverted: bool = False
+    board: str | None = None
+
+
+class TravelSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Longest times of an actuator from end to end, one for each direction [s]."""
+
+    extend: Travel
+    contract: Travel
+
+
+class InterlockSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """An input that must read 1 during motion, such as an emergency stop; 0 if `inverted`."""
+
+    bus: str
+    node: Node
+    input: Bit
+    inverted: bool = False
+
+
+class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """Wiring and kind of one actuator.
+
+    `output` extends it; without `output_off` a spring contracts it. The end-stops `input` and `input_contracted` read 1
+    while the actuator is at that end. With `pulse` an output is on for this time only [s]. A `stuck` actuator never
+    switches.
+    """
+
+    module: Annotated[int, Meta(ge=1)]
+    actuator: str
+    bus: str
+    node: Node
+    output: Bit | BitSettings
+    output_off: Bit | BitSettings | None = None
+    pulse: Annotated[float, Meta(ge=0.01, le=10)] | None = None
+    input: Bit | InputSettings | None = None
+    input_contracted: Bit | InputSettings | None = None
+    travel_time: Travel | TravelSettings | None = None
+    settle_margin: Margin | None = None
+    on_loss: OnLoss | None = None
+    weight: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    stuck: Literal["contracted", "extended"] | None = None
+
+
+class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The whole file."""
+
+    name: Name
+    modules: Annotated[list[ModuleSettings], Meta(min_length=1)]
+    tolerance: ToleranceSettings
+    travel_time: Travel | TravelSettings = 0.05
+    rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    inrush: Count | None = None
+    planner_timeout: Annotated[float, Meta(ge=0.5, le=60)] = 1.0  # of silence until the executor holds
+    base: FrameSettings = FrameSettings([0.0, 0.0])
+    workspace: WorkspaceSettings = WorkspaceSettings()
+    method: Method = "minimum-switch"
+    on_stuck: Literal["hold", "continue"] = "hold"
+    on_stop: Literal["hold", "contract"] = "hold"
+    weights: WeightSettings = WeightSettings()
+    boards: BoardSettings = BoardSettings()
+    real_time: RealTimeSettings | None = None
+    tracker: TrackerSettings | None = None
+    obstacles: ObstacleList = field(default_factory=list)
+    body_radius: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    self_collision: bool = False
+    buses: list[BusSettings] = field(default_factory=list)
+    actuators: list[ActuatorSettings] = field(default_factory=list)
+    interlocks: dict[Name, InterlockSettings] = field(default_factory=dict)
+
+
+def read_settings(path: Path) -> tuple[ArmSettings, list[str]]:
+    """Returns the fields of an arm's file, and the faults that involve several fields.
+
+    Raises:
+        InputFaults: the file is missing or unreadable, or a field is wrong.
+    """
+    faults: list[str] = []
+    settings = check(read_yaml(path), ArmSettings, faults)
+    if settings is None:
+        raise InputFaults(path, faults)
+    boards = settings.boards
+    if boards.heartbeat_timeout <= 1.5 * boards.heartbeat:
+        faults.append(
+            f"boards.heartbeat_timeout: {boards.heartbeat_timeout:g} s is too short for heartbeats every"
+            f" {boards.heartbeat:g} s; more than 1.5 times that is needed"
+        )
+    return settings, faults

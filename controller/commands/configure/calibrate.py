@@ -1,0 +1,152 @@
+"""The command `calibrate`: fits an arm's file to measured tips."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+
+from controller.arm.arm import load
+from controller.armfile.strict import InputFaults, read_yaml
+from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json, results_table
+
+if TYPE_CHECKING:
+    from controller.calibration.calibration import Calibration, Misfit
+
+
+def calibrate(
+    file: ArmFile,
+    samples: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SAMPLES.csv",
+            help="Measured tips: column configuration or actuators, and x,y[,th] or x,y,z[,qx,qy,qz,qw].",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="NEW.yaml", help="File for the fitted arm.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    each: Annotated[bool, typer.Option("--each", help="Fit each module, and each leg of a truss, separately.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the modules and the base of an arm's file to measured tips; print the residuals before and after."""
+    from controller.calibration.calibration import calibrated
+    from controller.calibration.fit import CannotFit
+    from controller.calibration.samples import read_samples
+
+    arm = load(file)
+    measured = read_samples(samples, arm.manipulator)
+    if out is not None and out.exists() and not force:
+        raise InputFaults(out, ["the file exists; name another file, or add --force"])
+    try:
+        with errors.status("fitting"):
+            found = calibrated(arm, measured, each=each)
+    except CannotFit as error:
+        raise InputFaults(samples, [str(error)]) from None
+    if out is not None and found.better:
+        write(out, file, samples, found)
+    if as_json:
+        print_json({**payload(found), "out": str(out) if out and found.better else None})
+    else:
+        show(found)
+    if not found.better:
+        raise Failed(
+            "on held-out samples the fitted numbers are no better than the file's numbers with a fitted base;"
+            " nothing is written"
+        )
+
+
+def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
+    """Writes the fitted arm's file, after reading a draft of it back.
+
+    Raises:
+        Failed: the file cannot be written, or the fitted numbers describe no valid arm.
+    """
+    raw = {**read_yaml(file), **found.description}
+    before, after = found.before.position.rms, found.after.position.rms
+    text = f"# {file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}.\n"
+    text += yaml.safe_dump(raw, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
+    draft = out.with_name(f".{out.name}.{os.getpid()}")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        load(draft)
+        draft.replace(out)
+    except InputFaults as error:
+        raise Failed(f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}") from None
+    except OSError as error:
+        raise Failed(f"{out} cannot be written: {error.strerror}") from None
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def payload(found: Calibration) -> dict[str, Any]:
+    """Returns a calibration for JSON."""
+    return {
+        "samples": found.samples,
+        "set_aside": list(found.outliers),
+        **{name: asdict(misfit) for name, misfit in misfits(found).items()},
+        "noise": found.noise.tolist(),
+        "held_directions": found.undetermined,
+        "better": found.better,
+        "changes": [
+            {
+                "field": change.parameter.path,
+                "before": change.before,
+                "after": change.after,
+                "deviation": change.deviation,
+                "determined": change.determined,
+            }
+            for change in found.changes
+        ],
+    }
+
+
+def misfits(found: Calibration) -> dict[str, Misfit]:
+    """Returns the residuals by name."""
+    return {
+        "before": found.before,
+        "base_only": found.base_only,
+        "after": found.after,
+        "held_out": found.held_out,
+        "held_out_base_only": found.held_out_base_only,
+    }
+
+
+def show(found: Calibration) -> None:
+    """Prints a calibration: residuals and changed numbers."""
+    lines = ", ".join(map(str, found.outliers))
+    aside = f"; {len(found.outliers)} outliers set aside, lines {lines}" if found.outliers else ""
+    console.print(f"{found.samples} samples{aside}")
+    table = results_table("residuals", "", "rms", "95 %", "worst")
+    for kind in ("position", "orientation"):
+        for name, misfit in misfits(found).items():
+            if (residuals := getattr(misfit, kind)) is not None:
+                values = (residuals.rms, residuals.most, residuals.worst)
+                table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
+    console.print(table)
+    table = results_table("field", "before", "after", "deviation", "")
+    for change in found.changes:
+        before, after = (change.before, change.after)
+        table.add_row(
+            change.parameter.path,
+            written(before),
+            written(after),
+            f"{change.deviation:.2g}",
+            "" if change.determined else "not determined: kept near the file's value",
+        )
+    console.print(table)
+    if found.undetermined:
+        console.print(
+            f"In {found.undetermined} directions of the parameter space the samples determine the numbers less well"
+            " than the file: two parameters compensate each other, or a state was not measured. There the fit keeps the"
+            " file's values."
+        )
+
+
+def written(value: Any) -> str:
+    """Returns a number or a quaternion for the table."""
+    return ", ".join(f"{part:.6g}" for part in value) if isinstance(value, list) else f"{value:.6g}"

@@ -1,0 +1,141 @@
+"""The command `check`: checks an arm's file, and its boards by the bus or by their EDS."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.armfile.terminals import actuator_terminals
+from controller.commands import common
+from controller.commands.common import ArmFile, AsJson, Failed, print_json
+
+if TYPE_CHECKING:
+    from controller.arm.arm import Arm
+
+SOCKET = "Socket of the arm's executor, or its folder; with --bus the command checks that no executor answers there."
+SILENT = ("does not answer", "do not answer")
+KINDS = {  # of faults, by code: what one board does, and what several do
+    "board-missing": SILENT,
+    "board-stopped": ("is stopped", "are stopped"),
+    "board-error": ("reports an error", "report an error"),
+    "wrong-device": ("lacks an object or value that hyperbit needs", "lack an object or value that hyperbit needs"),
+    "sdo-refused": ("refuses a value that hyperbit needs", "refuse a value that hyperbit needs"),
+}
+
+
+def check(
+    file: ArmFile,
+    bus: Annotated[bool, typer.Option("--bus", help="Also read each board; changes nothing on it.")] = False,
+    eds: Annotated[
+        Path | None, typer.Option(help="Maker's electronic data sheet (EDS) of the boards: compare it, without a bus.")
+    ] = None,
+    node: Annotated[str | None, typer.Option(help="Only board that the EDS describes, such as can0/5.")] = None,
+    socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check an arm's file and name each fault by its field; --bus also reads the boards.
+
+    Example: hyperbit check my-arm.yaml --eds 750-337.eds --node can0/5
+    """
+    if node is not None and eds is None:
+        raise InputFaults(Path("check"), ["--node needs --eds FILE"])
+
+    from controller.arm.arm import load
+    from controller.executor.core.arm import read_arm
+
+    try:
+        arm = load(file)
+        if arm.wiring:
+            read_arm(file)  # refuses process data that do not fit on the boards
+    except InputFaults as error:
+        if as_json:
+            print_json({"ok": False, "faults": list(error.faults)})
+            raise typer.Exit(2) from None
+        raise
+    boards = compare(arm, eds, node) if eds is not None else []
+    boards += ask_boards(arm, socket) if bus else []
+    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
+    if as_json:
+        print_json({"ok": not missing, "faults": missing, "boards": boards})
+    else:
+        count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
+        common.console.print(
+            f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
+            f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
+        )
+        for board in boards:
+            common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
+    if missing:
+        if as_json:
+            raise typer.Exit(1)
+        raise Failed(summary([board["code"] for board in boards if not board["ok"]]))
+
+
+def summary(codes: Iterable[str]) -> str:
+    """Returns how many boards have which fault, e.g. "2 boards do not answer, 1 is stopped"; `codes`: one a board."""
+    counts = Counter(KINDS.get(code, SILENT) for code in codes)
+    kinds = [kind for kind in dict.fromkeys(KINDS.values()) if counts[kind]]
+    parts = [f"{counts[kind]} {kind[counts[kind] > 1]}" for kind in kinds]
+    first, _, verb = parts[0].partition(" ")
+    return ", ".join([f"{first} board{'s' * (first != '1')} {verb}", *parts[1:]])
+
+
+def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
+    """Reads each board of an arm; returns an answer for each.
+
+    Raises:
+        Failed: a bus cannot be used, or an executor runs.
+    """
+    from controller.commands.configure.executor_absence import refuse_executor, running_on
+    from controller.executor.core.arm import timing_of, wiring_of
+    from drivers.canopen.faults import BusError
+    from drivers.canopen.tools.probe import probe
+
+    wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
+    try:
+        refuse_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat)
+        asked = probe(wiring, timing)
+    except BusError as error:
+        raise Failed(str(error)) from None
+    if asked.master_on is not None:
+        raise running_on(asked.master_on)
+    return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in asked.answers or ()]
+
+
+def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
+    """Compares the boards of an arm with an EDS; returns an answer for each board, naming what the EDS lacks.
+
+    Args:
+        arm: the arm.
+        eds: path of the EDS.
+        node: the only board to compare; None: all boards.
+
+    Raises:
+        InputFaults: the file is no EDS, or the arm has no such board.
+    """
+    from controller.executor.core.arm import timing_of, wiring_of
+    from drivers.canopen.layout import lay_out
+    from drivers.canopen.tools.eds import Eds, UnreadableEds
+    from drivers.canopen.tools.eds_check import lacks
+
+    wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
+    boards = {board.name: board for board in lay_out(wiring).boards}
+    if node is not None and node not in boards:
+        raise InputFaults(Path("--node"), [f"{node}: the arm has no such board, only {', '.join(boards)}"])
+    answers = []
+    for name, board in boards.items():
+        if node in (None, name):
+            try:
+                found = lacks(Eds(eds, board.node), board, timing_of(arm.settings), wiring.error_state)
+            except UnreadableEds as error:
+                raise InputFaults(eds, [str(error)]) from None
+            text = "; ".join(map(str, found)) or f"has all needed objects, according to {eds.name}"
+            code = "wrong-device" if found else ""
+            told = [one._asdict() for one in found]
+            answers.append({"board": name, "ok": not found, "answer": text, "code": code, "lacks": told})
+    return answers

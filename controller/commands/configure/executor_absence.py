@@ -1,0 +1,62 @@
+"""Refuses to talk to boards while an executor runs: two masters on a bus would spoil each other's SDO transfers."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterable
+from pathlib import Path
+
+from controller.commands.common import Failed
+from controller.host.sockets import found_sockets, socket_path
+from controller.program import VERSION, Hello, encode
+from drivers.canopen.tools.listening import master_on
+from drivers.canopen.wiring import MASTER, BusSettings
+
+ANSWER_WITHIN = 1.0  # [s]
+
+
+def refuse_executor(
+    buses: Iterable[BusSettings], arm: str | None = None, path: Path | None = None, heartbeat: float = 0.0
+) -> None:
+    """Refuses if the executor of an arm answers at its socket, or a master sends its heartbeat on a bus.
+
+    Args:
+        buses: the buses that the command is going to use.
+        arm: name of the arm; None: the command knows none, and only listens to the buses.
+        path: socket of the arm's executor, or its folder; None: the default.
+        heartbeat: period of the master's heartbeat [s]; 0: not known.
+
+    Raises:
+        Failed: an executor runs.
+        BusError: a bus cannot be opened.
+    """
+    if arm is not None:
+        for own in dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]):
+            if answers(own, arm):
+                raise running(f"the executor of {arm} is running (it answers at {own})")
+    if (bus := master_on(buses, heartbeat)) is not None:
+        raise running_on(bus)
+
+
+def running_on(bus: str) -> Failed:
+    """Returns the error for a bus with the heartbeat of a master."""
+    return running(f"an executor is running (its heartbeat, node {MASTER}, is on {bus})")
+
+
+def running(who: str) -> Failed:
+    """Returns the error for an executor that runs; `who` names it."""
+    return Failed(f"{who}: stop it first, this command and an executor must not use a bus at the same time")
+
+
+def answers(path: Path, arm: str) -> bool:
+    """Returns whether the executor of an arm answers at a socket."""
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+            connection.settimeout(ANSWER_WITHIN)
+            connection.connect(str(path))
+            connection.send(encode(Hello(VERSION, "operator", arm)))
+            return bool(connection.recv(1))
+    except TimeoutError:
+        return True  # the executor has accepted the connection, but is slow
+    except OSError:
+        return False

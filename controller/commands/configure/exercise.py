@@ -1,0 +1,219 @@
+"""The command `exercise`: moves each actuator once there and back, and measures its travel times."""
+
+from __future__ import annotations
+
+import math
+import queue
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands import common
+from controller.commands.common import (
+    ENDPOINT,
+    ArmName,
+    AsJson,
+    Connect,
+    Failed,
+    ZenohFile,
+    arm_name,
+    print_json,
+    results_table,
+)
+from controller.commands.connection import connected
+from controller.commands.use.requests import STATES
+
+if TYPE_CHECKING:
+    from controller.network.client import Client
+
+ONLY = "Only these actuators, such as 5.left. Default: all."
+RESERVE = 1.25  # proposed travel time over the longest measured time
+DIFFERENT = 1.5  # an actuator that is faster than the arm's time by this factor gets its own travel time
+PATIENCE = 10.0  # [s] for the daemon's state
+FIELDS = {"extended": "extend", "contracted": "contract"}  # in the arm's file, by state
+END_STOPS = {"extended": "input", "contracted": "input_contracted"}
+
+
+class Travel(NamedTuple):
+    """A motion of an actuator to one of its ends.
+
+    Attributes:
+        actuator: label.
+        state: state at the end, "contracted" or "extended".
+        seconds: travel time measured by the executor [s]; None if it could not be measured.
+    """
+
+    actuator: str
+    state: str
+    seconds: float | None
+
+
+def exercise(
+    arm: ArmName,
+    actuators: Annotated[list[str] | None, typer.Argument(metavar="ACTUATOR", help=ONLY, show_default=False)] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Move each actuator once there and back, one at a time, and propose travel times for the arm's file.
+
+    The daemon checks each motion as a jog. The executor measures from SYNC to the frame that reports the end-stop. The
+    first fault ends the exercise. Ctrl-C cancels the motion.
+    """
+    with connected(arm, connect, zenoh_file) as client:
+        description = client.request("arm")
+        chosen = choose(actuators or [], description["actuators"])
+        where = dict(zip(description["actuators"], commanded(client), strict=True))
+        if not yes:
+            what = f"{len(chosen)} actuators" if len(chosen) > 1 else chosen[0]
+            question = f"The arm {arm_name(arm)} will move: {what}, one at a time, there and back. Continue?"
+            if not typer.confirm(question, err=True):
+                raise Failed("nothing was moved")
+        travels: list[Travel] = []
+        failure = None
+        try:
+            for label in chosen:
+                for state in there_and_back(where[label]):
+                    travels.append(move(client, label, state))
+                    if as_json:
+                        print_json(travels[-1]._asdict())
+        except KeyboardInterrupt:
+            common.errors.print("interrupted: canceling the motion", markup=False)
+            client.request("cancel")
+            raise typer.Exit(130) from None
+        except Failed as error:
+            failure = error
+        report(travels, description, as_json)
+    if failure is not None:
+        raise failure
+
+
+def choose(wanted: list[str], labels: list[str]) -> list[str]:
+    """Returns the labels of the actuators to exercise; all if none is named.
+
+    Raises:
+        InputFaults: the arm has no such actuator.
+    """
+    if unknown := [label for label in wanted if label not in labels]:
+        text = f"{unknown[0]!r} is no actuator of this arm, which has {labels[0]} to {labels[-1]}"
+        raise InputFaults(Path("exercise"), [text])
+    return list(dict.fromkeys(wanted)) or labels
+
+
+def commanded(client: Client) -> list[int]:
+    """Returns the commanded state of each actuator, shape (A,), of an arm in mode ready.
+
+    Raises:
+        Failed: the arm is in another mode, or the state of an actuator is unknown.
+    """
+    states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    subscriber = client.subscribe("state", states.put)
+    try:
+        state = states.get(timeout=PATIENCE)
+    except queue.Empty:
+        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
+    finally:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+    if state["mode"] != "ready":
+        raise Failed(f"the arm is {state['mode']}: {state['reason']}; `exercise` needs an arm in mode ready")
+    if state["commanded"] is None:
+        raise Failed("the state of some actuators is unknown: jog them first; `hyperbit watch` names them as faults")
+    return [int(bit) for bit in state["commanded"]]
+
+
+def there_and_back(state: int) -> tuple[str, str]:
+    """Returns the two states to switch an actuator to: the other state, then its present state."""
+    return STATES[1 - state], STATES[state]
+
+
+def move(client: Client, label: str, state: str) -> Travel:
+    """Switches one actuator and returns its measured travel.
+
+    Raises:
+        Failed: the daemon refused, or the actuator did not arrive.
+    """
+    result = client.run({"actuators": {label: state}}, key="jog")
+    if "status" not in result:
+        raise Failed(f"{label} to {state}: refused (code {result['code']}): {result['message']}")
+    if result["code"] != 0:
+        raise Failed(f"{label} to {state}: {result['status']} (code {result['code']}): {result['message']}")
+    measured = [t["seconds"] for t in result["travels"] if (t["actuator"], t["state"]) == (label, state)]
+    return Travel(label, state, measured[0] if measured else None)
+
+
+def report(travels: list[Travel], description: Mapping[str, Any], as_json: bool) -> None:
+    """Prints the measured times and the proposal for the arm's file."""
+    lines = proposal(travels, description["actuators"])
+    if as_json:
+        print_json({"proposal": "\n".join(lines)})
+        return
+    wired = {f"{board['module']}.{board['actuator']}": board for board in description["boards"]}
+    table = results_table("actuator", *(rf"{field} \[ms]" for field in FIELDS.values()))
+    for label in dict.fromkeys(travel.actuator for travel in travels):
+        own = {travel.state: travel for travel in travels if travel.actuator == label}
+        table.add_row(label, *(shown(own.get(state), wired.get(label, {}), state) for state in FIELDS))
+    common.console.print(table)
+    if lines:
+        common.console.print(f"\nproposal for the arm's file, {RESERVE - 1:.0%} over the longest measured:\n")
+        for line in lines:
+            common.console.print(line, markup=False)
+
+
+def shown(travel: Travel | None, wired: Mapping[str, Any], state: str) -> str:
+    """Returns a travel time as text [ms], or the reason why it is missing."""
+    if travel is None:
+        return ""
+    if travel.seconds is not None:
+        return f"{1000 * travel.seconds:.1f}"
+    return f"no `{END_STOPS[state]}`" if wired.get(END_STOPS[state]) is None else "not measured"
+
+
+def proposal(travels: Iterable[Travel], labels: Sequence[str]) -> list[str]:
+    """Returns YAML lines for the arm's file.
+
+    The arm gets a travel time for a direction in which all its actuators were measured. An actuator gets its own travel
+    time where the arm gets none, or if it is much faster. A direction that was not measured gets no time.
+
+    Args:
+        travels: the motions.
+        labels: all actuators of the arm.
+    """
+    single: dict[str, dict[str, float]] = {}
+    for label, state, seconds in travels:
+        times = single.setdefault(label, {})
+        if seconds is not None:
+            times[FIELDS[state]] = max(times.get(FIELDS[state], 0.0), reserved(seconds))
+    whole = {
+        field: max(single[label][field] for label in labels)
+        for field in FIELDS.values()
+        if all(field in single.get(label, {}) for label in labels)
+    }
+    lines = [f"travel_time: {written(whole)}"] if whole else []
+    for label, times in single.items():
+        faster = len(times) == len(FIELDS) and all(DIFFERENT * times[field] < whole.get(field, 0.0) for field in times)
+        if faster or times.keys() - whole.keys():
+            lines.append(f"# actuator {label}:  travel_time: {written(times)}")
+    for field in FIELDS.values():
+        without = [label for label, times in single.items() if field not in times]
+        if lines and without:
+            whose = "any actuator" if len(without) == len(single) > 1 else ", ".join(without)
+            lines.append(f"# {field} of {whose} was not measured: keep the present time for it")
+    return lines
+
+
+def reserved(seconds: float) -> float:
+    """Returns a measured time with the reserve [s], rounded up to a millisecond."""
+    return math.ceil(round(1000 * RESERVE * seconds, 6)) / 1000
+
+
+def written(times: Mapping[str, float]) -> str:
+    """Returns times as YAML; the time of a direction that was not measured is left open, "..."."""
+    return (
+        "{"
+        + ", ".join(f"{field}: {times[field]:g}" if field in times else f"{field}: ..." for field in FIELDS.values())
+        + "}"
+    )

@@ -1,0 +1,298 @@
+"""The command `demo`: a daemon with simulated boards in processes of its own, and its client in this process."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import math
+import os
+import queue
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+import yaml
+from numpy.typing import NDArray
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from controller.arm.arm import Arm
+from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
+from controller.commands.connection import connected
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.manipulator.notation import parse_configuration
+from controller.pictures import plots
+from controller.workspace.densities import Densities
+
+if TYPE_CHECKING:
+    from controller.network.client import Client, Message
+
+PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
+CURVE_WAYPOINTS = 36
+MANY = 100.0  # configurations expected within the tolerance of each point of the curve
+MOST = 100.0  # log counts are clipped here, so that exp does not overflow
+DRAWN = 1000  # configurations drawn to find targets
+STEP = 0.1  # [s] between waypoints; 1.5 travel times for each stage, if that is longer
+PATIENT = 10.0  # [s] of silence until boards or executor count as lost: a busy computer stands still at times
+PATIENCE = 180.0  # [s] until the daemon is ready, or has ended; its first start compiles the kernels
+
+
+def demo(
+    file: Annotated[Path | None, typer.Argument(metavar="ARM.yaml", help="The arm's file. Default: planar16.")] = None,
+    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("demo.png"),
+    animation: Annotated[Path | None, typer.Option(help="File for an animation: .gif, .png or .webp.")] = None,
+) -> None:
+    """Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture."""
+    arm = load_wired(file or shipped("planar16.yaml"))
+    densities = densities_of(arm)
+    targets = PAPER_TARGETS if file is None else sample(arm, 3)
+    curve = closed_curve(arm, densities)
+    # The picture needs matplotlib, which is imported while the daemon starts.
+    threading.Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()
+    rows: list[tuple[str, Message, float]] = []
+    reached: dict[str, Configuration] = {}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        started(file or shipped("planar16.yaml"), Path(folder)) as (daemon, endpoint),
+        connected(arm.settings.name, endpoint, None) as client,
+    ):
+        wait_until_ready(client, daemon.poll)
+        states, pauses = Watched(), list[int]()
+        watching = client.subscribe("state", states.take)
+        for target in targets:
+            began = time.perf_counter()
+            result = run(client, [{"position": target}], f"target ({written(target)})")
+            rows.append((written(target), result, time.perf_counter() - began))
+            reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
+            pauses.append(states.find(states_of(arm, result)))
+        step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
+        waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
+        began = time.perf_counter()
+        result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
+        rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
+        pauses.append(states.find(states_of(arm, result)))
+        watching.undeclare()  # type: ignore[no-untyped-call]
+    console.print(summary(arm, rows))
+    title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
+    panels = [plots.Panel(title, reached, targets, curve)]
+    plots.save(picture, arm.manipulator, densities, panels, obstacles=arm.obstacles)
+    console.print(f"picture: {picture}")
+    if animation is not None:
+        from controller.pictures.animation import animate
+
+        panel = plots.Panel(title, targets=targets, curve=curve)
+        animate(animation, arm.manipulator, densities, states, pauses, panel, arm.obstacles)
+        console.print(f"animation: {animation}")
+
+
+def states_of(arm: Arm, result: Message) -> list[int]:
+    """Returns the actuator states, shape (A,), of a result's configuration."""
+    configuration = parse_configuration(arm.manipulator, result["configuration"])
+    return [int(state) for state in arm.manipulator.actuator_states(configuration)]
+
+
+class Watched(list[list[int]]):
+    """History of the commanded actuator states, shape (A,) each, without repetitions."""
+
+    def take(self, state: Message) -> None:
+        """Appends the commanded states of a state message, if they are known and new."""
+        commanded = state["commanded"]
+        if commanded is not None and self[-1:] != [commanded]:
+            self.append(commanded)
+
+    def find(self, states: list[int]) -> int:
+        """Waits until the last entry equals `states`, and returns its index; messages come 20 times a second."""
+        until = time.monotonic() + PATIENT
+        while self[-1:] != [states] and time.monotonic() < until:
+            time.sleep(0.02)
+        return len(self) - 1
+
+
+def sample(arm: Arm, count: int) -> list[list[float]]:
+    """Returns tips (count, dimension) of random collision-free configurations; the same at each call."""
+    states = np.random.default_rng(16).integers(0, arm.manipulator.states, (DRAWN, len(arm.manipulator.modules)))
+    states = states[~arm.clearance().blocked(states)][:count]
+    tips = arm.manipulator.tips(states)[:, : arm.manipulator.dimension, 3]
+    return [list(map(float, tip)) for tip in tips]
+
+
+def closed_curve(arm: Arm, densities: Densities) -> NDArray[np.float64]:
+    """Returns waypoints (n, dimension) on the largest ellipse that the arm reaches according to its densities.
+
+    The centre is the tip of a random configuration. The ellipse lies in the plane of the tips' two principal
+    directions.
+    """
+    chain, base = Manipulator(arm.manipulator.modules), arm.manipulator.base
+    states = np.random.default_rng(0).integers(0, chain.states, (500, len(chain.modules)))
+    tips = chain.tips(states)[:, :3, 3]
+    promised = expected(densities, arm.tolerance, chain.planar)
+    first, second = np.linalg.svd(tips - tips.mean(axis=0), full_matrices=False)[2][:2]
+    turns = np.linspace(0.0, 2 * np.pi, CURVE_WAYPOINTS)[:, None]
+    ellipse = np.cos(turns) * first + 0.5 * np.sin(turns) * second
+    size = 0.1 * chain.length
+    while True:
+        curves = tips[:, None] + size * ellipse
+        thinnest = np.where(outside(arm, curves), looked_up(densities, promised, curves).min(axis=1), 0.0)
+        best = int(np.argmax(thinnest))
+        if thinnest[best] >= MANY or size <= arm.tolerance / 2:
+            return np.asarray((curves[best] @ base[:3, :3].T + base[:3, 3])[:, : arm.manipulator.dimension])
+        size *= 0.9
+
+
+def expected(densities: Densities, tolerance: float, planar: bool) -> NDArray[np.float64]:
+    """Returns the expected number of configurations within the tolerance of each pixel (z, y, x) of W_0.
+
+    Counts are averaged over neighbouring pixels: with few states in the last modules, every other pixel may be empty.
+    """
+    values = densities.level(0).astype(float)
+    counts = np.where(values >= 0, np.exp(np.minimum(values, MOST)), 0.0)
+    axes = (1, 2) if planar else (0, 1, 2)
+    for axis in axes:
+        ends = [(int(k == axis),) * 2 for k in range(3)]
+        counts = np.lib.stride_tricks.sliding_window_view(np.pad(counts, ends), 3, axis).sum(axis=-1)
+    ball = np.pi * tolerance**2 if planar else 4 / 3 * np.pi * tolerance**3
+    return np.asarray(counts * (ball / densities.volume(0, planar=planar) / 3 ** len(axes)))
+
+
+def looked_up(densities: Densities, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the values (z, y, x) of W_0's pixels at points (..., 3); 0 outside W_0."""
+    index = np.round((points - densities.references[0]) / densities.pixels[0]).astype(int)[..., ::-1]
+    inside = ((index >= 0) & (index < values.shape)).all(axis=-1)
+    z, y, x = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
+    return np.where(inside, values[z, y, x], 0.0)
+
+
+def outside(arm: Arm, curves: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Returns which of curves (m, n, 3), as seen from the base, keep out of the arm's regions."""
+    world = curves.reshape(-1, 3) @ arm.manipulator.base[:3, :3].T + arm.manipulator.base[:3, 3]
+    depths = arm.obstacles.depths(world).min(axis=1, initial=np.inf).reshape(curves.shape[:2])
+    return np.asarray((depths > arm.settings.body_radius).all(axis=1))
+
+
+def stages(arm: Arm) -> int:
+    """Returns the number of stages to allow time for, if less than a third of the actuators switch at each waypoint."""
+    return 1 if arm.settings.inrush is None else math.ceil(len(arm.manipulator.actuators) / 3 / arm.settings.inrush)
+
+
+def patient(file: Path, folder: Path) -> Path:
+    """Writes a copy of an arm's file with long time-outs between boards, executor and planner; returns its path."""
+    document = yaml.safe_load(file.read_text())
+    document["boards"] = {**document.get("boards", {}), "heartbeat_timeout": PATIENT}
+    document["planner_timeout"] = PATIENT
+    for module in document["modules"]:
+        if "table" in module:
+            module["table"] = str(file.resolve().parent / module["table"])
+    copy = folder / file.name
+    copy.write_text(yaml.safe_dump(document))
+    return copy
+
+
+@contextlib.contextmanager
+def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Runs a daemon with simulated boards and long time-outs; yields its process and its Zenoh endpoint.
+
+    Sockets, ledger and log are in `folder`, so another daemon of this arm may run on the computer.
+
+    Raises:
+        Failed: the daemon did not start within PATIENCE.
+    """
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    file = patient(file, folder)
+    command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
+    with (folder / "log").open("w+") as log:
+        command += ["--ledger", str(folder / "ledger.sqlite")]
+        environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder)}
+        daemon = subprocess.Popen(command, stderr=log, stdout=log, env=environment)
+        try:
+            until = time.monotonic() + PATIENCE
+            while not listening(endpoint):
+                if daemon.poll() is not None or time.monotonic() > until:
+                    log.seek(0)
+                    errors.print(log.read(), markup=False)
+                    raise Failed("the daemon did not start; its log is above")
+                time.sleep(0.05)
+            yield daemon, endpoint
+        finally:
+            daemon.terminate()
+            daemon.wait(PATIENCE)
+
+
+def listening(endpoint: str) -> bool:
+    """Returns whether something accepts connections at a tcp endpoint."""
+    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port)), timeout=0.5):
+        return True
+    return False
+
+
+def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: None) -> None:
+    """Waits until the arm is in mode ready.
+
+    Args:
+        client: connected to the arm's daemon.
+        ended: returns the daemon's exit code, None while the daemon runs.
+
+    Raises:
+        Failed: the daemon reports a fault, publishes no state, or has ended.
+    """
+    states: queue.SimpleQueue[Message] = queue.SimpleQueue()
+    subscriber = client.subscribe("state", states.put)
+    try:
+        while True:
+            state = states.get(timeout=PATIENCE)
+            if state["mode"] == "ready":
+                return
+            if (code := ended()) is not None:
+                raise Failed(f"the daemon ended with code {code}")
+            if state["mode"] == "fault":
+                raise Failed(f"the daemon reports a fault: {state['reason']}")
+    except queue.Empty:
+        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
+    finally:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
+    """Sends a goal and shows its progress; returns its result, with the worst error of its waypoints as `worst`.
+
+    Raises:
+        Failed: the goal was refused, or not reached.
+    """
+    errors_seen = [0.0]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(what, total=len(waypoints))
+
+        def follow(message: Message) -> None:
+            if "waypoint" in message:
+                errors_seen.append(message["error"])
+                progress.update(task, completed=message["waypoint"] + 1)
+
+        result = client.run({"waypoints": waypoints}, follow)
+    if result["code"] != 0:
+        raise Failed(f"{what}: {result['message']}")
+    return {**result, "worst": max(*errors_seen, result["error"])}
+
+
+def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:
+    """Returns the table of targets and results."""
+    table = Table("target", "reached", "error", "switches", "time [s]", title=f"{arm.settings.name}, tip positions")
+    for target, result, seconds in rows:
+        table.add_row(
+            target, written(result["position"], 4), f"{result['worst']:.4f}", str(result["switches"]), f"{seconds:.2f}"
+        )
+    return table
+
+
+def written(position: list[float], digits: int = 2) -> str:
+    """Returns a position as text, with commas."""
+    return ", ".join(f"{x:.{digits}f}" for x in position)

@@ -1,0 +1,70 @@
+"""The command `simulate`: runs simulated boards."""
+
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands.common import ArmFile, Failed, console, errors
+from drivers.simulation.variants import VARIANTS, choose
+
+if TYPE_CHECKING:
+    from drivers.simulation.simulation import Simulation
+
+
+BOARD = "Kind of the boards: KIND for all, or BOARD=KIND for one, such as can0/5=guarding-only; repeatable."
+
+
+def simulate(
+    file: ArmFile,
+    board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
+) -> None:
+    """Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM."""
+    from controller.executor.core.arm import read_arm
+
+    arm = read_arm(file)
+
+    import can
+
+    from drivers.simulation import fault_commands
+    from drivers.simulation.buses import board_names
+    from drivers.simulation.simulation import Simulation
+
+    try:
+        variants = choose(board, board_names(arm.wiring))
+    except ValueError as error:
+        raise InputFaults(Path("--board"), [str(error)]) from None
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ending.set())
+    try:
+        simulation = Simulation(arm.wiring, arm.timing, variants=variants)
+    except (can.CanError, OSError) as error:
+        raise Failed(f"the bus cannot be opened: {error}") from None
+    simulation.start()
+    try:
+        names = ", ".join(f"{bus.name} ({bus.interface} {bus.channel})" for bus in arm.wiring.buses)
+        console.print(f"simulating the boards of {arm.name} on {names}\n{fault_commands.HELP}")
+        threading.Thread(target=obey, args=(simulation,), daemon=True).start()
+        ending.wait()
+    finally:
+        simulation.stop()
+
+
+simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nKinds of boards:\n" + "\n".join(
+    f"  {name:18} {variant.text}" for name, variant in VARIANTS.items()
+)
+
+
+def obey(simulation: "Simulation") -> None:
+    """Injects the faults that lines on standard input name."""
+    for line in sys.stdin:
+        try:
+            simulation.fault(*line.split())
+            console.print(f"done: {line.strip()}")
+        except (KeyError, ValueError) as error:
+            errors.print(f"not done: {error}")

@@ -1,0 +1,183 @@
+"""The command `bench`: compares methods on goal sets with certified optima."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.bench.methods import METHODS, find_method
+from controller.commands import common
+from controller.commands.common import Failed
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from controller.bench.goal_sets import Task
+    from controller.bench.methods import Prepare
+    from controller.bench.running import Row
+
+LEGEND = """solved: within the tolerances and clear of obstacles. fewest: with the certified minimum of switches.
+proven: claimed to be optimal, not contradicted. switches: mean over solved goals. above: switches above the certified
+optimum, mean/most. ms: median/99 %. tables: seconds to prepare. wrong: contradicted certificates."""
+
+OWN = "Your own method, as module:function or file.py:function; repeatable."
+
+
+def bench(
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", help="Name of a goal set; repeatable. Default: all.")
+    ] = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(help="Names separated by commas. Default: all; with --method: minimum-switch."),
+    ] = None,
+    method: Annotated[list[str] | None, typer.Option(metavar="MODULE:FUNCTION", help=OWN)] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="Most goals of each set.")] = None,
+    limit: Annotated[float, typer.Option(min=0.001, help="Longest time for one goal [s].")] = 60.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to a file; - is stdout.")] = None,
+    names: Annotated[bool, typer.Option("--list", help="Only print the names of sets and methods.")] = False,
+) -> None:
+    """Compare methods of inverse kinematics on goals whose fewest switches are proven.
+
+    The benchmark checks each answer by forward kinematics and counts its switches. Your own method is a function
+
+    \b
+        def prepare(arm):
+            # arm.states (B,), arm.base (4, 4), arm.frames (B, K, 4, 4), arm.bits (B, K, A), arm.obstacles,
+            # arm.bodies, arm.margin; arm.arm is the hyperbit.Arm. See controller/bench/arm.py.
+            def solve(goal, start):
+                # goal: a hyperbit.Goal: position (2,) or (3,), orientation or None, tolerance, angle_tolerance
+                # start: configuration, integers (B,)
+                return start
+            return solve
+
+    \b
+        hyperbit bench --method mine.py:prepare --set paper
+
+    `solve` returns a configuration (B,), None if it finds none, or an object with the attribute `configuration`. If the
+    object has a `certificate` ("optimal", "unreachable") or a `bound`, the benchmark checks these as well. A method
+    skips an arm or a goal with NotImplementedError. Other exceptions and invalid answers are counted and named. The
+    column `tables` has the time of `prepare` and of the first goal of each arm. Methods run in this process: run only
+    programs that you trust.
+    """  # noqa: D301 - \b keeps click from filling the lines
+    from controller.bench.goal_sets import SETS, read, sample_evenly
+
+    if names:
+        print_names(SETS)
+        return
+    chosen = chosen_sets(sets, list(SETS))
+    compared = chosen_methods(methods, method or [])
+    figures: dict[str, Any] = {"python": platform.python_version(), "machine": platform.machine()}
+    figures |= {"cores": os.cpu_count(), "sets": {}}
+    rows: list[Row] = []
+    for name in chosen:
+        tasks = read(name)
+        tasks = sample_evenly(tasks, len(tasks) if count is None else count)
+        found = measured(name, tasks, compared, limit)
+        proven = sum(task.proven for task in tasks)
+        rows += found
+        figures["sets"][name] = {"about": SETS[name], "goals": len(tasks), "certified": proven}
+        figures["sets"][name]["methods"] = [asdict(row) for row in found]
+        if str(json_file) != "-":
+            common.console.print(table(f"{name}: {SETS[name]}", len(tasks), proven, found))
+            for row in found:
+                for example in row.examples:
+                    common.console.print(f"  {row.method}: {example}", markup=False)
+    if str(json_file) != "-":
+        common.console.print(LEGEND)
+    if json_file is not None:
+        text = json.dumps(figures, indent=2) + "\n"
+        if str(json_file) == "-":
+            sys.stdout.write(text)
+        else:
+            json_file.write_text(text, encoding="utf-8")
+    if impossible := sum(row.impossible for row in rows):
+        raise Failed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
+
+
+def chosen_sets(wanted: list[str] | None, known: list[str]) -> list[str]:
+    """Returns the names of the sets to run.
+
+    Raises:
+        InputFaults: a set is unknown.
+    """
+    if unknown := [name for name in wanted or [] if name not in known]:
+        raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(known)}" for name in unknown])
+    return wanted or known
+
+
+def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
+    """Returns the methods to run, by name.
+
+    Raises:
+        InputFaults: a method is unknown, or cannot be loaded.
+    """
+    usual = ["minimum-switch"] if own else list(METHODS)
+    listed = usual if wanted is None else [name.strip() for name in wanted.split(",") if name.strip()]
+    if unknown := [name for name in listed if name not in METHODS]:
+        known = ", ".join(METHODS)
+        raise InputFaults(Path("--methods"), [f"no method {name!r}; there are {known}" for name in unknown])
+    found = {name: find_method(METHODS[name].target) for name in listed}
+    try:
+        return found | {target: find_method(target) for target in own}
+    except ValueError as error:
+        raise InputFaults(Path("--method"), [str(error)]) from None
+
+
+def measured(name: str, tasks: list[Task], methods: dict[str, Prepare], limit: float) -> list[Row]:
+    """Runs each method on a goal set, with a progress bar on stderr; returns a row for each method."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    from controller.bench.arm import bench_arm
+    from controller.bench.running import run
+
+    arms = {arm: bench_arm(arm) for arm in {task.arm for task in tasks}}
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    silent = not common.errors.is_terminal
+    bars = Progress(*columns, console=common.errors, transient=True, disable=silent)
+    with bars as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
+        rows = []
+        for method, prepare in methods.items():
+            bar = progress.add_task(f"{name}: {method}", total=len(tasks))
+            rows.append(run(method, prepare, tasks, arms, limit, partial(progress.advance, bar)))
+            progress.remove_task(bar)
+    return rows
+
+
+def table(title: str, goals: int, proven: int, rows: list[Row]) -> Table:
+    """Returns the table of a goal set: a line for each method that accepts at least one of its goals."""
+    headers = ("method", "goals", "solved", "fewest", "proven", "switches", "above", "ms", "tables", "wrong", "errors")
+    result = common.results_table(*headers)
+    result.title, result.title_justify = f"{title}: {goals} goals, the fewest switches of {proven} proven", "left"
+    for column in result.columns[1:]:
+        column.justify = "right"
+    for r in rows:
+        if r.goals == 0:
+            continue
+        cells = [f"{count / r.goals:.1%}" for count in (r.solved, r.fewest, r.proven)]
+        cells += ["" if r.switches is None else f"{r.switches:.2f}"]
+        cells += ["" if r.above is None else f"{r.above:.2f}/{r.above_most}"]
+        times = (r.seconds_median, r.seconds_99)
+        cells += ["/".join(f"{1e3 * t:.3g}" for t in times if t is not None), f"{r.tables_seconds:.1f}"]
+        result.add_row(r.method, str(r.goals), *cells, str(r.wrong_certificates), str(sum(r.errors.values())))
+    if others := [row.method for row in rows if row.goals == 0]:
+        result.caption, result.caption_justify = f"Not made for these goals: {', '.join(others)}.", "left"
+    return result
+
+
+def print_names(sets: dict[str, str]) -> None:
+    """Prints the names of sets and methods."""
+    for title, about in (("sets", sets), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
+        common.console.print(f"{title}:")
+        for name, text in about.items():
+            common.console.print(f"  {name:24}{text}", markup=False)

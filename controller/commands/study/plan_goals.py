@@ -1,0 +1,137 @@
+"""Searches for the goals of `plan`: for each goal separately, or for all goals as one trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from controller.arm.arm import Arm
+from controller.commands.common import Failed, errors
+from controller.manipulator import frames
+from controller.manipulator.manipulator import Configuration
+from controller.motion.codes import Refusal
+from controller.search.method import Method
+
+if TYPE_CHECKING:  # the search's kernels take a second to import
+    from controller.motion.plans.whole import Goals as Positions
+    from controller.search.solution import Solution
+    from controller.search.solver import Solver
+
+Orientation = float | list[float] | None
+Goals = list[tuple[list[float], Orientation, Configuration | None]]
+
+
+class Answer(NamedTuple):
+    """The solution of a goal, or of a point between two goals.
+
+    Attributes:
+        position: of the goal, shape (dimension,).
+        orientation: of the goal, an angle [rad] or a quaternion; None: any orientation.
+        solution: configuration, tip and certificate.
+        between: whether the point lies on a line between goals.
+        whole: switches, cost and certificate of the whole trajectory, for JSON; None: a separate search.
+    """
+
+    position: list[float]
+    orientation: Orientation
+    solution: Solution
+    between: bool = False
+    whole: dict[str, Any] | None = None
+
+
+Answers = Iterator[Answer]
+
+
+def search(
+    solver: Solver, wanted: Goals, start: Configuration, tolerance: float, turn: float, method: Method
+) -> Answers:
+    """Yields the solution of each goal, searched separately.
+
+    Each search starts at the previous solution, or at the goal's own previous configuration.
+    """
+    for position, orientation, given in wanted:
+        goal = np.array(position) if orientation is None else frame(position, orientation)
+        own = start if given is None else given
+        found = solver.solve(goal, own, tolerance, method, angle_tolerance=np.inf if orientation is None else turn)
+        start = found.configuration
+        yield Answer(position, orientation, found)
+
+
+def given(solver: Solver, configuration: Configuration, start: Configuration, tolerance: float) -> Answer:
+    """Returns a configuration as the solution of its own tip position, without a search."""
+    position = solver.manipulator.tip(configuration)[: solver.manipulator.dimension, 3]
+    return Answer(position.tolist(), None, solver.described(configuration, position, start, tolerance))
+
+
+def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:
+    """Returns the tip's frame (4, 4) of a goal."""
+    if isinstance(orientation, float):
+        return frames.planar(position[0], position[1], orientation)
+    return frames.spatial(position, orientation)
+
+
+def follow(
+    arm: Arm,
+    solver: Solver,
+    wanted: Goals,
+    start: Configuration,
+    tolerances: tuple[float, float],
+    path_tolerance: float | None,
+    method: Method,
+) -> Answers:
+    """Yields the solution of each point of a trajectory, as the daemon answers `plan`.
+
+    The trajectory leaves enough time for all switches. A goal with a previous configuration begins a new trajectory.
+    Goals that cannot be planned as one trajectory are searched separately.
+
+    Args:
+        arm: the arm.
+        solver: solver of the reduced arm.
+        wanted: the goals.
+        start: configuration before the first goal, shape (B,).
+        tolerances: position tolerance and orientation tolerance [rad].
+        path_tolerance: follow straight lines within this distance; None: do not.
+        method: search method.
+
+    Raises:
+        Failed: the lines between the goals cannot be followed.
+    """
+    from controller.motion.plans.whole import plan_whole, unhurried
+    from controller.motion.stages.pacing import pace_of
+
+    pace = pace_of(arm.settings)
+    begins = [k for k, (_, _, given) in enumerate(wanted) if k == 0 or given is not None]
+    for first, end in zip(begins, [*begins[1:], len(wanted)], strict=True):
+        part, before = wanted[first:end], wanted[first][2]
+        start = start if before is None else before
+        try:
+            trajectory = unhurried(as_arrays(part, *tolerances), pace, path_tolerance)
+            found = plan_whole(solver, trajectory, start, method, pace)
+        except Refusal as refusal:
+            if path_tolerance is not None:
+                raise Failed(str(refusal)) from None
+            errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
+            for answer in search(solver, [(p, o, None) for p, o, _ in part], start, *tolerances, method):
+                start = answer.solution.configuration
+                yield answer
+            continue
+        whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
+        for k, solution in enumerate(found.solutions):
+            between = trajectory.between(k)
+            position, orientation, _ = part[trajectory.next(k)]
+            if between:
+                position = trajectory.positions[k].tolist()
+            yield Answer(position, orientation, solution, between, whole)
+        start = found.solutions[-1].configuration
+
+
+def as_arrays(wanted: Goals, tolerance: float, turn: float) -> Positions:
+    """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
+    from controller.motion.plans.whole import Goals as Positions
+
+    turns = np.array([np.inf if orientation is None else turn for _, orientation, _ in wanted])
+    rotations = [np.eye(3) if o is None else frame(p, o)[:3, :3] for p, o, _ in wanted]
+    positions = np.array([position for position, _, _ in wanted], dtype=np.float64)
+    return Positions(positions, np.full(len(wanted), tolerance), np.array(rotations), turns)

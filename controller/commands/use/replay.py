@@ -1,0 +1,152 @@
+"""The command `replay`: publishes a recording again, or repeats its goals."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands import common
+from controller.commands.common import AsJson, Failed, arm_name, print_json
+from controller.commands.use.record import require
+
+if TYPE_CHECKING:
+    from controller.recorder.reader import RecordingReader
+
+LISTEN = "tcp/127.0.0.1:7457"
+
+RECORDING = "A file that `hyperbit record` wrote."
+SPEED = "Speed of the replay; 2 is twice as fast as recorded."
+BEGIN = "Time in the recording at which the replay begins [s]."
+PREFIX = "Prefix of the keys: they are published below PREFIX/<arm>."
+STAY = "Continue after the end of the recording until SIGTERM, so that a page can move the timeline."
+GOALS = "Send the recorded goals to a simulated arm instead, and compare the configurations."
+ARM = "With --goals: an arm's file to use instead of the recorded one."
+CONNECT = "Zenoh endpoint to connect to, instead of --listen."
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help=RECORDING, show_default=False)],
+    speed: Annotated[float, typer.Option(help=SPEED)] = 1.0,
+    begin: Annotated[float, typer.Option("--from", metavar="SECONDS", help=BEGIN)] = 0.0,
+    stay: Annotated[bool, typer.Option("--stay", help=STAY)] = False,
+    prefix: Annotated[str, typer.Option(help=PREFIX)] = "replay",
+    listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = LISTEN,
+    connect: Annotated[str | None, typer.Option(help=CONNECT, show_default=False)] = None,
+    goals: Annotated[bool, typer.Option("--goals", help=GOALS)] = False,
+    arm: Annotated[Path | None, typer.Option(help=ARM, show_default=False)] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare."""
+    require("mcap")
+
+    from controller.recorder.player import FASTEST
+    from controller.recorder.reader import BadRecording, RecordingReader
+
+    if not 0.0 < speed <= FASTEST:
+        raise InputFaults(Path("--speed"), [f"a number above 0 and up to {FASTEST:g} is needed, got {speed:g}"])
+    if not 0.0 <= begin < 1e9:
+        raise InputFaults(Path("--from"), [f"seconds from 0 on are needed, got {begin:g}"])
+    if arm is not None and not goals:
+        raise InputFaults(Path("--arm"), ["only with --goals"])
+    keys = prefix.split("/")
+    if "hyperbit" in keys or not all(key.isascii() and key.replace("-", "").replace("_", "").isalnum() for key in keys):
+        words = f"{prefix!r}: letters, digits, - and _ are needed, and not hyperbit, the prefix of running daemons"
+        raise InputFaults(Path("--prefix"), [words])
+    try:
+        past = RecordingReader(file)
+    except BadRecording as error:
+        raise InputFaults(file, [str(error).removeprefix(f"{file}: ")]) from None
+    with contextlib.closing(past):
+        if not past.whole:
+            common.errors.print(f"{file} is incomplete: its readable part is replayed", markup=False)
+        try:
+            if goals:
+                compare_goals(past, arm, as_json)
+            else:
+                play(past, speed, begin, listen, connect, prefix, stay=stay)
+        except BadRecording as error:
+            raise Failed(str(error)) from None
+
+
+def play(
+    past: RecordingReader, speed: float, begin: float, listen: str, connect: str | None, prefix: str, *, stay: bool
+) -> None:
+    """Publishes a recording again, until its end or SIGTERM.
+
+    Args:
+        past: the recording.
+        speed: recorded seconds in a second.
+        begin: time after the recording's begin [s].
+        listen: Zenoh endpoint to listen at.
+        connect: Zenoh endpoint to connect to instead; None: listen.
+        prefix: of the keys.
+        stay: continue after the recording's end.
+
+    Raises:
+        Failed: there is no Zenoh session.
+    """
+    import zenoh
+
+    from controller.network import session
+    from controller.recorder.player import Player, Timeline
+
+    zenoh.init_log_from_env_or("error")
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ending.set())
+    if connect is None:
+        config = session.configuration("peer", listen=listen)
+    else:
+        config = session.configuration("client", connect=connect)
+    timeline = Timeline(past.begin / 1e9, past.end / 1e9, speed)
+    timeline.change({"at": timeline.begin + begin})
+    try:
+        opened = zenoh.open(config)
+    except zenoh.ZError as error:
+        raise Failed(f"no Zenoh session at {connect or listen}: {session.reason(error)}") from None
+    with opened as live, contextlib.closing(Player(past, live, prefix, timeline)) as player:
+        seconds = timeline.end - timeline.begin
+        where = connect or listen
+        common.console.print(f"replaying {seconds:.0f} s of {past.arm} on {prefix}/{past.arm} at {where}", markup=False)
+        player.play(ending.is_set, stay=stay)
+
+
+def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> None:
+    """Sends the recorded goals to a simulated arm and prints how their configurations compare.
+
+    Raises:
+        Failed: a configuration differs, no goal can be compared, or the arm does not start.
+        InputFaults: the arm's file is wrong, or describes another arm.
+    """
+    from controller.recorder.regression import ArmFailed, Compared, compare
+
+    if file is not None:
+        common.load_wired(file)
+        if (name := arm_name(str(file))) != past.arm:
+            raise InputFaults(file, [f"the file describes the arm {name!r}, the recording is of {past.arm!r}"])
+    counts = {"equal": 0, "differs": 0, "unproven": 0, "skipped": 0}
+
+    def show(it: Compared) -> None:
+        counts[it.outcome] += 1
+        line: dict[str, Any] = {"goal": it.id, "outcome": it.outcome, "reason": it.reason or None}
+        if as_json:
+            print_json(line)
+        elif it.outcome != "equal":
+            common.console.print(f"goal {it.id} {it.outcome}: {it.reason}", markup=False)
+
+    try:
+        compare(past, file, show)
+    except ArmFailed as error:
+        raise Failed(str(error)) from None
+    if not as_json:
+        words = f"{counts['equal']} goals led to the same configurations, {counts['differs']} to others;"
+        words += f" {counts['unproven']} differ, but were not proven optimal; {counts['skipped']} cannot be compared"
+        common.console.print(words, markup=False)
+    if counts["differs"] or not counts["equal"]:
+        raise Failed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")

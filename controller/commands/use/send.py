@@ -1,0 +1,112 @@
+"""The command `send`: sends a goal and follows it to its result."""
+
+from __future__ import annotations
+
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands import common
+from controller.commands.common import (
+    ENDPOINT,
+    ArmName,
+    AsJson,
+    Connect,
+    ZenohFile,
+    parse_goal,
+    print_json,
+    refusal,
+)
+from controller.commands.connection import connected, read_payload
+
+if TYPE_CHECKING:
+    from controller.network.client import Client
+
+ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
+
+
+def send(
+    arm: ArmName,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="GOAL.yaml", help="File of a goal with `waypoints`, YAML or JSON.")
+    ] = None,
+    to: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
+    configuration: Annotated[
+        str | None, typer.Option(help="Configuration to go to: module states, base first.")
+    ] = None,
+    path_tolerance: Annotated[
+        float | None, typer.Option(help="Follow straight lines between waypoints within this distance.")
+    ] = None,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Send a goal and follow it to its result; Ctrl-C cancels the goal."""
+    if [file, to, configuration].count(None) != 2:
+        raise InputFaults(Path("send"), ["give one of a goal's file, --to and --configuration"])
+    goal = {} if file is None else read_payload(file, "goal", "waypoints")
+    if configuration is not None:
+        goal["waypoints"] = [{"configuration": configuration}]
+    if path_tolerance is not None:
+        goal["path_tolerance"] = path_tolerance
+    numbers = 0 if to is None else to.count(",") + 1
+    if to is not None and numbers != 3:
+        goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
+
+    def show(message: dict[str, Any]) -> None:
+        if as_json:
+            print_json(message)
+        elif "waypoint" in message:
+            error = "unknown" if message["error"] is None else errors_of(message)
+            common.console.print(
+                f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
+                f" {message['switches']} switches so far"
+            )
+        elif message["accepted"]:
+            common.console.print(message["message"])
+
+    goal.setdefault("id", uuid.uuid4().hex[:12])
+    with connected(arm, connect, zenoh_file) as client:
+        if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
+            goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
+        try:
+            result = client.run(goal, show)
+        except KeyboardInterrupt:
+            cancel_goal(client, goal["id"], as_json)
+            raise typer.Exit(130) from None
+    if as_json and "status" in result:
+        print_json(result)
+    if result["code"] != 0:
+        raise refusal(result, arm)
+    if not as_json:
+        position = ", ".join(f"{x:.4f}" for x in result["position"])
+        common.console.print(f"reached ({position}), error {errors_of(result)}, {result['switches']} switches")
+
+
+def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
+    """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer.
+
+    Raises:
+        Unanswered: the daemon did not answer; `connected` makes this a Failed.
+    """
+    common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
+    answer = client.request("cancel", {"id": goal})
+    if as_json:
+        print_json(answer)
+    else:
+        common.console.print(f"goal {goal}: {answer['message']}", markup=False)
+
+
+def errors_of(message: dict[str, Any]) -> str:
+    """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
+    angle = message["orientation_error"]
+    return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")
+
+
+def waypoint(to: str, dimension: int) -> dict[str, Any]:
+    """Parses a waypoint, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]"."""
+    position, orientation = parse_goal(to, dimension, "--to")
+    return {"position": position} if orientation is None else {"position": position, "orientation": orientation}

@@ -1,0 +1,154 @@
+"""The executor's view of the arm: actuators, wiring and times, read from the arm's file."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
+from controller.armfile.error_states import error_state
+from controller.armfile.settings import ActuatorSettings, ArmSettings, RealTimeSettings
+from controller.armfile.strict import InputFaults
+from controller.armfile.terminals import actuator_terminals, owned_terminals
+from drivers.canopen.layout import Unfit, lay_out
+from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
+
+WORDS = ("contracted", "extended")  # of the states 0 and 1
+
+
+@dataclass(frozen=True)
+class ExecutedArm:
+    """An arm of A actuators. Actuator k is bit k of integers of states and of masks.
+
+    Attributes:
+        name: of the arm.
+        actuators: label of each actuator, shape (A,).
+        wiring: buses and boards.
+        timing: of boards and actuators.
+        inrush: most actuators that may switch at once; None: no limit.
+        rest: rest time of an actuator between two travels [s].
+        planner_timeout: after this silence of the planner the program ends and the arm holds [s].
+        locked: mask of the actuators that the file declares stuck.
+        locked_states: their states.
+        continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
+        contract_on_stop: contract all actuators before the executor ends.
+        ending: longest time of this contraction [s].
+        real_time: field `real_time` of the arm's file.
+        digest: SHA-256 of the file, in hexadecimal.
+    """
+
+    name: str
+    actuators: tuple[str, ...]
+    wiring: Wiring
+    timing: Timing
+    inrush: int | None = None
+    rest: float = 0.0
+    planner_timeout: float = 1.0
+    locked: int = 0
+    locked_states: int = 0
+    continue_on_stuck: bool = False
+    contract_on_stop: bool = False
+    ending: float = 10.0
+    real_time: RealTimeSettings | None = None
+    digest: str = ""
+
+    @property
+    def most(self) -> int:
+        """Most actuators that may switch at once."""
+        return len(self.actuators) if self.inrush is None else self.inrush
+
+
+def read_arm(path: Path) -> ExecutedArm:
+    """Reads an arm's file that maps actuators to boards.
+
+    Raises:
+        InputFaults: the file is missing or wrong; one line for each fault, with the path of its field.
+    """
+    settings, actuators, wired = read_wired(path)
+    wiring = wiring_of(settings, actuators, wired)
+    if faults := layout_faults(settings, wiring):
+        raise InputFaults(path, faults)
+    return ExecutedArm(
+        name=settings.name,
+        actuators=actuators,
+        wiring=wiring,
+        timing=timing_of(settings),
+        inrush=settings.inrush,
+        rest=settings.rest_time,
+        planner_timeout=settings.planner_timeout,
+        locked=sum(1 << k for k, entry in enumerate(wired) if entry.stuck is not None),
+        locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == WORDS[1]),
+        continue_on_stuck=settings.on_stuck == "continue",
+        contract_on_stop=settings.on_stop == "contract",
+        ending=ending_time(settings, len(actuators)),
+        real_time=settings.real_time,
+        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
+    )
+
+
+def layout_faults(settings: ArmSettings, wiring: Wiring) -> list[str]:
+    """Returns why the process data do not fit on the boards, with the first field that does not; empty if they do."""
+    try:
+        lay_out(wiring)
+    except Unfit as misfit:
+        for path, _, it in owned_terminals(settings):
+            if (it.kind, it.board, it.bit // 8) == (misfit.kind, misfit.board, misfit.byte):
+                return [f"{path}: {it.bit}, but {misfit}"]
+    return []
+
+
+def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[ActuatorSettings, ...]) -> Wiring:
+    """Returns buses and actuators as the drivers need them."""
+    boards = settings.boards
+    return Wiring(
+        buses=tuple(BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses),
+        channels=tuple(channel_of(settings, label, entry) for label, entry in zip(actuators, wired, strict=True)),
+        on_loss=boards.on_loss,
+        shared_rpdo=boards.shared_rpdo,
+        error_state=error_state(boards.error_state),
+        nodes=tuple(
+            NodeSettings(**{**msgspec.structs.asdict(node), "error_state": error_state(node.error_state)})
+            for node in boards.nodes
+        ),
+        interlocks=tuple(
+            Interlock(name, lock.bus, lock.node, lock.input, lock.inverted)
+            for name, lock in settings.interlocks.items()
+        ),
+    )
+
+
+def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:
+    """Returns one actuator as the drivers need it."""
+    lines = {terminal.field: terminal for terminal in actuator_terminals(entry)}
+    bits = {name: line.bit for name, line in lines.items()}
+    own = entry.bus, entry.node
+    others = {name: BoardId(*line.board) for name, line in lines.items() if line.board != own}
+    return Channel(
+        actuator=label,
+        bus=entry.bus,
+        node=entry.node,
+        output=bits["output"],
+        input=bits.get("input"),
+        output_off=bits.get("output_off"),
+        input_contracted=bits.get("input_contracted"),
+        inverted=frozenset(name for name, line in lines.items() if line.inverted),
+        pulse=entry.pulse,
+        travel=travel_times(settings, entry),
+        settle_margin=entry.settle_margin,
+        on_loss=entry.on_loss,
+        input_board=others.get("input"),
+        input_contracted_board=others.get("input_contracted"),
+    )
+
+
+def timing_of(settings: ArmSettings) -> Timing:
+    """Returns the times as the drivers need them."""
+    boards = settings.boards
+    return Timing(
+        heartbeat=boards.heartbeat,
+        heartbeat_timeout=boards.heartbeat_timeout,
+        boot_timeout=boards.boot_timeout,
+        travel_time=longest_travel(settings),
+        settle_margin=boards.settle_margin,
+    )

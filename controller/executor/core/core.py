@@ -1,0 +1,299 @@
+"""The core of the executor: takes events and returns actions. It has no clock, no I/O and no threads."""
+
+import logging
+import math
+import traceback
+from collections.abc import Callable
+from typing import ParamSpec
+
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.ending import Ending
+from controller.executor.core.events import (
+    Action,
+    Client,
+    ClientGone,
+    Defect,
+    Event,
+    FromClient,
+    Health,
+    Log,
+    Notify,
+    Quit,
+    Send,
+    Tick,
+    ToClient,
+)
+from controller.executor.core.locked import LockedActuators
+from controller.executor.core.modes import Modes
+from controller.executor.core.reports import Reports
+from controller.executor.core.requests import Requests
+from controller.executor.core.results import Results
+from controller.executor.motion.motion import Motion
+from controller.executor.process.clients import Clients
+from controller.executor.process.switch_journal import SwitchJournal
+from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
+from drivers.canopen.faults import Fault
+from drivers.canopen.run.master import Master
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Echoed, Received
+
+PERIOD = 0.01  # [s] between two ticks
+LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay
+DEFECT = Fault("internal-error", "executor", "internal error, see the log; the arm holds")
+
+P = ParamSpec("P")
+
+
+class Executor:
+    """Runs motion programs on the boards of an arm.
+
+    Attributes:
+        journal: counts switches.
+        reports: snapshots and diagnostics.
+        modes: mode and active faults.
+        motion: the running program or stream.
+        ending: the actions before the process ends.
+
+    Args:
+        arm: the arm.
+        journal: counts switches.
+        instance: random number that identifies this run.
+        watchdog: systemd's watchdog time [s]; None without a watchdog.
+        build_master: returns the CANopen master; tests pass their own.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        journal: SwitchJournal,
+        instance: int,
+        watchdog: float | None = None,
+        build_master: Callable[..., Master] = Master,
+    ) -> None:
+        self.journal = journal
+        self._arm, self._instance, self._watchdog = arm, instance, watchdog
+        self._actions: list[Action] = []
+        self._master = master = build_master(arm.wiring, arm.timing, self._send)
+        self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
+        self._results = Results(clients.to_planner, journal)
+        self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
+        self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)
+        self.reports = Reports(arm, master, motion, locked, journal)
+        self.modes = Modes(master, motion, locked, self.reports, self._act)
+        self._requests = Requests(arm, motion, locked, self.modes, clients, self._act)
+        self.ending = Ending(arm, motion, locked, self.modes, self._act)
+        self._last_tick: float | None = None
+        self._awake = 0.0  # until the last tick [s]
+        self._next_beat = 0.0
+        self._healthy = True
+        self._handed_out = False  # this step sends frames; the snapshot comes with the next step, to not delay them
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process may end now, after a `Quit`."""
+        return self.ending.over
+
+    @property
+    def collecting(self) -> bool:
+        """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
+        return self._master.collecting
+
+    @property
+    def calm(self) -> bool:
+        """Whether no commit and no procedure with a board is under way, so that the core can be pickled."""
+        return self._master.calm and not self.motion.busy
+
+    def step(self, event: Event, now: float) -> list[Action]:
+        """Handles an event.
+
+        Args:
+            event: of a bus, a client or the loop.
+            now: CLOCK_MONOTONIC, or any clock that never goes back [s].
+
+        Returns:
+            The actions, in order.
+        """
+        self._healthy, self._handed_out = True, False
+        self.motion.clock = self._clock(now)
+        if self._last_tick is not None:
+            self._guarded(self._look_back, now)
+        self._guarded(self._handle, event, now)
+        if not (isinstance(event, Echoed) and self.collecting):  # one echo of many, nothing has changed
+            self._guarded(self._conclude, on_bus(event, now), now)
+        self._guarded(self._requests.answer_held, now)
+        if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
+            self._guarded(self._show, now)
+        actions, self._actions = self._actions, []
+        return actions
+
+    def _guarded(self, work: Callable[P, None], *arguments: P.args, **more: P.kwargs) -> None:
+        """Runs a part of a step. An exception in it becomes the fault internal-error, and the arm holds."""
+        try:
+            work(*arguments, **more)
+        except Exception:
+            now = arguments[-1]
+            self._fail(traceback.format_exc(), now)  # type: ignore[arg-type]
+
+    def _fail(self, text: str, now: float) -> None:
+        """Holds after a defect."""
+        self._healthy = False
+        if self.modes.faults.add(DEFECT):  # logged once, not at each tick
+            self._act(Log(logging.ERROR, f"internal error\n{text}"))
+        self.modes.fail(DEFECT, now)
+
+    def _look_back(self, now: float) -> None:
+        """Checks first whether the process was halted: then the waiting events are stale."""
+        fault = self._master.halted(now)
+        if fault is not None:
+            self.modes.fail(fault, now)
+
+    def _handle(self, event: Event, now: float) -> None:
+        match event:
+            case Tick():
+                self._tick(now)
+            case FromClient():
+                self._hear(event.client, event.message, now)
+            case Health():
+                self.reports.take_health(event)
+                self._clients.to_all(self.reports.diagnostics(now))
+            case ClientGone():
+                if self._clients.remove(event.client):
+                    self._lose_planner("the planner is gone")
+            case Defect():
+                self._fail(event.text, now)
+            case Quit():
+                self._quit(now)
+            case _:
+                self._master.take(event, now)
+
+    def _conclude(self, at: float | None, now: float) -> None:
+        """Records what the event has changed on the boards; `at` is the time of its frame on the bus [s]."""
+        self.modes.update(now)
+        self.motion.conclude(at, now)
+        fault = self.motion.actuation.fault
+        if fault is not None:
+            self.motion.actuation.fault = None
+            self.modes.fail(fault, now)
+
+    # --- time
+
+    def _tick(self, now: float) -> None:
+        if self._last_tick is None:
+            self._act(Notify("READY=1"))
+            self._act(Notify(f"STATUS={self.modes.mode}: {self.modes.reason}"))
+            if (warning := self.ending.warning()) is not None:
+                self._act(Log(logging.WARNING, warning))
+            self.modes.boot(self.modes.reason, now)
+        self._awake, self._last_tick = self._clock(now), now
+        self._master.tick(now)
+        self._conclude(None, now)
+        self.motion.actuation.tick(now)
+        for fault in self.motion.actuation.overdue(now):
+            self.modes.fail(fault, now)
+        for finding in self.motion.supervise(now):
+            if finding.fault.code == "stuck":
+                self._locked.note_stuck(finding.actuator)
+            self.modes.fail(finding.fault, now)
+        if self._clients.fell_silent(self.motion.clock):
+            self._lose_planner("the planner is silent")
+        self._advance(now)
+        self.ending.advance(now)
+        self.modes.recover(now)
+        self._report(now)
+
+    def _advance(self, now: float) -> None:
+        """Advances the running program or stream."""
+        if self.modes.mode == "executing":
+            end = self.motion.advance(now)
+            if end is not None:
+                self.modes.hold(*end)
+
+    def _report(self, now: float) -> None:
+        if self.reports.snapshot_due(now):
+            self._show(now)
+        if self.reports.diagnostics_due(now):
+            self._clients.to_all(self.reports.diagnostics(now))
+        if self._watchdog and self._healthy and now >= self._next_beat:
+            self._act(Notify("WATCHDOG=1"))
+            self._next_beat = now + self._watchdog / 4
+
+    def _show(self, now: float) -> None:
+        modes = self.modes
+        self._clients.to_all(self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, modes.faults.all()))
+
+    def _clock(self, now: float) -> float:
+        """Returns the executor's awake time [s], which does not grow while a tick is late."""
+        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST))
+
+    # --- clients
+
+    def _hear(self, client: Client, message: Down, now: float) -> None:
+        if client == self._clients.planner:
+            self._clients.hear(self.motion.clock)
+        match message:
+            case Hello():
+                self._greet(client, message)
+            case _ if client not in self._clients.roles:
+                self._to_client(client, Goodbye("Hello must be the first message"))
+            case Acknowledge() if client == self._clients.planner:
+                self._results.acknowledge(message.result)
+            case Counts() if client == self._clients.planner:
+                self.journal.raise_to(message.counts)
+            case _:
+                self._requests.take(client, message, now)
+                self._advance(now)  # a stage that is due now does not wait for the tick
+
+    def _greet(self, client: Client, hello: Hello) -> None:
+        if self._clients.greet(client, hello, self.motion.clock):
+            arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
+            self._to_client(client, Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest))
+            if hello.role == "planner":
+                self._results.send_again()
+            self.reports.changed = True
+
+    def _lose_planner(self, why: str) -> None:
+        """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.
+
+        At the end of the executor nothing that the planner asked for runs any more.
+        """
+        self.modes.new_epoch()
+        if not self.ending.begun:
+            self._hold(why)
+
+    def _hold(self, why: str) -> None:
+        self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
+
+    def _quit(self, now: float) -> None:
+        """Ends the running program with a result; a second call waits for no stage and no contraction."""
+        if self.ending.begun:
+            self.ending.abandon()
+            self.motion.close()
+            self._results.send_counts()
+            self._requests.answer_held(math.inf)
+            return
+        self._requests.quitting = True
+        self._hold("the executor is shutting down")
+        self.ending.begin(now)
+
+    # --- actions
+
+    def _act(self, action: Action) -> None:
+        self._actions.append(action)
+
+    def _send(self, bus: str, frame: Frame) -> None:
+        self._actions.append(Send(bus, frame))
+        self._handed_out = True
+
+    def _to_client(self, client: Client, message: Up) -> None:
+        self._actions.append(ToClient(client, message))
+
+
+def on_bus(event: Event, now: float) -> float | None:
+    """Returns the time of an event's frame on the bus [s]; None for other events and for SDO answers.
+
+    The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
+    """
+    if not isinstance(event, Echoed | Received) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
+        return None
+    return now if event.at is None else min(event.at, now)

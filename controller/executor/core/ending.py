@@ -1,0 +1,123 @@
+"""The end of the executor: contracts the arm first if `on_stop` says so, and warns of what the boards do after it."""
+
+import logging
+from collections.abc import Callable
+
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.bits import first
+from controller.executor.core.events import Action, Log, Notify
+from controller.executor.core.locked import LockedActuators
+from controller.executor.core.modes import Modes
+from controller.executor.motion.motion import Motion
+from controller.executor.motion.setpoint_stream import SetpointStream
+from controller.program import Setpoint, pack
+
+
+class Ending:
+    """Contracts the arm before the executor ends, with `on_stop: contract`; otherwise warns of what the boards will do.
+
+    Attributes:
+        begun: whether the end was requested.
+        patience: longest time of the contraction [s].
+
+    Args:
+        arm: the arm.
+        motion: switches and supervises the actuators.
+        locked: the locked actuators.
+        modes: of the executor.
+        act: takes actions.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        motion: Motion,
+        locked: LockedActuators,
+        modes: Modes,
+        act: Callable[[Action], None],
+    ) -> None:
+        self.begun, self.patience = False, 0.0
+        self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
+        self._contracting = self._pulsing = False
+        self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
+        levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
+        self._let_go = sum(1 << k for k in range(len(arm.actuators)) if levels[k] == 0 and k not in pairs.values())
+        self._let_go |= sum(1 << k for line, k in pairs.items() if levels[line] == 1)
+
+    @property
+    def over(self) -> bool:
+        """Whether the executor may end: no stage, pulse or contraction is running."""
+        motion = self._motion
+        return self.begun and not (self._contracting or motion.committing or self._pulsing)
+
+    def warning(self) -> str | None:
+        """Returns a sentence on what the boards do after the executor has ended; None if they hold."""
+        count = self._let_go.bit_count()
+        if not count or self._arm.contract_on_stop:
+            return None
+        which = f"all {count} actuators" if count == len(self._arm.actuators) else f"{count} actuators"
+        return f"when the executor has ended, the boards contract {which} (on_loss: contract)"
+
+    def begin(self, now: float) -> None:
+        """Starts the end: contracts the arm if `on_stop` says so and the mode is ready."""
+        self.begun, self._pulsing = True, self._motion.actuation.pulsing(now)
+        self._act(Notify("STOPPING=1"))
+        warning, modes = self.warning(), self._modes
+        if not self._arm.contract_on_stop:
+            if warning is not None:
+                self._act(Log(logging.WARNING, warning))
+                modes.enter(modes.mode, f"the executor is shutting down; {warning}")
+        elif modes.mode != "ready":
+            self._act(Log(logging.WARNING, f"the arm does not contract before the end (on_stop): it is {modes.mode}"))
+        else:
+            self._contracting, self.patience = True, self._arm.ending
+            self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.patience + 5) * 1e6)}"))
+            self._contract()
+
+    def advance(self, now: float) -> None:
+        """Ends the contraction when the arm is contracted or cannot be. Call every period."""
+        motion, modes, stream = self._motion, self._modes, self._stream
+        self._pulsing = motion.actuation.pulsing(now)
+        if not self._contracting:
+            return
+        if modes.mode not in ("ready", "executing") or (stream is not None and motion.stream is not stream):
+            self.abandon()
+        elif motion.busy:  # a commit that was under way at the request
+            return
+        elif stream is None or stream.start != motion.actuation.states:
+            self._contract()
+        elif not stream.stages and not motion.moving and now >= motion.actuation.free_at:
+            self._contracting = False
+            modes.hold("done", "", "contracted before the end of the executor")
+
+    def abandon(self) -> None:
+        """Ends a contraction that is not complete, and says why."""
+        if self._contracting:
+            self._contracting = False
+            modes = self._modes
+            text = f"the arm is not contracted before the end (on_stop): it is {modes.mode}: {modes.reason}"
+            self._act(Log(logging.WARNING, text))
+
+    def _contract(self) -> None:
+        """Starts to contract all actuators but the locked ones, as many at once as `inrush` permits.
+
+        A commit that is under way ends first: until then the states are not known.
+        """
+        if self._motion.busy:
+            return
+        states, size = self._motion.actuation.states, len(self._arm.actuators)
+        stages, rest = list[bytes](), states & ~self._locked.mask
+        while rest:
+            rest &= ~first(rest, self._arm.most)
+            stages.append(pack(rest | (states & self._locked.mask), size))
+        reason = "contracting before the end of the executor"
+        message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
+        stream = SetpointStream(message, self._arm.most, self._locked, size)
+        if not stages and not self._motion.homing:
+            self._contracting = False
+            return
+        if not stages:  # only actuators of unknown state: homing them is enough
+            stream.stages = [stream.start]
+        self._motion.follow(stream)
+        self._stream = self._motion.stream
+        self._modes.enter("executing", reason)

@@ -1,0 +1,131 @@
+"""Kinds of actuators: which outputs command a state, and which state the end-stops tell."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from controller.executor.core.bits import indices, merged
+from drivers.canopen.wiring import Interlock, Timing, Wiring
+
+
+class Ends(NamedTuple):
+    """What the end-stops read, as masks of actuators.
+
+    Attributes:
+        extended: the switch at the extended end reads 1.
+        contracted: the switch at the contracted end reads 1.
+    """
+
+    extended: int
+    contracted: int
+
+
+class Kinds:
+    """The kinds of A actuators; immutable.
+
+    An actuator has one output and a spring, or a pair of outputs. At most one output of a pair is on. While both are
+    off, the actuator stays in its state. Outputs and inputs are masks of lines, in the order of `Wiring`.
+
+    Attributes:
+        everything: mask of all actuators.
+        paired: mask of those with two outputs.
+        pulsed: mask of those with pulsed outputs.
+        pulse: length of the pulse by actuator index [s].
+        ends_extended: mask of those with an end-stop at the extended end.
+        ends_contracted: mask of those with one at the contracted end.
+        sensed: mask of those with at least one end-stop.
+        travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
+        margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
+        interlocks: in the order of their input lines.
+
+    Args:
+        wiring: of the arm.
+        timing: travel time and settle margin of actuators without their own.
+    """
+
+    def __init__(self, wiring: Wiring, timing: Timing) -> None:
+        channels, self._size = wiring.channels, len(wiring.channels)
+        self.everything = (1 << self._size) - 1
+        self._pairs, self._ended = wiring.paired, wiring.ended
+        self.paired, self.ends_contracted = _mask(self._pairs), _mask(self._ended)
+        self.pulse = {k: channel.pulse for k, channel in enumerate(channels) if channel.pulse is not None}
+        self.pulsed = _mask(self.pulse)
+        self.ends_extended = _mask(k for k, channel in enumerate(channels) if channel.input is not None)
+        self.sensed = self.ends_extended | self.ends_contracted
+        times = timing.travel_time
+        self.travel = tuple((times, times) if channel.travel is None else channel.travel for channel in channels)
+        self.margin = tuple(
+            timing.settle_margin if channel.settle_margin is None else channel.settle_margin for channel in channels
+        )
+        self.interlocks = wiring.interlocks
+        self._first_interlock = self._size + len(self._ended)
+
+    def outputs(self, states: int, on: int) -> int:
+        """Returns the outputs that command states.
+
+        Args:
+            states: of all actuators.
+            on: mask of the paired actuators with one output on; the outputs of the others are both off.
+        """
+        if not self.paired:
+            return states
+        return (states & (on | ~self.paired)) | self._off_lines(on & ~states)
+
+    def without(self, outputs: int, actuators: int) -> int:
+        """Returns `outputs` with both outputs of some paired actuators off."""
+        return outputs & ~(actuators | self._off_lines(actuators))
+
+    def on(self, outputs: int) -> tuple[int, int]:
+        """Returns two masks of paired actuators: extending output on, contracting output on."""
+        if not self.paired:
+            return 0, 0
+        contracting = outputs >> self._size
+        return outputs & self.paired, _mask(k for i, k in enumerate(self._pairs) if contracting >> i & 1)
+
+    def states(self, outputs: int, before: int) -> int:
+        """Returns the states that outputs command; `before` where both outputs of a pair are off, or both on."""
+        if not self.paired:
+            return outputs & self.everything
+        extending, contracting = self.on(outputs)
+        return merged((extending ^ contracting) | ~self.paired, outputs, before) & self.everything
+
+    def ends(self, inputs: int) -> Ends:
+        """Returns what the end-stops read."""
+        contracted = inputs >> self._size if self._ended else 0
+        return Ends(inputs & self.ends_extended, _mask(k for i, k in enumerate(self._ended) if contracted >> i & 1))
+
+    def definite(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stops tell a state.
+
+        An actuator with two end-stops tells none between its ends, and none if both read 1.
+        """
+        both = self.ends_extended & self.ends_contracted
+        return self.sensed & ~(both & ~(ends.extended ^ ends.contracted))
+
+    def measured(self, ends: Ends, commanded: int) -> int:
+        """Returns the states that the end-stops tell; `commanded` where they tell none."""
+        reads = merged(self.ends_extended, ends.extended, ~ends.contracted)
+        return merged(self.definite(ends), reads, commanded)
+
+    def open(self, inputs: int, known: int) -> list[Interlock]:
+        """Returns the interlocks that are open.
+
+        Args:
+            inputs: levels of all input lines.
+            known: mask of the lines that are known.
+        """
+        if not self.interlocks:
+            return []
+        opened = (known & ~inputs) >> self._first_interlock
+        return [self.interlocks[i] for i in indices(opened)]
+
+    def longest(self, actuators: int) -> float:
+        """Returns the longest travel time of the actuators of a mask [s]."""
+        return max((max(self.travel[k]) for k in indices(actuators)), default=0.0)
+
+    def _off_lines(self, actuators: int) -> int:
+        lines = self._size
+        return sum(1 << lines + i for i, k in enumerate(self._pairs) if actuators >> k & 1)
+
+
+def _mask(actuators: Iterable[int]) -> int:
+    return sum(1 << k for k in actuators)

@@ -1,0 +1,97 @@
+"""Locked actuators: which actuators cannot move, and in which state."""
+
+from collections.abc import Sequence
+
+from controller.executor.core.arm import WORDS
+from controller.executor.core.bits import first, indices, merged
+from drivers.canopen.faults import Fault
+
+
+class LockedActuators:
+    """The locked actuators of one arm.
+
+    An actuator is locked by the arm's file, by a request, or after a stuck fault. An end-stop reading overrides a
+    declared state.
+
+    Attributes:
+        mask: of the locked actuators.
+        states: their states; 0 elsewhere.
+        number: grows with each change.
+        continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
+
+    Args:
+        labels: of all actuators, shape (A,).
+        mask: locked at first.
+        states: their states.
+        continue_on_stuck: see above.
+    """
+
+    def __init__(self, labels: Sequence[str], mask: int = 0, states: int = 0, continue_on_stuck: bool = False) -> None:
+        self.mask, self.states, self.number = mask, states & mask, 0
+        self.continue_on_stuck = continue_on_stuck
+        self._labels, self._stuck = labels, 0
+
+    def note_stuck(self, actuator: int) -> None:
+        """Marks a stuck actuator for `lock_as_measured`, if `continue_on_stuck` is set."""
+        if self.continue_on_stuck:
+            self._stuck |= 1 << actuator
+
+    def refusal(self, actuator: int, state: int, measured: int, readable: int) -> str | None:
+        """Returns why an actuator cannot be locked in a state, or None.
+
+        Args:
+            actuator: index.
+            state: 0 or 1; -1 to unlock it.
+            measured: states.
+            readable: mask of the actuators whose end-stop can be read now.
+        """
+        if actuator >= len(self._labels):
+            return f"the arm has {len(self._labels)} actuators, there is none of index {actuator}"
+        reading = measured >> actuator & 1
+        if state >= 0 and readable >> actuator & 1 and reading != state:
+            return f"state: the end-stop of {self._labels[actuator]} reads {WORDS[reading]}"
+        return None
+
+    def change(self, actuator: int, state: int) -> None:
+        """Locks an actuator in a state, 0 or 1, or unlocks it with -1."""
+        bit = 1 << actuator
+        self._stuck &= ~bit
+        self._set(merged(bit, -1 if state >= 0 else 0, self.mask), merged(bit, -1 if state > 0 else 0, self.states))
+
+    def lock_as_measured(self, measured: int, readable: int) -> None:
+        """Locks the stuck actuators. Locked actuators with a readable end-stop get the measured state."""
+        mask = self.mask | self._stuck
+        self._set(mask, merged((mask & readable) | self._stuck, measured, self.states))
+        self._stuck = 0
+
+    def aligned(self, states: int) -> int:
+        """Returns `states` with each locked actuator in its locked state."""
+        return merged(self.mask, self.states, states)
+
+    def realigned(self, outputs: int, most: int) -> int:
+        """Returns the states after the next stage that brings locked actuators to their locked states.
+
+        Args:
+            outputs: states before; returned unchanged if all locked actuators have their locked state.
+            most: actuators that may switch at once.
+        """
+        return outputs ^ first(outputs ^ self.aligned(outputs), most)
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Returns the warning "degraded" for each locked actuator; it does not stop the arm."""
+        words = ((self._labels[k], WORDS[self.states >> k & 1]) for k in indices(self.mask))
+        return tuple(
+            Fault("degraded", label, f"actuator {label} is locked {state}: no program may switch it")
+            for label, state in words
+        )
+
+    def sentence(self) -> str:
+        """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
+        names = [f"{self._labels[k]} ({WORDS[self.states >> k & 1]})" for k in indices(self.mask)]
+        return f"locked: {', '.join(names)}" if names else "no actuator is locked"
+
+    def _set(self, mask: int, states: int) -> None:
+        states &= mask
+        if (mask, states) != (self.mask, self.states):
+            self.mask, self.states = mask, states
+            self.number += 1

@@ -1,0 +1,192 @@
+"""The modes of the executor: starting, ready, executing, fault, stopped; and the active faults."""
+
+import logging
+from collections.abc import Callable
+
+from controller.executor.core.events import Action, Log, Notify
+from controller.executor.core.locked import LockedActuators
+from controller.executor.core.reports import Reports
+from controller.executor.motion.motion import Motion
+from controller.host.journal import fields_of_fault, fields_of_mode
+from controller.program import Mode
+from drivers.canopen.faults import Fault
+from drivers.canopen.run.master import Master
+
+RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
+# Codes of faults that clear by themselves.
+CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
+
+
+class ActiveFaults:
+    """The active faults of the arm, in the order of their reports.
+
+    Args:
+        others: further codes of faults that clear by themselves.
+    """
+
+    def __init__(self, others: frozenset[str] = frozenset()) -> None:
+        self._clearing = CLEARING | others
+        self._faults: dict[tuple[str, str], Fault] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._faults)
+
+    def add(self, fault: Fault) -> bool:
+        """Adds a fault; returns whether it is new."""
+        new = (fault.code, fault.source) not in self._faults
+        self._faults.setdefault((fault.code, fault.source), fault)
+        return new
+
+    def clear(self) -> None:
+        """Removes all faults."""
+        self._faults.clear()
+
+    @property
+    def clearing(self) -> bool:
+        """Whether every active fault clears by itself."""
+        return all(code in self._clearing for code, _ in self._faults)
+
+    def all(self) -> tuple[Fault, ...]:
+        """Returns the faults, the oldest first."""
+        return tuple(self._faults.values())
+
+    def sentence(self) -> str:
+        """Returns the message of the oldest fault, and the number of the others."""
+        first, *others = self._faults.values()
+        return first.message + (f" (and {len(others)} more)" if others else "")
+
+
+class Modes:
+    """The mode and the active faults.
+
+    Attributes:
+        mode: of the executor.
+        reason: a sentence on the mode.
+        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, end of a boot, and loss of
+            the planner.
+        faults: active faults.
+
+    Args:
+        master: of the boards.
+        motion: switches and supervises the actuators.
+        locked: the locked actuators.
+        reports: gets the flag `changed`.
+        act: takes actions.
+    """
+
+    def __init__(
+        self, master: Master, motion: Motion, locked: LockedActuators, reports: Reports, act: Callable[[Action], None]
+    ) -> None:
+        self.mode: Mode = "starting"
+        self.reason = "the boards are being booted"
+        self.epoch = 1
+        self.faults = ActiveFaults(frozenset({"stuck"} if locked.continue_on_stuck else ()))
+        self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
+        self._booting = self._waits = False  # a boot is under way, or waits for the end of a pulse
+        self._next_try = 0.0
+
+    def enter(self, mode: Mode, reason: str) -> None:
+        """Enters a mode, and reports it to the log and to systemd."""
+        if (mode, reason) != (self.mode, self.reason):
+            level = logging.WARNING if mode in ("fault", "stopped") else logging.INFO
+            self._act(Log(level, f"{mode}: {reason}", fields_of_mode(mode)))
+            self._act(Notify(f"STATUS={mode}: {reason}"))
+        self.mode, self.reason, self._reports.changed = mode, reason, True
+
+    def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:
+        """Ends what runs, gives up the frames that wait, and enters a mode. Every end of a motion comes here.
+
+        Boards keep what they have latched, and the next commit replaces it before its SYNC. What was handed out
+        already and switches, `Actuation.under_way`, cannot be given up.
+
+        Args:
+            status: of the result of a program.
+            message: of the result of a program.
+            reason: a sentence for the mode.
+            mode: to enter; "ready" is entered from "executing" only, since the arm holds in the other modes.
+        """
+        self._motion.hold(status, message)
+        if mode != "ready" or self.mode == "executing":
+            self.enter(mode, reason)
+
+    def new_epoch(self) -> None:
+        """Begins an epoch: programs and streams of earlier epochs are refused, so the planner must plan again."""
+        self.epoch += 1
+        self._reports.changed = True
+
+    def boot(self, reason: str, now: float) -> None:
+        """Boots the boards; `update` finds the end of the boot."""
+        self.faults.clear()
+        self._booting = self._waits = True
+        self._motion.supervision.reset(0, 0, self._motion.ends, self._motion.clock)
+        self.enter("starting", reason)
+        self._begin_boot(now)
+
+    def update(self, now: float) -> None:
+        """Takes the master's faults, and finds the end of a boot. Call after each event."""
+        for fault in self._master.take_faults():
+            self.fail(fault, now)
+        self._begin_boot(now)
+        if self._booting and not self._waits and not self._master.booting:
+            self._booting = False
+            if self.mode == "starting":  # after a stop, only Reset boots
+                self._booted(now)
+        if not self._booting:
+            for fault in self._motion.interlocks():
+                self.fail(fault, now)
+
+    def fail(self, fault: Fault, now: float) -> None:
+        """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
+        if self.faults.add(fault):
+            self._log(logging.ERROR, fault)
+        if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._booting):
+            self._enter_fault(fault.message, fault.message, now)
+        else:
+            self.hold("aborted", fault.message, self.reason, self.mode)
+
+    def recover(self, now: float) -> None:
+        """Leaves mode fault without a Reset if every fault clears by itself and all boards are heard again."""
+        if self.mode != "fault" or now < self._next_try or not self.faults.clearing:
+            return
+        self._next_try = now + RETRY
+        self._master.probe_silent(now)
+        if self._master.back and not self._motion.moving:
+            self.boot("the boards are back and are being booted", now)
+
+    def hold_measured(self, now: float) -> None:
+        """Adopts the measured states and enters mode ready."""
+        self._locked.lock_as_measured(self._motion.read, self._motion.definite)
+        self._motion.adopt(now)
+        self._motion.supervision.accept(self._motion.measured, self._master.known)
+        self.new_epoch()
+        locked = f", {self._locked.sentence()}" if self._locked.mask else ""
+        self.enter("ready", f"holding what the boards measured{locked}")
+
+    def _begin_boot(self, now: float) -> None:
+        """Starts the master's boot when no switch is under way, and no pulse is on: the boot would delay its end."""
+        actuation = self._motion.actuation
+        if self._waits and not actuation.pulsing(now) and not actuation.under_way:
+            self._waits = False
+            self._master.boot(now)
+
+    def _booted(self, now: float) -> None:
+        for fault in (*self._master.boot_faults, *self._motion.interlocks()):
+            if self.faults.add(fault):
+                self._log(logging.ERROR, fault)
+        for warning in self._master.warnings():
+            self._log(logging.WARNING, warning)
+        if self.faults:
+            self._enter_fault("", self.faults.sentence(), now)
+        else:
+            self._motion.adopt(now)
+            motion = self._motion
+            motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
+            self.hold_measured(now)
+
+    def _log(self, level: int, fault: Fault) -> None:
+        self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))
+
+    def _enter_fault(self, message: str, reason: str, now: float) -> None:
+        self.new_epoch()
+        self._next_try = now + RETRY
+        self.hold("aborted", message, reason, "fault")

@@ -1,0 +1,114 @@
+"""Snapshots 20 times a second and on each change, and diagnostics once a second."""
+
+from dataclasses import asdict
+
+from controller.executor.core.arm import WORDS, ExecutedArm
+from controller.executor.core.bits import indices
+from controller.executor.core.events import Health
+from controller.executor.core.locked import LockedActuators
+from controller.executor.motion.motion import Motion
+from controller.executor.process.switch_journal import SwitchJournal
+from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
+from drivers.canopen.faults import Fault as BoardFault
+from drivers.canopen.run.master import Master
+
+SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
+MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a snapshot fits one message
+
+
+class Reports:
+    """Makes snapshots and diagnostics when they are due.
+
+    Attributes:
+        changed: whether something has changed since the last snapshot.
+        real_time: "off", "on", or a sentence on what is missing.
+
+    Args:
+        arm: the arm.
+        master: CANopen master of the boards.
+        motion: switches and supervises the actuators.
+        locked: the locked actuators.
+        journal: counts switches.
+    """
+
+    def __init__(
+        self, arm: ExecutedArm, master: Master, motion: Motion, locked: LockedActuators, journal: SwitchJournal
+    ) -> None:
+        self.changed = True
+        self.real_time = "off"
+        self._health = Health({}, 0, None)
+        self._arm, self._master, self._motion, self._locked, self._journal = arm, master, motion, locked, journal
+        self._size = len(arm.actuators)
+        self._next_snapshot = self._next_diagnostics = 0.0
+        self._shown: tuple[int, ...] = ()
+
+    def snapshot_due(self, now: float) -> bool:
+        """Returns whether a snapshot is due at this tick: by time, or because the state has changed."""
+        motion = self._motion
+        shown = (motion.actuation.states, motion.measured, motion.known, int(motion.moving))
+        self.changed |= shown != self._shown
+        self._shown = shown
+        return self.changed or now >= self._next_snapshot
+
+    def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[BoardFault, ...]) -> Snapshot:
+        """Returns the state of the executor."""
+        self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
+        motion, size = self._motion, self._size
+        execution, stream = motion.execution, motion.stream
+        measured, known = motion.packed()
+        every = faults + self._locked.faults() + self._master.warnings() + self._own()
+        return Snapshot(
+            at=now,
+            mode=mode,
+            reason=reason[:1_000],
+            epoch=epoch,
+            outputs=pack(motion.actuation.states, size),
+            measured=measured,
+            known=known,
+            sensed=pack(motion.kinds.sensed, size),
+            homing=pack(motion.homing & self._master.known, size),
+            locked=pack(self._locked.mask, size),
+            locks=self._locked.number,
+            moving=motion.moving,
+            free_at=motion.actuation.free_at,
+            program=-1 if execution is None else execution.program.program,
+            mark=-1 if execution is None else execution.mark,
+            stream=-1 if stream is None else stream.number,
+            faults=tuple(
+                Fault(fault.code, fault.source[:100], fault.message[:MOST_TEXT]) for fault in every[:MOST_FAULTS]
+            ),
+        )
+
+    def take_health(self, health: Health) -> None:
+        """Takes the figures of the process."""
+        self.changed |= health.journal != self._health.journal
+        self._health = health
+
+    def diagnostics_due(self, now: float) -> bool:
+        """Returns whether diagnostics are due."""
+        return now >= self._next_diagnostics
+
+    def diagnostics(self, now: float) -> Diagnostics:
+        """Returns the health of loop, buses and boards."""
+        self._next_diagnostics = now + DIAGNOSTICS_EVERY
+        status = self._master.status()
+        return Diagnostics(
+            at=now,
+            loop=self._health.loop,
+            buses=[asdict(bus) for bus in status.buses],
+            boards=[asdict(board) for board in status.boards],
+            real_time=self.real_time[:1_000],
+            counts=tuple(self._journal.counts),
+            waits=self._motion.clearances.waits,
+            dropped=self._health.dropped,
+        )
+
+    def _own(self) -> tuple[BoardFault, ...]:
+        problem = self._health.journal
+        journal = () if problem is None else (BoardFault("journal", "executor", problem),)
+        return journal + tuple(self._unknown(k) for k in indices(self._motion.homing & self._master.known))
+
+    def _unknown(self, k: int) -> BoardFault:
+        label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]
+        text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
+        return BoardFault("unknown-position", label, text)

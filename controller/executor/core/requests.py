@@ -1,0 +1,264 @@
+"""Requests of clients: programs, set-points, cancel, halt, reset, lock."""
+
+import logging
+from collections.abc import Callable
+from typing import NamedTuple
+
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.events import Action, Client, Log, ToClient
+from controller.executor.core.locked import LockedActuators
+from controller.executor.core.modes import Modes
+from controller.executor.motion.motion import Motion
+from controller.executor.motion.program_execution import Misfit, ProgramExecution, check_stages, checked_states
+from controller.executor.motion.setpoint_stream import SetpointStream
+from controller.executor.process.clients import Clients
+from controller.program import (
+    Accepted,
+    Answer,
+    Cancel,
+    Clearance,
+    Declined,
+    Down,
+    Goodbye,
+    Halt,
+    Lock,
+    Program,
+    Replaced,
+    Replacement,
+    Reset,
+    Setpoint,
+)
+
+TICK = 0.01  # [s]; an answer that waits is looked at with each event, and at each tick
+
+
+class HeldAnswer(NamedTuple):
+    """An answer to a stop or cancel that waits until nothing can switch any more.
+
+    Attributes:
+        client: that asked.
+        request: its number.
+        done: what was done.
+        follows: what holds now; may be empty.
+        switches: number of switches of the executor when the request came.
+        until: the answer is sent at this time at the latest [s].
+    """
+
+    client: Client
+    request: int
+    done: str
+    follows: str
+    switches: int
+    until: float
+
+
+class Requests:
+    """Handles the messages of accepted clients.
+
+    Attributes:
+        quitting: the executor is ending; it accepts no more programs and set-points.
+
+    Args:
+        arm: the arm.
+        motion: switches and supervises the actuators.
+        locked: the locked actuators.
+        modes: of the executor.
+        clients: of the executor.
+        act: takes actions.
+    """
+
+    def __init__(
+        self,
+        arm: ExecutedArm,
+        motion: Motion,
+        locked: LockedActuators,
+        modes: Modes,
+        clients: Clients,
+        act: Callable[[Action], None],
+    ) -> None:
+        self.quitting = False
+        self._arm, self._motion, self._locked = arm, motion, locked
+        self._modes, self._clients, self._act = modes, clients, act
+        self._size = len(arm.actuators)
+        self._program = self._stream = 0  # greatest numbers so far
+        self._held: list[HeldAnswer] = []
+        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK  # [s] for which an answer waits
+
+    @property
+    def greatest(self) -> int:
+        """The greatest number of a program or stream so far."""
+        return max(self._program, self._stream)
+
+    def take(self, client: Client, message: Down, now: float) -> None:
+        """Handles a message."""
+        if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
+            self._act(ToClient(client, Goodbye("an operator may only halt")))
+            return
+        match message:
+            case Program():
+                self._take_program(message, now)
+            case Replacement():
+                self._replace(message)
+            case Setpoint():
+                self._follow(message, now)
+            case Clearance():
+                self._motion.clearances.answer(message)
+            case Cancel():
+                self._cancel(client, message, now)
+            case Halt():
+                self._halt(client, message, now)
+            case Reset():
+                self._answer(client, message.request, *self._reset(now))
+            case Lock():
+                self._lock(client, message, now)
+
+    # --- programs and set-points
+
+    def _take_program(self, message: Program, now: float) -> None:
+        """Starts a program in place of the running one, or declines it."""
+        declined = self._declined(message)
+        if declined is not None:
+            self._clients.to_planner(declined)
+            return
+        self._program = message.program
+        begin = message.begin or now
+        self._motion.run(ProgramExecution(message, begin, self._locked))
+        self._modes.enter("executing", message.name)
+        self._clients.to_planner(Accepted(message.program, begin))
+
+    def _declined(self, message: Program) -> Declined | None:
+        """Returns why a program is declined, or None."""
+        number, mode = message.program, self._modes.mode
+        if self.quitting or mode not in ("ready", "executing"):
+            reason = "the executor is shutting down" if self.quitting else f"the arm is {mode}: {self._modes.reason}"
+            return Declined(number, "mode", reason[:1_000])
+        if message.epoch != self._modes.epoch:
+            return Declined(
+                number, "epoch", "a cancel, stop, reset or fault, or the loss of the planner, came before it began"
+            )
+        if number <= self._program:
+            return Declined(number, "malformed", f"a program of number {self._program} came before")
+        try:
+            start = checked_states(message.start, self._size)
+            if message.homed:
+                checked_states(message.homed, self._size)
+            check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
+        except Misfit as misfit:
+            return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
+        if self._motion.busy:
+            return Declined(number, "moved", "the boards have not confirmed the last switch yet")
+        if start != self._motion.actuation.states:
+            return Declined(number, "moved", "the arm has moved since the program was planned")
+        return None
+
+    def _replace(self, message: Replacement) -> None:
+        """Replaces stages of the running program, or refuses to."""
+        execution = self._motion.execution
+        accepted = execution is not None and execution.program.program == message.program
+        if execution is not None and accepted:
+            try:
+                execution.replace(message, self._arm.most, self._size)
+                self._motion.clearances.forget()  # the planner may know other obstacles now
+            except Misfit as misfit:
+                accepted = False
+                self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))
+        self._clients.to_planner(Replaced(message.program, message.generation, accepted))
+
+    def _follow(self, message: Setpoint, now: float) -> None:
+        """Follows a set-point; ignores one of an earlier stream or epoch."""
+        old = message.stream <= self._program or message.stream < self._stream or message.epoch != self._modes.epoch
+        if old or self.quitting or now > message.until or self._modes.mode not in ("ready", "executing"):
+            return
+        try:
+            stream = SetpointStream(message, self._arm.most, self._locked, self._size)
+        except Misfit as misfit:
+            self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
+            return
+        self._stream = message.stream
+        self._motion.follow(stream)
+        if (self._modes.mode, self._modes.reason) != ("executing", message.reason):
+            self._modes.enter("executing", message.reason)
+
+    # --- cancel, halt, reset, lock
+
+    def _cancel(self, client: Client, message: Cancel, now: float) -> None:
+        """Ends one program, or whatever is running."""
+        execution, followed = self._motion.execution, self._motion.stream is not None
+        if message.program is not None and (execution is None or execution.program.program != message.program):
+            self._answer(client, message.request, True, f"program {message.program} is not running")
+            return
+        name = "following" if execution is None else execution.program.name
+        if message.program is None:
+            self._modes.new_epoch()
+        done = ("canceled", "") if execution or followed else ("there was no goal to cancel", "the arm holds")
+        self._hold_answer(client, message.request, *done, now)
+        self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
+
+    def _halt(self, client: Client, message: Halt, now: float) -> None:
+        """Stops: nothing moves until a reset."""
+        self._modes.new_epoch()
+        self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
+        self._modes.hold(
+            "aborted", "stopped; the arm holds", "a stop was requested; the arm holds until reset", "stopped"
+        )
+
+    def _hold_answer(self, client: Client, request: int, done: str, follows: str, now: float) -> None:
+        self._motion.conclude(None, now)  # what was switched before the request is not "under way"
+        held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
+        self._held.append(held)
+
+    def answer_held(self, now: float) -> None:
+        """Answers each stop and cancel as soon as no frame that was handed out can switch an actuator any more.
+
+        A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer: the answer tells so.
+        Call after each event.
+        """
+        if not self._held:
+            return
+        leaving = self._motion.actuation.under_way.bit_count()
+        waiting = [held for held in self._held if leaving and now < held.until]
+        due = [held for held in self._held if held not in waiting]
+        self._held = waiting
+        for held in due:
+            done = self._motion.actuation.switches - held.switches
+            told = f"{_switches(done)} under way" if done else ""
+            if leaving:
+                told = f"{_switches(done + leaving)} under way, and the bus has not sent {leaving} of them yet"
+            text = "; ".join(part for part in (held.done, told, held.follows) if part)
+            if held.client in self._clients.roles:
+                self._answer(held.client, held.request, True, text)
+
+    def _reset(self, now: float) -> tuple[bool, str]:
+        """Boots the boards after a fault or a halt; returns whether the request is accepted, and the answer."""
+        if self._modes.mode not in ("fault", "stopped"):
+            return True, f"nothing to reset: the arm is {self._modes.mode}"
+        if opened := self._motion.interlocks():
+            return False, opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
+        self._modes.new_epoch()
+        self._modes.boot("the boards are being booted after a reset", now)
+        return True, "resetting; the mode will be ready, or fault with the reason"
+
+    def _lock(self, client: Client, message: Lock, now: float) -> None:
+        """Locks or unlocks an actuator; nothing moves."""
+        motion = self._motion
+        refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
+        mode = self._modes.mode
+        if mode == "executing" or self._motion.moving or self._motion.busy:
+            refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"
+        if refusal is not None:
+            self._answer(client, message.request, False, refusal)
+            return
+        self._locked.change(message.actuator, message.state)
+        waits = mode in ("fault", "stopped")
+        if mode == "ready":
+            self._modes.hold_measured(now)
+        self._modes.new_epoch()
+        text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
+        self._answer(client, message.request, True, text)
+
+    def _answer(self, client: Client, request: int, accepted: bool, message: str) -> None:
+        self._act(ToClient(client, Answer(request, accepted, message[:1_000])))
+
+
+def _switches(number: int) -> str:
+    return "1 switch was" if number == 1 else f"{number} switches were"

@@ -1,0 +1,273 @@
+"""Actuation: the single owner of output commands, pulses, the inrush limit, rest times and switch counts."""
+
+import math
+from typing import NamedTuple
+
+from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.bits import indices, merged
+from controller.executor.core.kinds import Kinds
+from controller.executor.process.switch_journal import SwitchJournal
+from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.run.master import Master
+
+BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
+LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waited for: its bus accepts no frames
+EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
+
+
+class Commit(NamedTuple):
+    """The result of a commit.
+
+    Attributes:
+        states: commanded states.
+        reached: whether the outputs stand for these states now.
+    """
+
+    states: int
+    reached: bool
+
+
+class Actuation:
+    """Switches the outputs of the boards.
+
+    `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
+    uncertain while both outputs are off and the last one that was on is unknown. This is so after a start of the
+    executor, and after a restart of the board.
+
+    Attributes:
+        free_at: when the last switched actuator has settled, by its travel time [s].
+        target: states of the running commit; None if no commit runs.
+        uncertain: mask of the actuators of unknown state; their bits of `states` are guesses.
+        switches: number of switches since the executor started.
+        fault: set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it.
+
+    Args:
+        master: CANopen master of the boards.
+        arm: times and limits of the arm.
+        kinds: outputs and end-stops of the actuators.
+        journal: counts switches.
+    """
+
+    def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
+        self.free_at = 0.0
+        self.target: int | None = None
+        self.uncertain = kinds.paired
+        self.switches = 0
+        self.fault: Fault | None = None
+        self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
+        self._arrives_at = [-1e12] * len(arm.actuators)
+        self._states = 0  # last states; they count for paired actuators whose outputs are both off
+        self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
+        self._busy_since: float | None = None
+        self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
+        self._watched = 0  # mask of the actuators whose pulse is not known to have ended
+        self._told = 0  # mask of those that are reported as overdue
+        self._adopted_at = -math.inf
+        self._doubtful = 0  # mask of the paired actuators that the running commit energises
+        self._given_up = False  # the running commit is not wanted any more
+        self._boots: tuple[int, ...] = ()  # boot count of each board when the outputs were adopted
+
+    @property
+    def states(self) -> int:
+        """The states that the outputs command, or commanded before a pulse ended."""
+        return self._kinds.states(self._master.outputs, self._states)
+
+    @property
+    def under_way(self) -> int:
+        """Mask of the actuators that frames already handed out will switch."""
+        leaving = self._master.leaving
+        if not leaving:
+            return 0
+        outputs = self._master.outputs ^ leaving
+        extending, contracting = self._kinds.on(outputs & leaving)
+        energised = (extending ^ contracting) & self._kinds.paired
+        return (self._kinds.states(outputs, self._states) ^ self.states) | (energised & self.uncertain)
+
+    def pulsing(self, now: float) -> bool:
+        """Returns whether a pulse is on; a pulse that could not be ended within LATE no longer counts."""
+        if not self._kinds.pulsed:
+            return False
+        extending, contracting = self._kinds.on(self._master.outputs)
+        on = (extending | contracting) & self._kinds.pulsed
+        return any(now < self._pulse_ends[k] + LATE for k in indices(on))
+
+    def differ(self, states: int, homing: int) -> int:
+        """Returns the mask of the actuators that a switch to `states` energises or releases.
+
+        Args:
+            states: of all actuators.
+            homing: mask of the actuators to energise although their state is uncertain.
+        """
+        return (self.states ^ states) | (self.uncertain & homing)
+
+    def ready_at(self, differ: int, strict: bool) -> float:
+        """Returns when the actuators of a mask may switch [s]: after the last stage and their rest time."""
+        ready = 0.0
+        if differ and (strict or self._arm.inrush is not None):
+            ready = self.free_at
+        if differ and self._arm.rest > 0:
+            ready = max(ready, max(self._arrives_at[k] for k in indices(differ)) + self._arm.rest)
+        return ready
+
+    def switch(self, states: int, now: float, homing: int = 0) -> bool:
+        """Starts a switch to `states`; returns False if the caller must try again at the next tick."""
+        if self.target is not None or self._master.committing:
+            return False
+        if not self._master.outputs_known:
+            self._refused("a board is not up", now)
+            return False
+        differ = self.differ(states, homing) & self._kinds.paired
+        self._journal.intend(self.states, states)
+        try:
+            self._master.commit(self._kinds.outputs(states, self._on(now) | differ), now)
+        except Busy as error:
+            self._journal.resolve(self.states)
+            self._refused(str(error), now)
+            return False
+        self.target, self._doubtful, self._given_up = states, differ, False
+        return True
+
+    def give_up(self, why: str) -> None:
+        """Gives up the running commit if its SYNC was not handed out. `under_way` tells what still switches."""
+        self.rest()
+        if self.target is not None:
+            self._given_up = True
+            self._master.give_up(why)
+
+    def tick(self, now: float) -> None:
+        """Switches off the outputs whose pulse is over. Call every period, in every mode."""
+        if not self._kinds.paired:
+            return
+        extending, contracting = self._kinds.on(self._master.outputs)
+        over = (extending & contracting) | ((extending | contracting) & ~self._on(now)) | self._doubtful_pulses(now)
+        if not over:
+            return
+        possible = self._master.outputs | self._master.doubtful
+        try:
+            self._master.commit(self._kinds.without(possible, over), now, release=True)
+        except Busy:
+            return  # the next tick tries again; a board without its master switches its outputs off itself
+
+    def overdue(self, now: float) -> list[Fault]:
+        """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
+
+        A pulse has ended when its outputs are off and its board is ready, so that it is read back. Call every period.
+        """
+        if not self._watched or self._master.booting:
+            self._told = 0
+            return []
+        extending, contracting = self._kinds.on(self._master.outputs | self._master.doubtful)
+        self._watched &= extending | contracting | ~self._master.known
+        untold = indices(self._watched & ~self._told)
+        due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
+        self._told |= sum(1 << k for k in due)
+        return [self._overdue(k) for k in due]
+
+    def switched(self, lines: int, now: float) -> int:
+        """Records that the SYNC of output lines was sent; returns the mask of the actuators that it moves."""
+        extending, contracting = self._kinds.on(self._master.outputs & lines)
+        energised = (extending ^ contracting) & self._kinds.paired
+        states = self.states
+        moved = (states ^ self._states) | (energised & self.uncertain)
+        for k in indices(energised & self._kinds.pulsed):
+            self._pulse_ends[k] = now + self._kinds.pulse[k]
+            self._watched |= 1 << k
+        self.uncertain &= ~energised
+        self._doubtful &= ~energised
+        self._states = states
+        if self._adopted is not None:  # a pulse that a start finds may end before the first adoption
+            self._adopted = states
+        self._moved(moved, now)
+        self.switches += moved.bit_count()
+        return moved
+
+    def conclude(self, now: float) -> Commit | None:
+        """Returns the result of the commit that has ended, and counts its switches; None if no commit has ended."""
+        if self.target is None or self._master.committing or not self._master.outputs_known:
+            return None
+        states, self.target = self.target, None
+        self._journal.resolve(self.states)
+        why = self._master.commit_failed
+        if why is None or self._given_up:
+            self._busy_since = None
+        else:
+            self._refused(why, now)
+        reached = self.states == states and not self._doubtful
+        self._doubtful = 0
+        return Commit(states, reached)
+
+    def adopt(self, measured: int, definite: int, now: float) -> None:
+        """Adopts the outputs that the boards read back, and counts the switches of an interrupted commit.
+
+        Actuators whose outputs have changed rest from now on. After a start all actuators rest: the previous process
+        may have switched them just before. No output is energised.
+
+        Args:
+            measured: states read from the end-stops.
+            definite: mask of the actuators whose end-stops tell a state.
+            now: [s].
+        """
+        self.target, self.fault = None, None
+        extending, contracting = self._kinds.on(self._master.outputs)
+        told = extending ^ contracting
+        self.uncertain = (self.uncertain | self._rebooted() | self._doubtful | (extending & contracting)) & ~told
+        resting = definite & self._kinds.paired & ~told
+        self._states = merged(resting, measured, self.states)
+        self.uncertain &= ~resting
+        self._doubtful = 0
+        states, first = self.states, self._adopted is None
+        self.switches += self._journal.resolve(states, self.uncertain).bit_count()
+        self._moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
+        self._adopted, self._adopted_at = states, now
+        self._watched = (extending | contracting) & self._kinds.pulsed
+        self.rest()
+
+    def rest(self) -> None:
+        """Resets the time for which the bus has been busy: nothing waits to be switched."""
+        self._busy_since = None
+
+    def _on(self, now: float) -> int:
+        """Returns the mask of the paired actuators with an output on, without those whose pulse is over."""
+        extending, contracting = self._kinds.on(self._master.outputs)
+        on = extending ^ contracting
+        over = (k for k in indices(on & self._kinds.pulsed) if now >= self._pulse_ends[k] - EARLY)
+        return on & ~sum(1 << k for k in over)
+
+    def _doubtful_pulses(self, now: float) -> int:
+        """Returns the mask of the actuators whose pulse may have begun with a SYNC that was lost with its bus."""
+        doubtful = self._master.doubtful & ~self._master.outputs
+        if not doubtful:
+            return 0
+        extending, contracting = self._kinds.on(doubtful)
+        pulses = (extending | contracting) & self._kinds.pulsed
+        for k in indices(pulses & ~self._watched):
+            self._pulse_ends[k] = now
+        self._watched |= pulses
+        return pulses
+
+    def _overdue(self, k: int) -> Fault:
+        place = self._arm.wiring.channels[k].place
+        text = f"the pulse of actuator {place} could not be ended in time: its coil may be on"
+        return Fault("pulse-overdue", place, f"{text}; it is ended as soon as its bus and its board can be reached")
+
+    def _rebooted(self) -> int:
+        """Returns the mask of the paired actuators whose board has restarted since the last adoption."""
+        before, self._boots = self._boots, tuple(self._master.boots)
+        if before == self._boots or not before:
+            return 0
+        board_of = self._master.board_of
+        return sum(1 << k for k in indices(self._kinds.paired) if before[board_of[k]] != self._boots[board_of[k]])
+
+    def _moved(self, mask: int, now: float) -> None:
+        """Records that the actuators of a mask have begun to move."""
+        states = self.states
+        for k in indices(mask):
+            self._arrives_at[k] = now + self._kinds.travel[k][states >> k & 1]
+            self.free_at = max(self.free_at, self._arrives_at[k])
+
+    def _refused(self, why: str, now: float) -> None:
+        if self._busy_since is None:
+            self._busy_since = now
+        if now - self._busy_since > BUSY_FOR:
+            self.fault = Fault("bus-busy", "bus", f"no command could be sent for {BUSY_FOR:g} s: {why}")
+            self._busy_since = None

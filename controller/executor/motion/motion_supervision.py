@@ -1,0 +1,262 @@
+"""Motion supervision: compares the commanded states with the end-stops."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from controller.executor.core.arm import WORDS
+from controller.executor.core.bits import indices, merged
+from controller.executor.core.kinds import Ends, Kinds
+from drivers.canopen.faults import Fault
+from drivers.canopen.run.master import Master
+
+MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
+ASK_EVERY = 0.01  # [s] between two questions to a board
+
+
+class Finding(NamedTuple):
+    """A fault and the index of its actuator."""
+
+    actuator: int
+    fault: Fault
+
+
+class MotionSupervision:
+    """Compares the commanded states of A actuators with their end-stops.
+
+    An end-stop reads 1 only while the actuator is at its end. An actuator has arrived when the end-stop at its new end
+    reads 1 and the one at its old end reads 0. At an end without an end-stop, the travel time decides. No reading is a
+    fault at once: a contact may bounce, and a TPDO may be lost. First the board of the actuator is asked for its inputs
+    by SDO, and has answered or has not answered in time.
+
+    Args:
+        boards: CANopen master of the boards.
+        places: label and wiring of each actuator for messages, shape (A,).
+        kinds: outputs and end-stops of the actuators.
+    """
+
+    def __init__(self, boards: Master, places: Sequence[str], kinds: Kinds) -> None:
+        self._boards, self._places, self._kinds = boards, places, kinds
+        self._switched_at = [0.0] * len(places)
+        self._ask_at = [0.0] * len(places)
+        self._missed = [0] * len(places)
+        self.reset(0, 0, Ends(0, 0), 0.0)
+
+    def reset(self, states: int, known: int, ends: Ends, clock: float) -> None:
+        """Forgets all motions and reports, and takes `states` as commanded where known.
+
+        An actuator between its two end-stops counts as moving.
+        """
+        self._commanded, self._commanded_known = states, known
+        self._pending = self._confirms = self._reported = self._suspect = self._final = self._doubtful = 0
+        self._strayed = 0  # actuators that seem to move without a command, and whose boards were asked
+        self._last = ends
+        self._missed = [0] * len(self._places)
+        self._pending = self._confirms = self._late(ends) & ~ends.extended & ~ends.contracted & known
+        for k in indices(self._pending):
+            self._switched_at[k] = clock
+            self._ask_at[k] = clock + self._travel(k)
+
+    def accept(self, states: int, known: int) -> None:
+        """Takes `states` as commanded, except for moving actuators: those cannot stop between their ends."""
+        self._commanded = merged(self._pending, self._commanded, states)
+        self._commanded_known = merged(self._pending, self._commanded_known, known)
+
+    def switched(self, mask: int, states: int, ends: Ends, clock: float, now: float) -> None:
+        """Records that the actuators of a mask were switched to `states`.
+
+        Args:
+            mask: of the actuators.
+            states: of all actuators.
+            ends: before the switch.
+            clock: see `tick` [s].
+            now: for a question [s].
+        """
+        self._count_missed(mask, ends, clock, now)
+        self._commanded = merged(mask, states, self._commanded)
+        self._commanded_known |= mask
+        self._pending |= mask
+        self._final &= ~mask
+        # An actuator reversed halfway may not have left its end-stop; then only the travel time tells its arrival.
+        self._confirms = merged(mask, self._awaited(ends), self._confirms)
+        for k in indices(mask):
+            self._switched_at[k] = clock
+            self._ask_at[k] = clock + self._travel(k)
+
+    def await_anew(self, states: int, ends: Ends, clock: float, now: float) -> None:
+        """Expects a motion of actuators that did not follow their outputs before a reset.
+
+        Their outputs already have the states of the stage, so nothing switches.
+
+        Args:
+            states: states at the end of the stage.
+            ends: what the end-stops read.
+            clock: see `tick` [s].
+            now: for a question [s].
+        """
+        behind = (states ^ self._commanded) & self._commanded_known & ~self._pending
+        if behind:
+            self.switched(behind, states, ends, clock, now)
+
+    def moving(self, ends: Ends, clock: float) -> bool:
+        """Returns whether a switched actuator has not arrived, by its end-stop or by the travel time."""
+        if self._pending & self._confirms & self._late(ends):
+            return True
+        unconfirmed = self._pending & ~self._confirms
+        return any(clock - self._switched_at[k] < self._travel(k) for k in indices(unconfirmed))
+
+    def tick(self, ends: Ends, known: int, clock: float, now: float) -> list[Finding]:
+        """Compares commanded states with the end-stops, and asks the boards of late actuators for their inputs.
+
+        Args:
+            ends: what the end-stops read.
+            known: mask of the actuators whose boards are operational.
+            clock: awake time of the executor [s]; a stall of its loop is no delay of an actuator.
+            now: time for the questions [s].
+
+        Returns:
+            "end-stops" for each actuator with both end-stops at 1, "stuck" for each that did not arrive, and
+            "unexpected-motion" for each that moved without a command; at most one for an actuator until `reset`.
+        """
+        readable = known & self._commanded_known
+        late = self._late(ends) & readable
+        self._forgive(ends)
+        both = ends.extended & ends.contracted & known
+        broken, self._doubtful = self._confirmed(both, self._doubtful, now)
+        broken &= ~self._reported
+        doubtful = self._doubtful | broken
+        stuck = (self._overdue(late, clock, now) | self._unreliable(readable)) & ~doubtful
+        strayed = late & ~self._pending & ~self._reported & ~stuck & ~doubtful
+        stray, self._strayed = self._confirmed(strayed, self._strayed, now)
+        stuck &= ~self._reported
+        self._reported |= stuck | stray | broken
+        return [
+            *(self._broken(k) for k in indices(broken)),
+            *(self._stuck(k, ends) for k in indices(stuck)),
+            *(self._stray(k, ends) for k in indices(stray)),
+        ]
+
+    def _travel(self, k: int) -> float:
+        """Returns the longest travel time of an actuator to its commanded end [s]."""
+        return self._kinds.travel[k][self._commanded >> k & 1]
+
+    def _awaited(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stop at the commanded end reads 0."""
+        extended = self._kinds.ends_extended & ~ends.extended
+        contracted = self._kinds.ends_contracted & ~ends.contracted
+        return merged(self._commanded, extended, contracted)
+
+    def _at_other_end(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stop at the other end still reads 1."""
+        return merged(self._commanded, ends.contracted, ends.extended)
+
+    def _late(self, ends: Ends) -> int:
+        """Returns the mask of the actuators whose end-stops contradict the commanded state."""
+        return self._awaited(ends) | self._at_other_end(ends)
+
+    def _confirmed(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
+        """Asks the boards of actuators whose end-stops read what they should not.
+
+        Args:
+            suspects: mask of these actuators now.
+            asked: mask of those whose boards were asked before.
+            now: for the questions [s].
+
+        Returns:
+            Mask of the actuators that read the same after the answer, and mask of those that wait for it.
+        """
+        for k in indices(suspects & ~asked & ~self._reported):
+            self._question(k, now)
+        again = (k for k in indices(suspects & asked) if not self._questioning(k))
+        certain = sum(1 << k for k in again)
+        return certain, suspects & ~certain
+
+    def _overdue(self, late: int, clock: float, now: float) -> int:
+        """Asks the boards of overdue actuators; returns the mask of the stuck ones."""
+        stuck = 0
+        for k in indices(self._pending):
+            bit, over = 1 << k, clock - self._switched_at[k] - self._travel(k)
+            margin = self._kinds.margin[k]
+            if not late & bit:  # it has arrived, or no end-stop can tell
+                if over >= margin:
+                    self._pending &= ~bit
+            elif self._final & bit:
+                if not self._questioning(k):
+                    stuck |= bit
+            elif over >= 0 and clock >= self._ask_at[k]:
+                self._ask(k, clock, now)
+                if over >= margin:
+                    self._final |= bit
+        self._pending &= ~stuck
+        return stuck
+
+    def _unreliable(self, readable: int) -> int:
+        """Returns the mask of the actuators that missed MOST_MISSED commands and whose boards have answered."""
+        asked = [k for k in indices(self._suspect & readable) if not self._questioning(k)]
+        mask = sum(1 << k for k in asked)
+        self._suspect &= ~mask
+        self._pending &= ~mask
+        return mask
+
+    def _count_missed(self, mask: int, ends: Ends, clock: float, now: float) -> None:
+        """Counts commands that are reversed after the travel time although the end-stop has not changed."""
+        missed = (self._confirms & self._awaited(ends)) | self._at_other_end(ends)
+        for k in indices(mask & self._pending & missed & ~self._reported):
+            if clock - self._switched_at[k] >= self._travel(k):
+                self._missed[k] += 1
+                if self._missed[k] >= MOST_MISSED and not self._suspect >> k & 1:
+                    self._suspect |= 1 << k
+                    self._question(k, now)
+
+    def _forgive(self, ends: Ends) -> None:
+        """Forgets the missed commands of actuators whose end-stops have changed."""
+        if ends == self._last:
+            return
+        for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
+            self._missed[k] = 0
+            self._suspect &= ~(1 << k)
+        self._last = ends
+
+    def _ask(self, actuator: int, clock: float, now: float) -> None:
+        self._ask_at[actuator] = clock + max(self._kinds.margin[actuator] / 3, ASK_EVERY)
+        for board in self._boards.input_boards_of[actuator]:
+            if not self._boards.questioning(board):
+                self._boards.question(board, now)
+
+    def _question(self, actuator: int, now: float) -> None:
+        """Asks the boards of an actuator's end-stops for their inputs, after running questions once more."""
+        for board in self._boards.input_boards_of[actuator]:
+            self._boards.question(board, now)
+
+    def _questioning(self, actuator: int) -> bool:
+        """Returns whether a board of an actuator's end-stops has not answered yet."""
+        return any(self._boards.questioning(board) for board in self._boards.input_boards_of[actuator])
+
+    def _reads(self, k: int, ends: Ends) -> str:
+        """Returns in words what the end-stops of a late actuator read."""
+        should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
+        if self._at_other_end(ends) >> k & 1:
+            return f"its end-stop still reads {other}"
+        if self._kinds.ends_extended & self._kinds.ends_contracted & 1 << k:
+            return f"it has left its {other} end, and neither end-stop reads"
+        return f"its end-stop does not read {should}"
+
+    def _stuck(self, k: int, ends: Ends) -> Finding:
+        should, place = WORDS[self._commanded >> k & 1], self._places[k]
+        limit = self._travel(k) + self._kinds.margin[k]
+        if self._missed[k] >= MOST_MISSED:
+            text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
+        else:
+            text = f"actuator {place} did not become {should} within {limit:g} s; {self._reads(k, ends)}"
+        return Finding(k, Fault("stuck", place, text))
+
+    def _stray(self, k: int, ends: Ends) -> Finding:
+        should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
+        place = self._places[k]
+        reads = f"reads {other}" if self._at_other_end(ends) >> k & 1 else f"does not read {should} any more"
+        text = f"actuator {place} moved without a command: its end-stop {reads}; check it, then reset"
+        return Finding(k, Fault("unexpected-motion", place, text))
+
+    def _broken(self, k: int) -> Finding:
+        place = self._places[k]
+        text = f"both end-stops of actuator {place} read 1 at once: check their wires and switches, then reset"
+        return Finding(k, Fault("end-stops", place, text))

@@ -1,0 +1,286 @@
+"""The event loop: CAN, socket, ticks and signals around the core. One thread, which blocks only in `select`."""
+
+import contextlib
+import gc
+import logging
+import os
+import select
+import signal
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+
+from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.events import Action, Defect, Event, Health, Log, Notify, Quit, Send, Tick, ToClient
+from controller.executor.process.buses import Buses
+from controller.executor.process.server import Server
+from controller.flight_recorder import FlightRecorder
+from controller.host.notify import Notifier
+
+log = logging.getLogger("executor")
+
+SIGNALS = (signal.SIGTERM, signal.SIGINT)
+SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
+CLOSE = 0.0007  # [s] before a tick in which no message is handled; a program takes about as long
+MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
+MOST_PENDING = 1_000  # recorded events that wait for the end of a tick
+CHECKPOINTING = 0.005  # [s] left before the next tick; 24 boards with 48 actuators take 0.002 s
+CHECKPOINT_AT = 10_000  # events since the last checkpoint
+CLOSING = 0.25  # [s] for the running stage at the end
+FLUSHING = 0.5  # [s] for the messages that wait at the end
+WORTH, TOO_MANY = 500, 5_000  # objects since the last collection; collecting 5,000 takes about 3 ms
+
+
+class EventLoop:
+    """Passes events to the core, and performs its actions.
+
+    Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events and no
+    echoes of RPDOs are awaited, and at the next tick at the latest. Messages of clients that come shortly before a tick
+    wait for it.
+
+    Args:
+        core: the executor's core.
+        buses: the buses of the arm.
+        server: the socket of the clients.
+        notifier: sends states to systemd.
+        clock: CLOCK_MONOTONIC [s].
+        recorder: of the events; None: they are not recorded.
+    """
+
+    def __init__(
+        self,
+        core: Executor,
+        buses: Buses,
+        server: Server,
+        notifier: Notifier,
+        clock: Callable[[], float] = time.monotonic,
+        recorder: FlightRecorder | None = None,
+    ) -> None:
+        self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
+        self._clock, self._recorder = clock, recorder
+        self._time = Timekeeper(PERIOD)
+        self._garbage = Garbage()
+        self._quitting = False
+        self._queued = deque[Action]()
+        self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def quit(self) -> None:
+        """Asks the loop to end; a second call ends it at once. Any thread or signal handler may call this."""
+        self._quitting = True
+        with contextlib.suppress(OSError):  # the loop has ended already
+            os.write(self._woken, b"q")
+
+    def run(self) -> None:
+        """Runs until `quit`; then gives the running program its result, and closes everything."""
+        with self._garbage:
+            if self._recorder is not None:
+                self._recorder.begin(self._core, self._may_checkpoint)
+            self._time.start(self._clock())
+            while not self._quitting:
+                self._round()
+            self._end()
+
+    def run_until_signal(self) -> None:
+        """Runs until SIGTERM or SIGINT."""
+        for number in SIGNALS:
+            signal.signal(number, lambda *_: self.quit())
+        self.run()
+        for number in SIGNALS:  # a second signal, such as that of a parent's death, must not interrupt the end
+            signal.signal(number, signal.SIG_IGN)
+
+    def _may_report(self, now: float) -> bool:
+        """Whether a message waits and may be sent now."""
+        return bool(self._queued) and not self._core.collecting and not self._time.close(now)
+
+    def _round(self) -> None:
+        """Waits for events and handles them."""
+        try:
+            ready = self._wait()
+            self._take_frames()
+            began = self._clock()
+            if self._time.remaining(began) <= 0:
+                self._tick(began)
+            for event in self._server.poll(ready):
+                self._step(event)
+                self._take_frames()
+            if not ready and self._may_report(self._clock()):
+                self._report(self._queued.popleft())
+        except Exception:  # the arm holds, and the boards keep their master
+            self._step(Defect(traceback.format_exc()))
+
+    def _wait(self) -> list[int]:
+        """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
+        now = self._clock()
+        patience = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
+        clients = [] if self._time.close(now) else self._server.readable()
+        readable = [self._wake, *self._buses.filenos(), *clients]
+        writable = self._server.writable()
+        read, written, _ = select.select(readable, writable, [], patience)
+        if written:
+            self._server.flush()
+        if self._wake in read:
+            os.read(self._wake, 4096)
+        return read
+
+    def _take_frames(self) -> None:
+        """Handles events of the buses until there are no more, or the tick is due."""
+        for _ in range(MOST_ROUNDS):
+            events = self._buses.poll(self._clock())
+            for event in events:
+                self._step(event)
+            if not events or self._time.remaining(self._clock()) <= 0:
+                return
+
+    def _tick(self, began: float) -> None:
+        self._report_all()
+        if self._core.reports.diagnostics_due(began + SOON):
+            self._step(Health(self._time.take(), self._server.dropped, self._core.journal.problem))
+        self._step(Tick())
+        self._take_frames()
+        self._time.ticked(began, self._clock())
+        if self._recorder is not None:
+            self._recorder.flush()
+        self._garbage.collect(self._core.modes.mode != "executing")
+
+    def _step(self, event: Event) -> None:
+        """Passes an event to the core, sends its frames, and queues its other actions for `_report`."""
+        now = self._clock()
+        try:
+            actions = self._core.step(event, now)
+        except Exception:
+            self._record(event, now, None)
+            raise
+        for action in actions:
+            if isinstance(action, Send):
+                self._buses.send(action.bus, action.frame, self._clock())
+            else:
+                self._queued.append(action)
+        self._record(event, now, actions)
+
+    def _may_checkpoint(self, count: int) -> bool:
+        """Whether the core may be pickled: while the arm holds, or after CHECKPOINT_AT events while it moves."""
+        spare = self._time.remaining(self._clock()) > CHECKPOINTING
+        return spare and self._core.calm and (self._core.modes.mode != "executing" or count >= CHECKPOINT_AT)
+
+    def _record(self, event: Event, now: float, actions: list[Action] | None) -> None:
+        if self._recorder is not None:
+            self._recorder(event, now, None, actions)
+
+    def _report(self, action: Action) -> None:
+        match action:
+            case ToClient():
+                self._server.send(action.client, action.message)
+            case Notify():
+                self._notifier.send(action.text)
+            case Log():
+                log.log(action.level, "%s", action.text, extra={"journal": action.fields})
+            case _:
+                pass
+
+    def _report_all(self) -> None:
+        while self._queued:
+            self._report(self._queued.popleft())
+
+    def _end(self) -> None:
+        """Ends the program with a result, and closes everything. A second `quit` waits for no stage and contraction."""
+        self._quitting = False
+        self._step(Quit())
+        until = self._clock() + CLOSING + self._core.ending.patience
+        while not (self._core.ended or self._quitting) and self._clock() < until:
+            self._round()
+        self._step(Quit())
+        self._report_all()
+        until = self._clock() + FLUSHING
+        while self._server.waiting and self._clock() < until:
+            select.select([], self._server.writable(), [], max(until - self._clock(), 0.0))
+            self._server.flush()
+        self._server.close()
+        self._buses.close()
+        os.close(self._wake)
+        woken, self._woken = self._woken, -1
+        os.close(woken)
+
+
+class Timekeeper:
+    """Ticks at a fixed phase; missed ticks are counted and skipped.
+
+    Args:
+        period: between two ticks [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._next = self._last = 0.0
+        self._late: list[float] = []
+        self._periods: list[float] = []
+        self._works: list[float] = []
+        self._overruns = 0
+
+    def start(self, now: float) -> None:
+        """Makes the first tick due now."""
+        self._next = self._last = now
+
+    def remaining(self, now: float) -> float:
+        """Returns the time until the next tick [s], 0 if it is due."""
+        return max(self._next - now, 0.0)
+
+    def close(self, now: float) -> bool:
+        """Returns whether a tick comes soon, but is not due yet: what takes long would delay it."""
+        return 0.0 < self._next - now < CLOSE
+
+    def ticked(self, began: float, ended: float) -> None:
+        """Records begin and end of a tick, and sets the next one."""
+        self._late.append(began - self._next)
+        self._periods.append(began - self._last)
+        self._works.append(ended - began)
+        self._last = began
+        self._next += self._period
+        if self._next < ended:
+            missed = int((ended - self._next) / self._period) + 1
+            self._overruns += missed
+            self._next += missed * self._period
+
+    def take(self) -> dict[str, float]:
+        """Returns the figures since the last call [s], and resets them; see `Diagnostics.loop`."""
+        count = max(len(self._works), 1)
+        late = sorted(self._late)
+        status = {
+            "ticks": len(self._works),
+            "longest_period": max(self._periods, default=0.0),
+            "mean_work": sum(self._works) / count,
+            "longest_work": max(self._works, default=0.0),
+            "overruns": self._overruns,
+            "late_p50": late[len(late) // 2] if late else 0.0,
+            "late_p99": late[len(late) * 99 // 100] if late else 0.0,
+            "late_worst": late[-1] if late else 0.0,
+        }
+        for figures in (self._late, self._periods, self._works):
+            figures.clear()
+        self._overruns = 0
+        return status
+
+
+class Garbage:
+    """Garbage collection at harmless times: a full collection would stop the loop for milliseconds.
+
+    Objects that live as long as the process are excluded from collection.
+    """
+
+    def __enter__(self) -> "Garbage":
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        gc.enable()
+        gc.unfreeze()
+
+    def collect(self, holding: bool) -> None:
+        """Collects all objects if the arm holds, else only the youngest ones, when there are TOO_MANY."""
+        young, older, _ = gc.get_count()
+        if holding and (young > WORTH or older > 0):
+            gc.collect()
+        elif young > TOO_MANY:
+            gc.collect(0)

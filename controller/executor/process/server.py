@@ -1,0 +1,195 @@
+"""The executor's socket: its clients and their messages. Nothing here blocks."""
+
+import fcntl
+import logging
+import os
+import socket
+import time
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from controller.executor.core.events import Client, ClientGone, FromClient
+from controller.executor.process.connections import Connection, LimitedLog, late, superfluous
+from controller.program import MOST_BYTES, Diagnostics, Goodbye, Hello, Malformed, Snapshot, Up, decode_down, encode
+
+log = logging.getLogger(__name__)
+BACKLOG = 128  # connections that wait to be accepted
+
+MOST_ACCEPTED = 16  # connections in one poll, so that a flood of them does not block the loop
+MOST_MESSAGES = 64  # of one client in one poll, so that a flood does not block the loop
+MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
+
+
+class SocketInUse(Exception):
+    """Another executor uses the socket."""
+
+
+class Server:
+    """Listens on a Unix socket of the type SOCK_SEQPACKET.
+
+    Snapshots and diagnostics are dropped for a client that does not read; other messages are queued.
+    Connections before their Hello, operators, and the planner have places of their own, see `PLACES`.
+
+    Attributes:
+        dropped: number of dropped snapshots and diagnostics.
+
+    Args:
+        path: of the socket. A locked file beside it, with the suffix ".lock", excludes a second executor.
+        clock: of the event loop [s].
+
+    Raises:
+        SocketInUse: another executor listens there; the text names its process.
+        OSError: the socket cannot be created.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self.dropped = 0
+        self._clock, self._log = clock, LimitedLog(log)
+        self._path, self._number = path, 0
+        self._connections: dict[Client, Connection] = {}
+        self._gone: list[Client] = []
+        self._buffer = memoryview(bytearray(MOST_BYTES + 1))
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._lock = lock(path.with_name(path.name + ".lock"))
+        path.unlink(missing_ok=True)
+        self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._listening.bind(str(path))
+        path.chmod(0o660)  # the folder decides who may connect
+        self._listening.listen(BACKLOG)
+
+    def readable(self) -> list[int]:
+        """Returns the file descriptors to wait on for `poll`."""
+        return [self._listening.fileno(), *(c.socket.fileno() for c in self._connections.values())]
+
+    def writable(self) -> list[int]:
+        """Returns the file descriptors to wait on until they can be written, for `flush`."""
+        return [c.socket.fileno() for c in self._connections.values() if c.waiting]
+
+    def poll(self, ready: Collection[int] | None = None) -> list[FromClient | ClientGone]:
+        """Returns what the clients sent since the last call.
+
+        Args:
+            ready: readable file descriptors; None: try all.
+        """
+        now = self._clock()
+        events: list[FromClient | ClientGone] = []
+        known = list(self._connections.values())
+        if ready is None or self._listening.fileno() in ready:
+            self._accept(events, now)
+            ready = None
+        for connection in known:
+            if ready is None or connection.socket.fileno() in ready or late(connection, now):
+                self._read(connection, events)
+            if late(connection, now) and connection.client in self._connections:
+                self._close(connection, "it said no Hello, or read no Goodbye, in time", now)
+        events += [ClientGone(client) for client in self._gone]
+        self._gone = []
+        return events
+
+    def send(self, client: Client, message: Up) -> None:
+        """Sends a message to a client, or queues it."""
+        connection = self._connections.get(client)
+        if connection is None or connection.closing:
+            return
+        data = encode(message)
+        telemetry = isinstance(message, Snapshot | Diagnostics)
+        if len(data) > MOST_BYTES or (telemetry and connection.waiting):
+            self.dropped += 1
+            return
+        connection.waiting.append(data)
+        connection.closing = isinstance(message, Goodbye)
+        if not connection.flush() or len(connection.waiting) > MOST_QUEUED:
+            self._drop(connection)
+
+    def flush(self) -> None:
+        """Sends what waits."""
+        for connection in list(self._connections.values()):
+            if connection.waiting and not connection.flush():
+                self._drop(connection)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether anything waits to be sent."""
+        return any(connection.waiting for connection in self._connections.values())
+
+    def close(self) -> None:
+        """Closes all connections and removes the socket."""
+        for connection in list(self._connections.values()):
+            self._drop(connection)
+        self._listening.close()
+        self._path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+    def _accept(self, events: list[FromClient | ClientGone], now: float) -> None:
+        """Accepts the connections that wait, reads each at once, and makes room for it."""
+        for _ in range(MOST_ACCEPTED):
+            try:
+                connected, _ = self._listening.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:  # out of file descriptors
+                self._log.warning(f"a client cannot connect: {error}", now)
+                return
+            self._number += 1
+            connection = Connection(self._number, connected, now)
+            self._connections[connection.client] = connection
+            self._read(connection, events)
+            self._make_room(events, now)
+
+    def _make_room(self, events: list[FromClient | ClientGone], now: float) -> None:
+        """Closes connections of which there are too many. Each is read first: its Hello may wait."""
+        for connection in superfluous(self._connections.values()):
+            self._read(connection, events)
+        for connection in superfluous(self._connections.values()):
+            self._close(connection, f"too many {connection.place} connections", now)
+
+    def _read(self, connection: Connection, events: list[FromClient | ClientGone]) -> None:
+        """Reads the messages of a client; drops a connection that was closed."""
+        for _ in range(MOST_MESSAGES):
+            try:
+                size = connection.socket.recv_into(self._buffer)
+            except BlockingIOError:
+                return
+            except OSError:
+                size = 0
+            if size == 0:
+                self._drop(connection)
+                return
+            try:
+                message = decode_down(bytes(self._buffer[:size]))
+            except Malformed as error:
+                self._log.warning(f"process {connection.client.pid}: {error}", self._clock())
+                self.send(connection.client, Goodbye(str(error)[:1_000]))
+                return
+            if not connection.closing:
+                if isinstance(message, Hello):
+                    connection.role = message.role
+                events.append(FromClient(connection.client, message))
+
+    def _close(self, connection: Connection, why: str, now: float) -> None:
+        """Closes a connection and logs the reason."""
+        self._log.warning(f"the connection of process {connection.client.pid} is closed: {why}", now)
+        self._drop(connection)
+
+    def _drop(self, connection: Connection) -> None:
+        if self._connections.pop(connection.client, None) is not None:
+            connection.socket.close()
+            self._gone.append(connection.client)
+
+
+def lock(path: Path) -> int:
+    """Locks a file, writes the process id into it, and returns its file descriptor.
+
+    Raises:
+        SocketInUse: another process has locked the file.
+    """
+    number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        pid = os.pread(number, 32, 0).decode(errors="replace").strip() or "unknown"
+        os.close(number)
+        raise SocketInUse(f"an executor is running on {path.with_suffix('')}, process {pid}") from None
+    os.ftruncate(number, 0)
+    os.pwrite(number, b"%d\n" % os.getpid(), 0)
+    return number

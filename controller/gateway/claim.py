@@ -1,0 +1,110 @@
+"""The claim of one daemon to an arm: two daemons of one arm would both run each goal."""
+
+import json
+import os
+import socket
+import time
+
+import msgspec
+import zenoh
+
+from controller.network.session import LEASE
+
+GRACE = 0.5  # [s] for a token to reach all other sessions, also those that were opened a moment ago
+PATIENCE = LEASE + 2.0  # [s] until the tokens of a killed daemon, or of a lost host, disappear
+ANSWER = 1.0  # [s] for a daemon to answer where it runs
+POLL = 0.1  # [s]
+
+
+class AlreadyRunning(Exception):
+    """Another daemon of this arm is in the network; the text says where."""
+
+
+class Claimant(msgspec.Struct):
+    """The owner of a claim, as it answers; `serves` is false until it has looked for other claims."""
+
+    host: str
+    pid: int
+    serves: bool = True
+
+
+class Claim:
+    """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>", and who has it as an answer.
+
+    Zenoh does not notify the owner of a liveliness token when another
+    session declares the same one. So each daemon has a token of its own, and looks for the claims of others.
+
+    Of daemons that start together, the one with the lowest id of its session serves. Each looks for the last time when
+    its claim has reached the others. So of two daemons, at least one finds the other.
+    """
+
+    def __init__(self, session: zenoh.Session, arm: str) -> None:
+        self._session, self._arm, self._own = session, arm, str(session.zid())
+        self._claimant = Claimant(socket.gethostname(), os.getpid(), serves=False)
+        key = f"hyperbit/{arm}/@claim/{self._own}"
+        self._queryable = session.declare_queryable(key, self._answer)  # before the token, which others then ask
+        self._token = session.liveliness().declare_token(key)
+        self._declared_at = time.monotonic()
+
+    def confirm(self, patience: float = PATIENCE) -> None:
+        """Returns when this process may serve the arm, GRACE after its claim at the earliest.
+
+        Args:
+            patience: how long a daemon that does not answer may keep its token [s].
+
+        Raises:
+            AlreadyRunning: another daemon serves the arm, or will.
+        """
+        time.sleep(max(self._declared_at + GRACE - time.monotonic(), 0.0))
+        until = time.monotonic() + patience
+        while silent := self._silent_tokens():
+            if time.monotonic() > until:
+                what = f"another daemon of the arm {self._arm!r} is in the network, and does not say where it runs"
+                raise AlreadyRunning(f"{what}. Look for its host, end it, or rename this arm ({', '.join(silent)})")
+            time.sleep(POLL)
+        self._claimant.serves = True
+
+    def close(self) -> None:
+        """Gives up the claim."""
+        for declared in (self._token, self._queryable):
+            declared.undeclare()  # type: ignore[no-untyped-call]
+
+    def _answer(self, query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, msgspec.json.encode(self._claimant))
+
+    def _silent_tokens(self) -> list[str]:
+        """Returns the tokens of other daemons that do not answer. Daemons of earlier versions have only "alive".
+
+        Raises:
+            AlreadyRunning: another daemon serves the arm, or its claim comes first.
+        """
+        silent = []
+        for token in [*self._tokens("@claim/*"), *self._tokens("alive")]:
+            if (other := token.rpartition("/")[2]) == self._own:
+                continue
+            claimants = self._claimants(f"hyperbit/{self._arm}/arm" if other == "alive" else token)
+            for who in claimants:
+                if who.serves or other < self._own:
+                    what = f"another daemon drives the arm {self._arm!r}: process {who.pid} on {who.host}"
+                    raise AlreadyRunning(f"{what}. End it, or rename this arm")
+            if not claimants:
+                silent.append(token)
+        return silent
+
+    def _tokens(self, key: str) -> list[str]:
+        replies = self._session.liveliness().get(f"hyperbit/{self._arm}/{key}", timeout=ANSWER)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+    def _claimants(self, key: str) -> list[Claimant]:
+        replies = self._session.get(key, target=zenoh.QueryTarget.ALL, timeout=ANSWER)
+        return [claimant(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
+
+
+def claimant(answer: bytes) -> Claimant:
+    """Returns the claimant in an answer on its claim, or in the payload of `arm`."""
+    try:
+        value = json.loads(answer)
+        return msgspec.convert(value.get("daemon", value), Claimant)
+    except (ValueError, AttributeError, msgspec.ValidationError):  # of an earlier version
+        return Claimant("a host that it does not name", 0)

@@ -1,0 +1,79 @@
+"""Requests beside goals: jog, degrade and obstacles. Strict decoding."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from controller.manipulator.locked import STATES
+from controller.motion.decoding.goal import refusal
+from controller.motion.decoding.setpoint import parse
+from controller.obstacles.notation import ObstacleList, parse_obstacles
+from controller.obstacles.obstacles import Obstacles
+
+MOST_OBSTACLE_BYTES = 200_000  # 256 obstacles with long names and all digits
+
+
+class JogMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of `jog`: the new state of each actuator, by label."""
+
+    actuators: Annotated[dict[str, Literal["contracted", "extended"]], Meta(min_length=1)]
+
+
+class DegradeMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of `degrade`: an actuator and the state to lock it in; null unlocks it."""
+
+    actuator: str
+    state: Literal[0, 1] | None
+
+
+class ObstaclesMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of `obstacles`: all obstacles beside those of the arm's file, in the same notation."""
+
+    regions: ObstacleList
+
+
+def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
+    """Returns the states in a `jog` payload, 0 contracted and 1 extended, by index of the actuator.
+
+    Args:
+        payload: JSON.
+        actuators: labels, in the order of the state vectors.
+
+    Raises:
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
+    """
+    message = parse(payload, JogMessage, "jog")
+    indices = {label: k for k, label in enumerate(actuators)}
+    if unknown := [label for label in message.actuators if label not in indices]:
+        shown = unknown[0] if len(unknown[0]) <= 60 else unknown[0][:57] + "..."
+        known = f"{actuators[0]} to {actuators[-1]}"
+        raise refusal(f"actuators: {shown!r} is no actuator of this arm; they are {known}")
+    return {indices[label]: STATES.index(state) for label, state in message.actuators.items()}
+
+
+def decode_degrade(payload: bytes) -> DegradeMessage:
+    """Returns the message in a `degrade` payload.
+
+    Raises:
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
+    """
+    return parse(payload, DegradeMessage, "degrade")
+
+
+def decode_obstacles(payload: bytes, dimension: int) -> Obstacles:
+    """Returns the obstacles in an `obstacles` payload.
+
+    Args:
+        payload: JSON.
+        dimension: of the arm, 2 or 3.
+
+    Raises:
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
+    """
+    message = parse(payload, ObstaclesMessage, "obstacles", MOST_OBSTACLE_BYTES)
+    faults = list[str]()
+    obstacles = parse_obstacles(message.regions, dimension, "regions", faults)
+    if faults:
+        raise refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))
+    return obstacles

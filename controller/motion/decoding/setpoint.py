@@ -1,0 +1,103 @@
+"""Set-points from the network: strict decoding, shared with the other small messages."""
+
+import json
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from controller.armfile.strict import check
+from controller.motion.codes import Refusal
+from controller.motion.decoding.goal import Coordinate, Time, Tolerance, once, refusal
+
+S = TypeVar("S", bound=Struct)
+
+MOST_BYTES = 10_000
+
+
+class SetpointMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of a set-point; `stamp` is the time of the position [UNIX s], 0 means on arrival."""
+
+    position: Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
+    stamp: Time = 0.0
+    tolerance: Tolerance = Tolerance()
+
+
+@dataclass(frozen=True, eq=False)
+class Setpoint:
+    """The position of a moving goal at one time.
+
+    Attributes:
+        position: of the goal in the world, shape (dimension,).
+        stamp: time of the position by the sender's clock [UNIX s]; None: on arrival.
+        tolerance: greatest distance of the tip from the goal.
+    """
+
+    position: NDArray[np.float64]
+    stamp: float | None
+    tolerance: float
+
+
+def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
+    """Returns the set-point in a payload.
+
+    Args:
+        payload: JSON.
+        dimension: number of coordinates of a position, 2 or 3.
+        tolerance: default tolerance of the position.
+
+    Raises:
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
+    """
+    message = parse(payload, SetpointMessage, "setpoint")
+    if len(message.position) != dimension:
+        raise refusal(f"position: {len(message.position)} coordinates, this arm's goals have {dimension}")
+    if message.tolerance.orientation is not None:
+        raise refusal("tolerance.orientation: this arm follows positions only, leave it out")
+    return Setpoint(
+        position=np.array(message.position),
+        stamp=message.stamp or None,
+        tolerance=message.tolerance.position or tolerance,
+    )
+
+
+def parse(payload: bytes, kind: type[S], name: str, most: int = MOST_BYTES) -> S:
+    """Returns the message of a kind in a payload.
+
+    Args:
+        payload: JSON.
+        kind: of the message.
+        name: of the message in refusals.
+        most: greatest size [bytes].
+
+    Raises:
+        Refusal: too large, not UTF-8, not JSON, or not a message of this kind.
+    """
+    if len(payload) > most:
+        raise refusal(f"{name} of {len(payload)} bytes, at most {most} are accepted")
+    try:
+        value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
+    except UnicodeDecodeError as error:
+        raise refusal(f"{name} is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
+    except (ValueError, RecursionError) as error:
+        raise refusal(f"{name} is not JSON: {error}") from None
+    if not isinstance(value, dict):
+        needed = " and ".join(f"`{field.name}`" for field in msgspec.structs.fields(kind) if field.required)
+        raise refusal(f"{name}: an object with {needed} is needed")
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check names each fault
+        raise _refusal_of(value, kind, name) from None
+
+
+def _refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
+    """Returns the refusal of a value that is no message of a kind; it names the first three faults."""
+    faults: list[str] = []
+    try:
+        check(value, kind, faults)
+    except RecursionError:
+        faults = [f"{name} is nested too deeply"]
+    return refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))

@@ -1,0 +1,74 @@
+"""Descriptions of plans and solutions, as fields for JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from controller.manipulator.locked import transferred
+from controller.manipulator.notation import format_configuration, pose
+
+if TYPE_CHECKING:  # their kernels take seconds to import
+    from controller.manipulator.manipulator import Configuration, Manipulator
+    from controller.motion.plans.plan import Plan
+    from controller.search.solution import Solution
+
+
+def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Solution, oriented: bool) -> dict[str, Any]:
+    """Returns the fields of one solution.
+
+    Args:
+        whole: the arm.
+        reduced: the arm reduced by locked actuators, to which the solution belongs.
+        solution: to describe.
+        oriented: whether the goal has an orientation.
+    """
+    return {
+        "configuration": format_configuration(whole, transferred(solution.configuration, reduced, whole)),
+        **pose(whole, solution.tip),
+        "error": solution.error,
+        "orientation_error": solution.angle if oriented else None,
+        "switches": solution.switches,
+        "seconds": solution.seconds,
+        "cost": solution.cost,
+        **solution.proof(),
+    }
+
+
+def describe_plan(whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: Plan) -> dict[str, Any]:
+    """Returns the fields of a plan: `message`, `waypoints`, its proof, and the tip bias if there is a tracker.
+
+    Args:
+        whole: the arm.
+        reduced: the arm reduced by locked actuators, to which the plan belongs.
+        previous: configuration before, shape (B,).
+        plan: to describe.
+    """
+    trajectory, before = plan.trajectory, reduced.actuator_states(previous)
+    shift = np.zeros(trajectory.positions.shape[1]) if trajectory.bias is None else trajectory.bias
+    points = list[dict[str, Any]]()
+    for k, (solution, transition) in enumerate(zip(plan.solutions, plan.transitions, strict=True)):
+        changes = np.diff(np.vstack([before, transition.stages]).astype(int), axis=0)
+        before, position = transition.stages[-1], trajectory.positions[k]
+        points.append(
+            {
+                "t": trajectory.times[k],
+                "goal": position if k in trajectory.fixed else position + shift,
+                "between": trajectory.between(k),
+                **describe_solution(whole, reduced, solution, bool(trajectory.turns[k] < np.inf)),
+                "stages": [[whole.actuators[a] for a in np.flatnonzero(c)] for c in changes if c.any()],
+                "excursion": transition.deviation,
+            }
+        )
+    between = len(points) - len(trajectory.waypoints)
+    along = f", {between} points between them" if between else ""
+    bias = {} if trajectory.bias is None else {"bias": trajectory.bias}
+    return {
+        "message": f"{len(trajectory.waypoints)} waypoints{along}, {plan.switches} switches",
+        "waypoints": points,
+        "switches": plan.switches,
+        "cost": plan.cost,
+        **plan.proof(),
+        **bias,
+    }

@@ -1,0 +1,116 @@
+"""Plans of whole trajectories, for `hyperbit plan`, the daemon's `plan` key and the library."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.manipulator.manipulator import Configuration
+from controller.motion.plans.label_setting import LabelSetting
+from controller.motion.plans.plan import Plan
+from controller.motion.plans.point_by_point import plan
+from controller.motion.stages.pacing import Pace
+from controller.motion.trajectory import MOST_POINTS, Trajectory, along
+from controller.search.method import Method
+from controller.search.solver import DEADLINE, Solver
+
+FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
+
+Array = NDArray[np.float64]
+
+
+class Goals(NamedTuple):
+    """Goals for the tip, in order.
+
+    Attributes:
+        positions: in the world, shape (n, dimension).
+        tolerances: of the distances, shape (n,).
+        rotations: in the world, shape (n, 3, 3); ignored where `turns` is infinite.
+        turns: tolerances of the orientations [rad], shape (n,); infinite where any orientation serves.
+    """
+
+    positions: Array
+    tolerances: Array
+    rotations: Array
+    turns: Array
+
+
+def plan_whole(
+    solver: Solver,
+    trajectory: Trajectory,
+    previous: Configuration,
+    method: Method,
+    pace: Pace,
+    first: float | None = None,
+    seconds: float | None = None,
+) -> Plan:
+    """Returns the cheapest plan found for a trajectory: point by point first, then over the whole trajectory.
+
+    Args:
+        solver: of the arm.
+        trajectory: the goal.
+        previous: configuration of the arm at the start, shape (B,).
+        method: the search algorithm; the whole trajectory is searched for `minimum-switch` only.
+        pace: of the transitions.
+        first: time for the first answers of all points [s]; None: `first_time`.
+        seconds: time for the search of the whole trajectory [s]; None: WHOLE_TIME.
+
+    Raises:
+        Refusal: see `plan`.
+    """
+    first = first_time(trajectory) if first is None else first
+    found = plan(solver, trajectory, previous, method, pace=pace, seconds=first)
+    return found if method != "minimum-switch" else look_ahead(solver, found, previous, pace, seconds)
+
+
+def first_time(trajectory: Trajectory) -> float:
+    """Returns the time [s] for the first answers of all points if no arm waits for them."""
+    return min(DEADLINE * len(trajectory.times), FIRST_TIME)
+
+
+def look_ahead(
+    solver: Solver,
+    found: Plan,
+    previous: Configuration,
+    pace: Pace,
+    seconds: float | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Plan:
+    """Returns a plan that costs at most as much as `found`, with the lower bound that is proven.
+
+    Args:
+        solver: of the arm.
+        found: the plan to improve.
+        previous: configuration before, shape (B,).
+        pace: of the transitions.
+        seconds: time for the search [s], None: WHOLE_TIME; the time to stage its answer is extra.
+        stop: returns whether to end sooner.
+    """
+    search = LabelSetting(solver, found.trajectory, previous, stop)
+    search.offer(
+        np.array([solution.configuration for solution in found.solutions]), found.cost, found.solutions[0].bound
+    )
+    best = search.run(WHOLE_TIME if seconds is None else seconds)
+    better = found
+    if best.configurations is not None and best.cost < found.cost:
+        better = found.improved(solver, pace, 0, list(best.configurations), previous)
+    return better.proven(best.bound) if better.cost <= found.cost else found.proven(best.bound)
+
+
+def unhurried(goals: Goals, pace: Pace, path_tolerance: float | None = None) -> Trajectory:
+    """Returns the trajectory through goals, with more time than the actuators need.
+
+    Args:
+        goals: if lines are followed, only positions and the least tolerance are used.
+        pace: of the transitions.
+        path_tolerance: greatest distance of the tip from the straight lines between goals; None: no lines are followed.
+
+    Raises:
+        Refusal: the lines are too long for the path tolerance.
+    """
+    times = pace.unhurried * MOST_POINTS * np.arange(len(goals.positions), dtype=np.float64)
+    if path_tolerance is not None:
+        return along(times, goals.positions, float(goals.tolerances.min()), path_tolerance, pace)
+    points = np.arange(len(times))
+    return Trajectory(None, times, goals.positions, goals.tolerances, goals.rotations, goals.turns, points)

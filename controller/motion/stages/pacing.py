@@ -1,0 +1,211 @@
+"""The pace of transitions: as many stages as the time allows, within the inrush bound."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.armfile.actuators import longest_travel
+from controller.armfile.settings import ArmSettings
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.stages.stage_sequencer import DETOUR_TIME, StageSequencer
+from controller.motion.stages.stages import SKIPPED, order_stages, peaks
+from controller.motion.stages.transition import build_transition
+from controller.obstacles.sweep import Sweep
+
+PERIOD = 0.01  # [s] of the executor's loop
+MOST_STAGES = 8  # of a transition, unless the inrush bound needs more; further stages lower the deviation little
+
+
+class Infeasible(ValueError):
+    """The time is too short for a transition."""
+
+
+class Blocked(Infeasible):
+    """No collision-free sequence of stages was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """A transition as a sequence of stages.
+
+    Attributes:
+        stages: actuator states after each stage, shape (k, A); k >= 1, also if nothing switches.
+        deviation_source: the deviation, or a function that computes it. Computing it would delay the start of a goal.
+        strict: the stages are collision-free one after the other; none may be skipped or merged with the next.
+    """
+
+    stages: NDArray[np.uint8]
+    deviation_source: float | Callable[[], float] | None
+    strict: bool = False
+
+    @cached_property
+    def deviation(self) -> float | None:
+        """Greatest distance of the tip from the straight line; None if it is not known."""
+        return self.deviation_source() if callable(self.deviation_source) else self.deviation_source
+
+    def switches_from(self, states: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Returns how often each actuator switches, shape (A,), from the actuator states (A,) before."""
+        return np.asarray(np.count_nonzero(np.diff(np.vstack([states, self.stages]), axis=0), axis=0))
+
+
+@dataclass(frozen=True)
+class Pace:
+    """The limits on an arm's transitions.
+
+    Attributes:
+        lead: time of one stage, from the tick before it to its end [s].
+        inrush: most actuators that may switch at once. None: no limit; a transition is one stage, unless obstacles
+            need more.
+        rest: time that an actuator rests between two travels [s].
+    """
+
+    lead: float
+    inrush: int | None = None
+    rest: float = 0.0
+
+    @property
+    def shortest(self) -> float:
+        """Least time between two waypoints [s]."""
+        return self.lead + self.rest
+
+    @property
+    def unhurried(self) -> float:
+        """Time between two waypoints that suffices for any number of switches [s]; more time changes nothing."""
+        return self.rest + self.lead * (1 if self.inrush is None else MOST_STAGES)
+
+    def needed(self, switches: int) -> float:
+        """Returns the least time between two waypoints for a number of switches [s]."""
+        return self.rest + self.lead * max(self._fewest(switches), 1)
+
+    def longest(self, available: NDArray[np.float64], actuators: int, strict: bool) -> NDArray[np.float64]:
+        """Returns the longest duration of transitions (n,) [s], from the time that is available to each (n,) [s]."""
+        if strict:
+            return np.minimum(available - self.rest, self.lead * actuators)
+        if self.inrush is None:
+            return np.full_like(available, self.lead)
+        return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self._fewest(actuators)))
+
+    def staged(
+        self,
+        manipulator: Manipulator,
+        before: Configuration,
+        after: Configuration,
+        available: float | None = None,
+        with_deviation: bool = True,
+        sweep: Sweep | None = None,
+        patience: float = DETOUR_TIME,
+    ) -> Staged:
+        """Returns the stages of a transition.
+
+        Args:
+            manipulator: the arm.
+            before: configuration, shape (B,).
+            after: configuration, shape (B,).
+            available: time from the waypoint before to the one after [s]; None: unlimited.
+            with_deviation: compute the deviation, also without an inrush bound.
+            sweep: swept checks that the stages must pass, in any order of a stage's actuators; None: no checks.
+            patience: time to search for a detour, on which actuators switch back and forth [s].
+
+        Raises:
+            Infeasible: the time is too short; the message says what is needed.
+            Blocked: no collision-free stages were found; the message names the obstacle.
+        """
+        if sweep is not None:
+            return self._clear(manipulator, before, after, available, with_deviation, sweep, patience)
+        n = manipulator.switches(before, after)
+        if n == 0:
+            return Staged(manipulator.actuator_states(after)[None], 0.0)
+        if self.inrush is None and not with_deviation:
+            return Staged(manipulator.actuator_states(after)[None], None)
+        if self.inrush is None or n <= 1:
+            return at_once(manipulator, before, after)
+        fewest = self._fewest(n)
+        room = n if available is None else min(n, int((available - self.rest) / self.lead + 1e-9))
+        if room < fewest:
+            raise Infeasible(f"{n} switches, at most {self.inrush} at once, need {self.needed(n):.3g} s")
+        if room == 1:
+            return at_once(manipulator, before, after)
+        for limit in sorted({max(min(room, MOST_STAGES), fewest), room}):
+            try:
+                found = order_stages(manipulator, before, after, self.inrush, limit)
+            except ValueError:  # with so few stages, each order ends a stage in a module's unknown state
+                continue
+            return Staged(rows(manipulator.actuator_states(before), found.actuators), found.deviation)
+        raise Infeasible(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
+
+    def _clear(
+        self,
+        manipulator: Manipulator,
+        before: Configuration,
+        after: Configuration,
+        available: float | None,
+        with_deviation: bool,
+        sweep: Sweep,
+        patience: float,
+    ) -> Staged:
+        """Returns collision-free stages: those without obstacles if they are clear, otherwise a sequence of others."""
+        start, transition = manipulator.actuator_states(before), build_transition(manipulator, before, after)
+        n = len(transition.actuators)
+        room = np.inf if available is None or self.lead == 0 else int((available - self.rest) / self.lead + 1e-9)
+        sequencer = StageSequencer(sweep, start, self.inrush or len(start))
+        usual = self.staged(manipulator, before, after, available, with_deviation)
+        stages = numbered(start, usual.stages)
+        if sequencer.clear(stages):
+            return replace(usual, strict=True)
+        if (touch := sweep.first_collision(start, np.arange(0))) is not None:  # also if no time is left for a search
+            raise Blocked(f"the arm collides where it stands: {sweep.describe(touch)}")
+        upwards, own = transition.actuators, np.concatenate(stages)
+        cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := sequencer.cut(order))]
+        if not any(len(cut) <= room for cut in cuts) and patience > 0:
+            order = sequencer.order(manipulator.actuator_states(after), self.rest == 0, patience)
+            cuts += [cut for cut in ([] if order is None else [sequencer.cut(order)]) if cut]
+        if not cuts:
+            raise Blocked(sequencer.obstruction)
+        best = min(cuts, key=len)
+        if len(best) > room:
+            detail = f"takes {len(best)} stages, there is time for {room}: {sequencer.obstruction}"
+            raise Blocked(f"a collision-free transition {detail}")
+        deviation = None
+        if with_deviation and sum(map(len, best)) == n:
+            known = replace(transition, unknown=SKIPPED)
+            deviation = max(peaks(known, known.masks([]), [np.searchsorted(upwards, stage) for stage in best]))
+        return Staged(rows(start, tuple(tuple(stage.tolist()) for stage in best)), deviation, strict=True)
+
+    def _fewest(self, switches: int) -> int:
+        """Returns the fewest stages for a number of switches."""
+        return -(-switches // (self.inrush or max(switches, 1)))
+
+
+def pace_of(settings: ArmSettings) -> Pace:
+    """Returns the pace of an arm's transitions."""
+    return Pace(longest_travel(settings) + PERIOD, settings.inrush, settings.rest_time)
+
+
+def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:
+    """Returns a transition in one stage."""
+    return Staged(manipulator.actuator_states(after)[None], lambda: deviation_at_once(manipulator, before, after))
+
+
+def deviation_at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> float:
+    """Returns the deviation of a transition in one stage."""
+    transition = build_transition(manipulator, before, after)
+    if not len(transition.actuators):
+        return 0.0
+    known = replace(transition, unknown=SKIPPED)
+    return max(known.greatest(known.masks([]), np.arange(len(transition.actuators))), 0.0)
+
+
+def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDArray[np.uint8]:
+    """Returns the actuator states (k, A) after each stage, from states (A,); a stage lists actuators that switch."""
+    result = np.tile(states, (len(stages), 1))
+    for k, stage in enumerate(stages):
+        result[k:, list(stage)] ^= 1
+    return result
+
+
+def numbered(states: NDArray[np.uint8], stages: NDArray[np.uint8]) -> list[NDArray[np.int64]]:
+    """Returns the actuators that switch in each stage (k, A), from states (A,)."""
+    return [np.flatnonzero(change) for change in np.diff(np.vstack([states, stages]).astype(int), axis=0)]

@@ -1,0 +1,77 @@
+"""Zenoh sessions: no router, no scouting, explicit endpoints."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+
+LEASE = 10.0  # [s] of silence after which a peer counts as lost; long, because busy machines stand still for seconds
+MOST_BLOCKED = 1.0  # [s] that a message waits for a peer that does not read, before the peer is disconnected
+TLS = "transport/link/tls"
+TLS_FILES = (
+    *("root_ca_certificate", "listen_certificate", "listen_private_key"),
+    *("connect_certificate", "connect_private_key"),
+)
+
+
+def configuration(mode: str, *, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
+    """Returns a configuration with the given endpoints and without scouting.
+
+    Args:
+        mode: "peer" for the daemon, "client" for its clients.
+        listen: endpoint to accept connections at.
+        connect: endpoint to connect to.
+    """
+    settings: dict[str, object] = {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "listen": {"endpoints": [listen] if listen else []},
+        "connect": {"endpoints": [connect] if connect else []},
+        "transport": {
+            "link": {
+                "tx": {
+                    "lease": round(LEASE * 1e3),
+                    "queue": {"congestion_control": {"block": {"wait_before_close": round(MOST_BLOCKED * 1e6)}}},
+                }
+            }
+        },
+    }
+    return zenoh.Config.from_json5(json.dumps(settings))
+
+
+def from_file(path: Path) -> zenoh.Config:
+    """Returns the configuration in a Zenoh file; relative paths of certificates and keys start at the file's folder.
+
+    Raises:
+        ValueError: the file is missing or no Zenoh configuration, or a certificate or key cannot be read.
+    """
+    try:
+        config = zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ValueError(f"{path}: no Zenoh configuration: {error}") from None
+    for name, value in json.loads(config.get_json(TLS)).items():
+        if name in TLS_FILES and value is not None:
+            file = path.parent / value
+            try:
+                file.open().close()
+            except OSError as error:
+                raise ValueError(f"{path}: {name}: {file}: {error.strerror}") from None
+            config.insert_json5(f"{TLS}/{name}", json.dumps(str(file.absolute())))
+    return config
+
+
+def lease(config: zenoh.Config) -> float:
+    """Returns the lease of a configuration's session [s]."""
+    return float(json.loads(config.get_json("transport/link/tx/lease"))) / 1e3
+
+
+def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
+    """Returns a function that returns whether a session is connected to one of its endpoints, if it has any."""
+    endpoints = json.loads(config.get_json("connect/endpoints"))
+    return lambda: not endpoints or bool(session.info.routers_zid() or session.info.peers_zid())
+
+
+def reason(error: zenoh.ZError) -> str:
+    """Returns the message of a Zenoh error, without the places in Zenoh's source."""
+    return str(error).split(" at /")[0].strip()

@@ -1,0 +1,80 @@
+"""The experiment of section 4: three targets in order, from the contracted arm, with each of three methods."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from controller.arm.arm import Arm
+from controller.manipulator import frames
+from controller.manipulator.notation import format_configuration, parse_configuration
+from controller.pictures import plots
+from controller.search.method import PAPER_METHODS, PaperMethod
+from controller.search.solver import Solver
+from controller.workspace.densities import Densities
+
+TARGETS = ((3.0, 0.7), (0.55, 2.9), (0.4, 2.9))
+TITLES: dict[PaperMethod, str] = {
+    "pop": "(a) POP",
+    "ipop-previous": "(b) IPOP, similar to the previous",
+    "ipop-contracted": "(c) IPOP, contracted",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """Result of one method for one target.
+
+    Attributes:
+        method: the algorithm.
+        target: position of the target.
+        configuration: text form, base first.
+        x: position of the tip; `y` likewise.
+        y: see x.
+        theta: orientation of the tip [rad].
+        error: distance of the tip from the target.
+        switches: actuators that differ from the previous configuration.
+    """
+
+    method: PaperMethod
+    target: tuple[float, float]
+    configuration: str
+    x: float
+    y: float
+    theta: float
+    error: float
+    switches: int
+
+
+def experiment(arm: Arm, densities: Densities) -> list[Row]:
+    """Returns nine rows, in the order of Figure 6."""
+    solver, rows = Solver(arm.manipulator, densities), []
+    for method in PAPER_METHODS:
+        previous = np.zeros(len(arm.manipulator.modules), dtype=np.int64)
+        for target in TARGETS:
+            found = solver.solve(target, previous, arm.tolerance, method)
+            previous = found.configuration
+            rows.append(
+                Row(
+                    method=method,
+                    target=target,
+                    configuration=format_configuration(arm.manipulator, found.configuration),
+                    x=float(found.tip[0, 3]),
+                    y=float(found.tip[1, 3]),
+                    theta=frames.angle(found.tip),
+                    error=found.error,
+                    switches=found.switches,
+                )
+            )
+    return rows
+
+
+def save(path: Path, arm: Arm, densities: Densities, rows: list[Row]) -> None:
+    """Writes Figure 5 (a) to (c) as three panels side by side."""
+    panels = []
+    for method in PAPER_METHODS:
+        own = [row for row in rows if row.method == method]
+        reached = {f"({row.target[0]:g}, {row.target[1]:g})": row.configuration for row in own}
+        configurations = {name: parse_configuration(arm.manipulator, text) for name, text in reached.items()}
+        panels.append(plots.Panel(TITLES[method], configurations, [row.target for row in own]))
+    plots.save(path, arm.manipulator, densities, panels)

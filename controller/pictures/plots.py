@@ -1,0 +1,224 @@
+"""Pictures of arms over the point density of their workspace, in the style of the paper's Figure 5."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.obstacles.obstacles import NONE, Obstacles
+from controller.pictures.obstacle_plots import draw_obstacles, draw_spatial_obstacles
+from controller.workspace.densities import Densities
+
+if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who draw wait for it
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, which colour-blind readers tell apart; those that gray swallows left out.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LIGHTEST, DARKEST = 0.88, 0.55
+# Densities within this factor of the greatest are all drawn in the darkest gray.
+SATURATED = 1000.0
+CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """The content of one picture.
+
+    Attributes:
+        title: title above the picture.
+        configurations: configurations to draw, by their names in the legend.
+        targets: drawn as black crosses, shape (n, 2) or (n, 3).
+        curve: waypoints drawn as a dotted line, shape (n, 2) or (n, 3).
+    """
+
+    title: str = ""
+    configurations: Mapping[str, Configuration] = field(default_factory=dict)
+    targets: ArrayLike = ()
+    curve: ArrayLike = ()
+
+
+def save(
+    path: Path,
+    manipulator: Manipulator,
+    densities: Densities,
+    panels: Sequence[Panel],
+    unit: str = "m",
+    obstacles: Obstacles = NONE,
+) -> None:
+    """Writes a picture of the panels side by side, in the format of the path's suffix.
+
+    Args:
+        path: file to write.
+        manipulator: the arm.
+        densities: of its intermediate workspaces; ignored for a spatial arm.
+        panels: from left to right.
+        unit: of length, for the axes.
+        obstacles: obstacles to draw.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: matplotlib knows no such suffix.
+    """
+    figure(manipulator, densities, panels, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
+
+
+def figure(
+    manipulator: Manipulator,
+    densities: Densities,
+    panels: Sequence[Panel],
+    unit: str = "m",
+    obstacles: Obstacles = NONE,
+) -> Figure:
+    """Returns the picture that `save` writes."""
+    from matplotlib.figure import Figure
+
+    result = Figure(figsize=(6.0 * len(panels) + 0.6, 6.2), layout="constrained")
+    shades = None
+    for k, panel in enumerate(panels):
+        if manipulator.planar:
+            axes = result.add_subplot(1, len(panels), k + 1)
+            shades = draw(axes, manipulator, densities, panel, unit, obstacles)
+        else:
+            axes = result.add_subplot(1, len(panels), k + 1, projection="3d")
+            draw_spatial(axes, manipulator, panel, unit, obstacles)
+    if shades is not None:
+        bar = result.colorbar(shades, ax=result.axes, extend="max", shrink=0.7, aspect=30, pad=0.02)
+        bar.set_label(f"point density [1/{unit}²]")
+        bar.ax.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
+    return result
+
+
+def draw(
+    axes: Axes,
+    manipulator: Manipulator,
+    densities: Densities,
+    panel: Panel,
+    unit: str = "m",
+    obstacles: Obstacles = NONE,
+) -> Any:
+    """Draws a planar arm in the world over the density of W_0; returns the density's image, for a colour bar."""
+    from matplotlib.collections import LineCollection
+
+    shades, reachable = draw_density(axes, manipulator, densities)
+    everything = [reachable]
+    for name, configuration, colour, width in styled(panel):
+        body = manipulator.body(configuration)[:, :, :2]
+        for line, shade, order in ((width + 1.6, "white", 2), (width, colour, 3)):  # the rims below all colours
+            lines = LineCollection(list(body), colors=shade, linewidths=line, capstyle="round", zorder=order)
+            axes.add_collection(lines)
+        axes.plot([], [], color=colour, linewidth=2, label=name)
+        everything.append(body.reshape(-1, 2))
+    goals = draw_goals(axes, panel, 2)
+    low, high = bounds([*everything, *goals])
+    draw_obstacles(axes, obstacles, low, high)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=panel.title)
+    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+    add_legend(axes)
+    return shades
+
+
+def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> tuple[Any, NDArray[np.float64]]:
+    """Draws W_0 in logarithmic gray; returns the image and the pixels (n, 2) in the world that have points."""
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.transforms import Affine2D
+
+    values = densities.level(0)[0].astype(float)
+    density = (values - np.log(densities.volume(0, planar=True))) / np.log(10.0)
+    density[values < 0] = np.nan
+    most = float(np.nanmax(density)) - np.log10(SATURATED)
+    least = min(float(np.nanmin(density)), most - 1.0)
+    (left, bottom, _), (right, top, _) = densities.box(0)
+    base = manipulator.base[np.ix_([0, 1, 3], [0, 1, 3])]
+    shades = axes.imshow(
+        density,
+        cmap=LinearSegmentedColormap.from_list("density", [str(LIGHTEST), str(DARKEST)]),
+        vmin=least,
+        vmax=most,
+        extent=(left, right, bottom, top),
+        origin="lower",
+        interpolation="nearest",
+        transform=Affine2D(base) + axes.transData,
+        zorder=0,
+    )
+    y, x = np.nonzero(values >= 0)
+    centres = densities.references[0] + densities.pixels[0] * np.column_stack((x, y, np.zeros(len(x))))
+    return shades, centres[:, :2] @ base[:2, :2].T + base[:2, 2]
+
+
+def draw_spatial(
+    axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m", obstacles: Obstacles = NONE
+) -> None:
+    """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
+    from matplotlib.ticker import MaxNLocator, MultipleLocator
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
+
+    axes.computed_zorder = False  # else an arm in front hides waypoints and targets
+    everything = [manipulator.base[None, :3, 3]]
+    for name, configuration, colour, width in styled(panel):
+        body = manipulator.body(configuration)
+        width *= 1.0 if len(body) < CROWDED else 0.6
+        lines = Line3DCollection(body, colors=colour, linewidths=width, label=name, capstyle="round", zorder=3)
+        axes.add_collection3d(lines)
+        everything.append(body.reshape(-1, 3))
+    goals = draw_goals(axes, panel, 3)
+    low, high = bounds([*everything, *goals])
+    draw_spatial_obstacles(axes, obstacles, low, high)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=panel.title)
+    ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
+    for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):
+        axis.set_major_locator(MultipleLocator(ticks[1] - ticks[0]))
+        axis.set_label_text(f"{name} [{unit}]")
+        axis.labelpad = 10
+    axes.set_box_aspect(high - low, zoom=0.9)  # smaller, so that the labels stay in the picture
+    add_legend(axes)
+
+
+def draw_goals(axes: Any, panel: Panel, dimension: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Draws waypoints, dotted, and targets, crossed; returns the points of both, shape (n, dimension) each."""
+    from matplotlib.patheffects import withStroke
+
+    curve, targets = points(panel.curve, dimension), points(panel.targets, dimension)
+    if len(curve):
+        halo = [withStroke(linewidth=3.2, foreground="white")]
+        axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints", path_effects=halo, zorder=4)
+    if len(targets):
+        bold = [withStroke(linewidth=4.5, foreground="white")]
+        axes.plot(*targets.T, "x", color="black", ms=9, mew=2, label="targets", path_effects=bold, zorder=5)
+    return curve, targets
+
+
+def add_legend(axes: Any) -> None:
+    """Adds the legend below the axes."""
+    count = len(axes.get_legend_handles_labels()[1])
+    if count:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=count if count <= 4 else 3, frameon=False)
+
+
+def styled(panel: Panel) -> Iterator[tuple[str, Configuration, str, float]]:
+    """Yields name, configuration, colour and line width; widths decrease, so that coinciding modules stay visible."""
+    last = len(panel.configurations) - 1
+    for k, ((name, configuration), colour) in enumerate(
+        zip(panel.configurations.items(), cycle(COLOURS), strict=False)
+    ):
+        yield name, configuration, colour, 1.3 + min(last - k, 3)
+
+
+def points(given: ArrayLike, dimension: int) -> NDArray[np.float64]:
+    """Returns positions as an array (n, dimension)."""
+    return np.asarray(given, dtype=float).reshape(-1, dimension)
+
+
+def bounds(parts: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns the lower and upper corner of a box around all points, with a margin and sides above 0."""
+    everything = np.concatenate(parts)
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    margin = 0.04 * (high - low).max() or 1.0
+    return low - margin, high + margin

@@ -1,0 +1,267 @@
+"""Pictures of an arm's workspace: densities of positions and orientations, and the reach with locked actuators."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controller.manipulator.manipulator import Manipulator
+from controller.pictures.plots import DARKEST, LIGHTEST
+from controller.workspace.densities import Densities
+from controller.workspace.locked_reach import LockedReach
+from controller.workspace.orientations import Orientations
+
+if TYPE_CHECKING:  # matplotlib takes half a second to import
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+ARCS = 36  # of a histogram of angles
+LATITUDES, LONGITUDES = 24, 48  # cells of equal area of a histogram of directions
+ORANGE, BLUE = "#D55E00", "#0072B2"
+SLICES = ((2, 0, 1), (1, 0, 2), (0, 1, 2))  # axis that a slice cuts, and the axes that it shows
+
+
+class Field(NamedTuple):
+    """Numbers of configurations within the tolerance of goals, in pixels parallel to the axes of the base.
+
+    Attributes:
+        title: title above its pictures.
+        counts: log10 of the numbers, minus infinity where there are none, shape (z, y, x).
+        reference: centre of the first pixel in the base frame, x, y, z.
+        pixel: side of the pixels.
+        lost: pixels to mark as lost, shape (z, y, x), or None.
+    """
+
+    title: str
+    counts: Array
+    reference: Array
+    pixel: float
+    lost: NDArray[np.bool_] | None = None
+
+
+def positions_field(densities: Densities, dimension: int, tolerance: float) -> Field:
+    """Returns the density of the tip's positions as numbers of configurations within a tolerance."""
+    ball = math.pi * tolerance**2 if dimension == 2 else 4 / 3 * math.pi * tolerance**3
+    values = densities.level(0).astype(float)
+    logs = np.where(values >= 0, values + math.log(ball / densities.pixels[0] ** dimension), -np.inf)
+    return Field("positions", logs / math.log(10), densities.references[0], float(densities.pixels[0]))
+
+
+def locked_field(found: LockedReach, locks: int) -> Field:
+    """Returns the least numbers of configurations over all choices of locked actuators."""
+    some = "any one actuator" if locks == 1 else f"any of {len(found.choices)} choices of {locks} actuators"
+    counts = found.least_counts / math.log(10)
+    lost = np.isfinite(found.free_counts) & ~np.isfinite(found.least_counts)
+    return Field(f"worst case, {some} locked", counts, found.reference, found.pixel, lost)
+
+
+def draw_workspace(
+    manipulator: Manipulator,
+    fields: list[Field],
+    point: ArrayLike | None = None,
+    orientations: Orientations | None = None,
+    title: str = "",
+    unit: str = "m",
+) -> Figure:
+    """Returns the picture of a workspace: one row for a planar arm, a row of slices for each field of a spatial arm.
+
+    Args:
+        manipulator: the arm.
+        fields: to draw.
+        point: position in the world to mark, through which slices go; the densest pixel of the first field if None.
+        orientations: at the point; None to draw none.
+        title: above the picture.
+        unit: of length, for the axes.
+    """
+    from matplotlib.figure import Figure
+
+    columns = len(fields) + (orientations is not None) if manipulator.planar else 3
+    rows = 1 if manipulator.planar else len(fields) + (orientations is not None)
+    result = Figure(figsize=(5.4 * columns, (5.2 if manipulator.planar else 4.2) * rows), layout="constrained")
+    result.suptitle(title)
+    parts = result.subfigures(rows, 1, squeeze=False)[:, 0]
+    marked = None if point is None else in_base(manipulator, point)
+    if manipulator.planar:
+        for k, field in enumerate(fields):
+            axes = parts[0].add_subplot(1, columns, k + 1)
+            draw_plane(axes, manipulator, field, point, unit)
+        add_key(parts[0], parts[0].axes, fields)
+        if orientations is not None:
+            draw_angles(parts[0].add_subplot(1, columns, columns, projection="polar"), orientations)
+        return result
+    centre = densest(fields[0]) if marked is None else marked
+    for part, field in zip(parts, fields, strict=False):
+        draw_slices(part, field, centre, unit, cross=marked is not None)
+    if orientations is not None:
+        draw_rotations(parts[-1], orientations)
+    return result
+
+
+def in_base(manipulator: Manipulator, point: ArrayLike) -> Array:
+    """Returns a position of the world, (2,) or (3,), in the base frame, shape (3,)."""
+    full = np.zeros(3)
+    full[: manipulator.dimension] = point
+    return np.asarray(manipulator.base[:3, :3].T @ (full - manipulator.base[:3, 3]))
+
+
+def densest(field: Field) -> Array:
+    """Returns the centre of the densest pixel in the base frame."""
+    z, y, x = np.unravel_index(int(field.counts.argmax()), field.counts.shape)
+    return np.asarray(field.reference + field.pixel * np.array([x, y, z]))
+
+
+def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLike | None, unit: str) -> None:
+    """Draws the field of a planar arm in the world."""
+    from matplotlib.transforms import Affine2D
+
+    base = manipulator.base[np.ix_([0, 1, 3], [0, 1, 3])]
+    transform = Affine2D(base) + axes.transData
+    lost = None if field.lost is None else field.lost[0]
+    extent = draw_counts(axes, field.counts[0], lost, field.reference[:2], field.pixel, transform)
+    corners = np.array([[x, y] for x in extent[:2] for y in extent[2:]]) @ base[:2, :2].T + base[:2, 2]
+    axes.plot(*base[:2, 2], "^", color=BLUE, markersize=8, label="base")
+    if point is not None:
+        axes.plot(*np.asarray(point)[:2], "x", color="black", markersize=9, markeredgewidth=2, label="point")
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=field.title)
+    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+
+
+def draw_slices(figure: Any, field: Field, centre: Array, unit: str, *, cross: bool) -> None:
+    """Draws the slices of a spatial arm's field through a point of the base frame."""
+    figure.suptitle(field.title)
+    index = np.clip(np.round((centre - field.reference) / field.pixel).astype(int), 0, field.counts.shape[::-1])
+    index = np.minimum(index, np.array(field.counts.shape[::-1]) - 1)
+    finite = field.counts[np.isfinite(field.counts)]
+    limits = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    for k, (cut, across, up) in enumerate(SLICES):
+        axes = figure.add_subplot(1, 3, k + 1)
+        counts = np.take(field.counts, index[cut], axis=2 - cut)
+        lost = None if field.lost is None else np.take(field.lost, index[cut], axis=2 - cut)
+        draw_counts(axes, counts, lost, field.reference[[across, up]], field.pixel, axes.transData, limits)
+        if cross:
+            axes.plot(centre[across], centre[up], "x", color="black", markersize=9, markeredgewidth=2)
+        names = "xyz"
+        axes.set(xlabel=f"{names[across]} of the base [{unit}]", ylabel=f"{names[up]} of the base [{unit}]")
+        axes.set(aspect="equal", title=f"{names[cut]} = {centre[cut]:.3g} {unit}")
+    add_key(figure, figure.axes, [field])
+
+
+def draw_counts(
+    axes: Any,
+    counts: Array,
+    lost: NDArray[np.bool_] | None,
+    reference: Array,
+    pixel: float,
+    transform: Any,
+    limits: tuple[float, float] | None = None,
+) -> tuple[float, float, float, float]:
+    """Draws log10 of numbers of configurations (rows, columns) in gray, lost pixels in colour; returns the extent."""
+    from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+
+    rows, columns = counts.shape
+    left, bottom = reference - pixel / 2
+    extent = (float(left), float(left + columns * pixel), float(bottom), float(bottom + rows * pixel))
+    options: dict[str, Any] = {"extent": extent, "origin": "lower", "interpolation": "nearest", "transform": transform}
+    shown = np.where(np.isfinite(counts), counts, np.nan)
+    if limits is None:
+        limits = (float(np.nanmin(shown)), float(np.nanmax(shown))) if np.isfinite(counts).any() else (0.0, 1.0)
+    gray = LinearSegmentedColormap.from_list("counts", [str(LIGHTEST), str(DARKEST / 3)])
+    shades = axes.imshow(shown, cmap=gray, vmin=limits[0], vmax=limits[1], **options)
+    bar = axes.figure.colorbar(shades, ax=axes, shrink=0.7, pad=0.02)
+    bar.set_label("configurations within the tolerance", fontsize="small")
+    bar.ax.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
+    if lost is not None and lost.any():
+        axes.imshow(np.where(lost, 1.0, np.nan), cmap=ListedColormap([ORANGE]), vmin=0, vmax=1, **options)
+    if (counts > 0).any():
+        from scipy.ndimage import median_filter
+
+        smooth = median_filter(np.where(np.isfinite(counts), counts, limits[0] - 1), 5)  # without single pixels
+        x, y = (start + pixel * np.arange(size) for start, size in zip(reference, (columns, rows), strict=True))
+        axes.contour(x, y, smooth, levels=[0.0], colors=BLUE, linewidths=1.0, transform=transform)
+    return extent
+
+
+def add_key(figure: Any, every: list[Any], fields: list[Field]) -> None:
+    """Adds the legend below the pictures."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: dict[str, Any] = {}
+    for axes in every:
+        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if any((field.counts > 0).any() for field in fields):
+        handles["one configuration"] = Line2D([], [], color=BLUE, linewidth=1.0)
+    if any(field.lost is not None and field.lost.any() for field in fields):
+        handles["lost with some choice"] = Patch(color=ORANGE)
+    if handles:
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles), frameon=False)
+
+
+def draw_angles(axes: Any, found: Orientations) -> None:
+    """Draws the density of a planar arm's orientations on polar axes, zero to the right, counter-clockwise."""
+    shares = arcs(angles_of(found.rotations), found.counts)
+    width = 2 * math.pi / ARCS
+    axes.bar(-math.pi + width * (np.arange(ARCS) + 0.5), shares, width=width, color=ORANGE, edgecolor="white")
+    axes.set_title("orientations at the point, share of configurations")
+    axes.set_thetalim(-math.pi, math.pi)
+    axes.set_rlabel_position(math.degrees(-math.pi + width * (int(shares.argmin()) + 0.5)))
+    axes.set_yticks([tick for tick in axes.get_yticks() if tick > 0][::2])
+    axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}" if share >= 0.01 else f"{share:.1%}")
+
+
+def draw_rotations(figure: Any, found: Orientations) -> None:
+    """Draws the density of a spatial arm's orientations: direction of the tip's z axis, and rotation about it.
+
+    Directions are drawn in Lambert's azimuthal equal-area projection, centred at the z axis of the world.
+    """
+    figure.suptitle("orientations at the point")
+    axes = figure.add_subplot(1, 3, 1, projection="polar")
+    shares = directions(found)[::-1]  # from the z axis on
+    polar = np.arccos(np.linspace(1, -1, LATITUDES + 1))
+    longitudes = np.linspace(-math.pi, math.pi, LONGITUDES + 1)
+    shown = np.where(shares > 0, shares, np.nan)
+    radii = 2 * np.sin(polar / 2)
+    mesh = axes.pcolormesh(longitudes, radii, shown, cmap="Oranges", vmin=0, edgecolors="none", rasterized=True)
+    last = int(np.flatnonzero(shares.sum(axis=1) > 0).max()) + 1
+    axes.set_rlim(0, radii[min(last + 2, LATITUDES)])
+    degrees = [angle for angle in (15, 30, 45, 60, 90, 120, 180) if polar[last] * 1.2 >= math.radians(angle)]
+    axes.set_yticks([2 * math.sin(math.radians(angle) / 2) for angle in degrees], [f"{angle}°" for angle in degrees])
+    axes.grid(alpha=0.3)
+    axes.set_title("tip's z axis: angle from the z axis, and longitude", fontsize="medium")
+    figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1, label="share of configurations", format="{x:.1%}")
+    twist = figure.add_subplot(1, 3, (2, 3))
+    turns = np.degrees(-math.pi + 2 * math.pi / ARCS * (np.arange(ARCS) + 0.5))
+    twist.bar(turns, arcs(twists(found.rotations), found.counts), width=360 / ARCS, color=ORANGE, edgecolor="white")
+    twist.set(xlabel="turn about the tip's z axis [°]", ylabel="share of configurations", xlim=(-180, 180))
+    twist.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}" if share >= 0.01 else f"{share:.1%}")
+
+
+def angles_of(rotations: Array) -> Array:
+    """Returns the angles of rotations about z, shape (n,)."""
+    return np.asarray(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
+
+
+def twists(rotations: Array) -> Array:
+    """Returns the twist angles (n,) of rotations (n, 3, 3) about their own z axis."""
+    qz, qw = rotations[:, 1, 0] - rotations[:, 0, 1], 1 + np.trace(rotations, axis1=1, axis2=2)
+    return np.asarray(2 * np.arctan2(qz, qw) + math.pi) % (2 * math.pi) - math.pi
+
+
+def arcs(angles: Array, counts: Array) -> Array:
+    """Returns the share of the counts (n,) in each of ARCS equal arcs from -pi on."""
+    found = np.histogram(angles, ARCS, (-math.pi, math.pi), weights=counts)[0]
+    return np.asarray(found / max(float(found.sum()), 1e-300))
+
+
+def directions(found: Orientations) -> Array:
+    """Returns the share of configurations by direction of the tip's z axis, shape (latitudes, longitudes)."""
+    axis = found.rotations[:, :, 2]
+    longitude = np.arctan2(axis[:, 1], axis[:, 0])
+    bounds = [(-1.0, 1.0), (-math.pi, math.pi)]
+    counts = np.histogram2d(axis[:, 2], longitude, (LATITUDES, LONGITUDES), bounds, weights=found.counts)[0]
+    return np.asarray(counts / max(float(counts.sum()), 1e-300))

@@ -1,0 +1,117 @@
+"""Facts of the code for the tables of the pages: names of fields, keys, faults, commands and others."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any, get_args
+
+import msgspec
+
+import hyperbit
+from controller import cli
+from controller.armfile import settings
+from controller.gateway import outbox
+from controller.motion import codes
+from controller.motion.decoding import goal, requests, setpoint
+from controller.motion.tracking import bias
+from controller.program.parts import Mode
+from drivers.simulation.variants import VARIANTS
+from tests.documents.page import ROOT
+from tests.documents.payloads import payloads
+
+
+def structs() -> Iterator[type[msgspec.Struct]]:
+    """Returns the structs of the arm's file and of payloads."""
+    for module in (settings, goal, requests, setpoint, bias):
+        for value in vars(module).values():
+            if isinstance(value, type) and issubclass(value, msgspec.Struct) and value.__module__ == module.__name__:
+                yield value
+
+
+def fields(struct: Any) -> set[str]:
+    """Returns the names of a struct's fields."""
+    return set(struct.__struct_encode_fields__)
+
+
+def sources(*folders: str) -> Iterator[str]:
+    """Returns the texts of the Python files in folders."""
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            yield path.read_text()
+
+
+def keys() -> set[str]:
+    """Returns the keys below hyperbit/<arm>/ that a daemon declares or publishes on."""
+    declared = re.compile(r'(?:_command|_query|_mailbox|declare_token)\(\s*f?"(?:{[a-z._]+}/)?(@?[a-z_]+)"')
+    return {key for text in sources("controller/gateway") for key in declared.findall(text)} | outbox.PUBLISHED.keys()
+
+
+def faults() -> set[str]:
+    """Returns the codes of faults and warnings."""
+    from controller.panel.faults import ADVICE
+
+    return set(ADVICE)
+
+
+def faults_of_the_code() -> set[str]:
+    """Returns the fault codes that are literals in calls of `Fault`."""
+    made = re.compile(r"Fault\(\s*\"([a-z-]+)\"")
+    folders = ("controller/executor", "controller/planning", "controller/gateway", "drivers/canopen")
+    return {code for text in sources(*folders) for code in made.findall(text)}
+
+
+def exit_codes() -> set[str]:
+    """Returns the exit codes that the command line documents."""
+    return set(re.findall(r"(\d+) [a-z]", str(cli.__doc__).partition("Exit codes: ")[2].partition("\n")[0]))
+
+
+def result_codes() -> set[str]:
+    """Returns the codes of results."""
+    return {str(value) for name, value in vars(codes).items() if name.isupper()}
+
+
+def rooms() -> set[str]:
+    """Returns the packages of the controller and of the drivers."""
+    found = [path.parent for folder in ("controller", "drivers") for path in (ROOT / folder).glob("*/__init__.py")]
+    return {f"{path.relative_to(ROOT).as_posix()}" for path in found}
+
+
+def targets() -> set[str]:
+    """Returns the targets of the Makefile."""
+    line = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert line
+    return set(line[1].split())
+
+
+def units() -> set[str]:
+    """Returns the units of systemd."""
+    return {path.name for path in (ROOT / "deploy").glob("*.service")}
+
+
+def shipped_arms() -> set[str]:
+    """Returns the names of the arms in deploy/."""
+    return {path.stem for path in (ROOT / "deploy").glob("*.yaml")}
+
+
+TABLES: dict[str, Callable[[], set[str]]] = {
+    "commands": lambda: set(cli.COMMANDS),
+    "exit codes": exit_codes,
+    "keys": keys,
+    "faults": faults,
+    "result codes": result_codes,
+    "modes": lambda: set(get_args(Mode)),
+    "methods": lambda: set(get_args(settings.Method)),
+    "module types": lambda: {str(kind.__struct_config__.tag) for kind in get_args(settings.ModuleSettings)},
+    "variants": lambda: set(VARIANTS),
+    "rooms": rooms,
+    "make targets": targets,
+    "units": units,
+    "arms": shipped_arms,
+    "names of the library": lambda: set(hyperbit.__all__),
+}
+for key in ("answer", "state", "feedback", "result", "diagnostics", "arm"):
+    TABLES[f"payload of {key}"] = lambda key=key: payloads()[key]  # type: ignore[misc]
+STRUCTS = {struct.__name__: struct for struct in structs()}
+for struct in STRUCTS.values():
+    TABLES[f"fields of {struct.__name__}"] = lambda struct=struct: fields(struct)  # type: ignore[misc]

@@ -1,0 +1,51 @@
+"""Each example of each page runs and prints the lines on the page."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from controller.commands.connection import connected
+from controller.commands.operate import demo
+from tests.documents import page, running
+
+PAGES = page.find()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("CACHE", "STATE"):
+            patch.setenv(f"XDG_{name}_HOME", str(tmp_path_factory.mktemp(name.lower())))
+            patch.delenv(f"{name}_DIRECTORY", raising=False)
+        yield
+
+
+@pytest.fixture(scope="module")
+def daemon(folders, tmp_path_factory: pytest.TempPathFactory) -> Iterator[running.Daemon]:
+    """Returns the endpoint of a daemon of planar16 with simulated boards, started at the first use."""
+    with ExitStack() as stack:
+        endpoints: list[tuple[subprocess.Popen[bytes], str]] = []
+
+        def start() -> str:
+            if not endpoints:
+                arm = running.ROOT / "deploy" / "planar16.yaml"
+                process, endpoint = stack.enter_context(demo.started(arm, tmp_path_factory.mktemp("daemon")))
+                endpoints.append((process, endpoint))
+            process, endpoint = endpoints[0]
+            with connected("planar16", endpoint, None) as client:
+                demo.wait_until_ready(client, process.poll)  # the previous example may have stopped the arm
+            return endpoint
+
+        yield start
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: page.read(path).name)
+def test_the_examples_run(path, tmp_path, monkeypatch, daemon):
+    running.prepare(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    running.run(page.read(path), tmp_path, daemon)

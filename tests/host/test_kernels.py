@@ -1,0 +1,59 @@
+"""Which modules have kernels, in which order they are compiled, and what does without them."""
+
+import subprocess
+import sys
+
+import pytest
+
+from controller.host import kernels
+
+WITHOUT = (  # what the planner's core and clients use
+    *("controller.manipulator.frames", "controller.manipulator.locked", "controller.manipulator.notation"),
+    *("controller.motion.codes", "controller.motion.targets", "controller.motion.trajectory"),
+    *("controller.motion.decoding.goal", "controller.motion.decoding.setpoint"),
+    *(f"controller.motion.stages.{name}" for name in ("feed", "program", "restaging")),
+    *("controller.motion.tracking.bias", "controller.motion.tracking.tracking"),
+    "controller.planning.core.core",
+)
+
+
+def test_modules_with_kernels_come_with_those_they_depend_on():
+    found = kernels.kernels()
+    assert {
+        "controller.search.matching",
+        "controller.obstacles.scene",
+        "controller.obstacles.collision",
+    } <= found.keys()
+    assert "controller.obstacles.collision" in found["controller.search.matching"]
+    for name, others in found.items():
+        assert name not in others
+        assert others <= found.keys()
+
+
+def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "hyperbit_first.py").write_text(f"open({str(tmp_path / 'mark')!r}, 'w').close()")
+    (tmp_path / "hyperbit_second.py").write_text(f"open({str(tmp_path / 'mark')!r}).close()")
+    kernels.compile_all({"hyperbit_second": {"hyperbit_first"}, "hyperbit_first": set()}, 2)
+    assert not {"hyperbit_first", "hyperbit_second"} & set(sys.modules)
+
+
+def test_a_module_that_cannot_be_imported_is_named():
+    with pytest.raises(RuntimeError, match=r"the kernels of controller\.missing cannot be compiled"):
+        kernels.compile_all({"controller.missing": set()}, 1)
+
+
+def test_indexes_of_machine_code_are_dropped(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernels, "FOLDER", tmp_path)
+    index, code = (tmp_path / "room" / "__pycache__" / name for name in ("a.f.nbi", "a.f.1.nbc"))
+    index.parent.mkdir(parents=True)
+    index.touch()
+    code.touch()
+    kernels.drop_indexes()
+    assert (index.exists(), code.exists()) == (False, True)
+
+
+def test_what_needs_no_kernel_does_not_import_numba():
+    code = "import sys\nfor name in sys.argv[1:]:\n    __import__(name)\n    assert 'numba' not in sys.modules, name"
+    done = subprocess.run([sys.executable, "-c", code, *WITHOUT], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

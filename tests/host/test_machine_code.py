@@ -1,0 +1,85 @@
+"""The folder for the machine code of the kernels."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from controller.host import machine_code
+from tests.commands.conftest import ARM
+
+CHECK = """
+import sys
+from pathlib import Path
+from controller.host import machine_code
+machine_code.usual_folders = lambda: [Path(folder) for folder in sys.argv[2:]]
+assert "numba" not in sys.modules
+machine_code.watch()
+machine_code.watch()
+sys.path.insert(0, sys.argv[1])
+import kernels_of_a_test
+print(kernels_of_a_test.twice(4))
+"""
+KERNEL = "from numba import njit\n\n@njit('i8(i8)', cache=True)\ndef twice(x):\n    return 2 * x\n"
+
+
+@pytest.fixture
+def nowhere(tmp_path: Path) -> Path:
+    """A file: no folder can be created below it, not even by root."""
+    path = tmp_path / "file"
+    path.write_text("")
+    return path / "folder"
+
+
+def test_a_usual_folder_is_used_without_a_word(tmp_path, nowhere):
+    before = os.environ.get(machine_code.VARIABLE)
+    assert machine_code.choose([nowhere, tmp_path / "new" / "folder"]) is None
+    assert os.environ.get(machine_code.VARIABLE) == before
+
+
+def test_kernels_are_compiled_where_no_usual_folder_can_be_written(tmp_path, nowhere):
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "__pycache__").write_text("")  # numba tries this folder first
+    (package / "kernels_of_a_test.py").write_text(KERNEL)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    environment = {**os.environ, "TMPDIR": str(temporary), "XDG_CACHE_HOME": str(nowhere), "NUMBA_CACHE_DIR": ""}
+    environment["PYTHONPATH"] = str(ARM.parents[1])
+    ran = subprocess.run(
+        [sys.executable, "-c", CHECK, str(package), str(nowhere)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout) == (0, "8\n"), ran.stderr
+    folder = temporary / f"hyperbit-numba-{os.getuid()}"
+    assert ran.stderr == (
+        f"numba cannot write its machine code to {nowhere}; it goes to {folder}, where it may be deleted. To keep it,"
+        " set NUMBA_CACHE_DIR to a folder that you can write\n"
+    )
+    assert any(folder.rglob("*.nbi"))
+
+
+@pytest.mark.parametrize("fault", ["open to others", "a link"])
+def test_a_temporary_folder_that_others_can_write_is_not_used(tmp_path, nowhere, monkeypatch, fault):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    folder = tmp_path / f"hyperbit-numba-{os.getuid()}"
+    if fault == "a link":
+        (tmp_path / "other").mkdir(mode=0o700)
+        folder.symlink_to(tmp_path / "other")
+    else:
+        folder.mkdir()
+        folder.chmod(0o777)
+    before = os.environ.get(machine_code.VARIABLE)
+    told = machine_code.choose([nowhere])
+    assert told == (
+        f"numba cannot write its machine code to {nowhere}, and no temporary folder can be written: set NUMBA_CACHE_DIR"
+        " to a folder that you can write"
+    )
+    assert os.environ.get(machine_code.VARIABLE) == before
