@@ -64,7 +64,7 @@ def animate(
         for share in SHARES if k else (1.0,):
             before = steps[max(k - 1, 0)]
             body = body_of(manipulator, before + share * (step - before))
-            if np.isfinite(body).all():  # else nobody knows where the arm is meanwhile
+            if np.isfinite(body).all():  # the arm's place is unknown otherwise
                 lines.set_segments(body if not manipulator.planar else body[:, :, :2])
             if share == 1.0:
                 trail.append(tip_of(manipulator, step))

@@ -15,7 +15,7 @@ from controller.host.scheduling import shorten_slice
 
 
 def in_thread(work: Callable[[], None]) -> None:
-    """Does it in a thread of its own, whose policy is not the test's."""
+    """Runs a function in a new thread, so that the test's thread keeps its scheduling policy."""
     failures: list[BaseException] = []
 
     def guarded() -> None:

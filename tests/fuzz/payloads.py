@@ -120,7 +120,7 @@ def read_obstacles(data: bytes) -> int:
 
 
 def arm_of(*states: int) -> Manipulator:
-    """An arm whose modules have so many states."""
+    """An arm with one module for each number of states."""
     return Manipulator([transforms([frames.planar(k, 1) for k in range(n)], planar=True) for n in states])
 
 

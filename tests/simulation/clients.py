@@ -191,7 +191,7 @@ class Clients:
         return {label: self._random.choice(STATES) for label in self._random.sample(self._labels, count)}
 
     def _regions(self) -> list[dict[str, Any]]:
-        """Returns obstacles, each of which is a cube of states; it does not touch the arm where it stands, mostly."""
+        """Returns obstacles, each a cube of states; most do not touch the arm at rest."""
         random, size, regions = self._random, len(self._labels), list[dict[str, Any]]()
         for k in range(random.choice([0, 1, 1, 2, 4])):
             mask = sum(1 << bit for bit in random.sample(range(size), min(size, random.choice([2, 3, 4]))))

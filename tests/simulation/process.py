@@ -33,7 +33,7 @@ class Witness:
         """Is called before an event is handled."""
 
     def sends(self, bus: str, frame: Frame) -> object:
-        """Is called before a frame is handed out; returns what it belongs to."""
+        """Called before a frame is handed out; returns the commit of the frame."""
 
     def says(self, message: Up) -> None:
         """Is called before a message to a client is sent."""

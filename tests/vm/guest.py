@@ -85,7 +85,7 @@ def circumstances() -> str:
 
 
 def run(processes: int, arguments: list[str]) -> int:
-    """Runs tests in so many processes; returns the worst exit code of pytest."""
+    """Runs tests in several processes; returns the worst exit code of pytest."""
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         share = Share(Path(name))

@@ -40,7 +40,7 @@ class ObstacleOwner:
 
     Attributes:
         generation: grows with each change.
-        standing: with what the arm collides where it stands, in words; None: with nothing.
+        standing: the collision of the arm at rest, in words; None: with nothing.
     """
 
     def __init__(self, parts: Parts, scene: Scene, total: int) -> None:

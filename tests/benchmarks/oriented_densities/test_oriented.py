@@ -98,7 +98,7 @@ def test_every_level_agrees_with_enumeration(manipulator, pixel):
         centres, _ = densities.cells(level)
         bound = math.sqrt(3) * densities.pixels[level] * (len(manipulator.modules) - level + 0.5) + 1e-9
         assert KDTree(centres).query(tips)[0].max() <= bound  # nothing reachable is missing
-        assert KDTree(tips).query(centres)[0].max() <= bound  # nothing is made up
+        assert KDTree(tips).query(centres)[0].max() <= bound  # each pixel is near a tip
         low, high = densities.box(level)
         assert (centres >= low).all()
         assert (centres <= high).all()
