@@ -1,4 +1,4 @@
-"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches that the machine would fill too slowly.
+"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches that it would fill too slowly.
 
 python -m tests.vm.prepare [--essential]
 
