@@ -1,4 +1,4 @@
-"""The board probe on simulated boards."""
+"""The bus check on simulated boards."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.canopen.faults import BusError
-from drivers.canopen.tools.probe import Answer, Probe, probe
+from drivers.canopen.tools.bus_check import BusCheck, CheckedBoard, check_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wire.events import Changed
@@ -17,17 +17,17 @@ from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
-def asked(world: World, lose: str | None = None, patience: float = 20.0, **changes: object) -> tuple[Answer, ...]:
+def asked(world: World, lose: str | None = None, timeout: float = 20.0, **changes: object) -> tuple[CheckedBoard, ...]:
     world.run(0.05)
     world.wiring = replace(world.wiring, **changes)
     world.stalled = False
-    asking = Probe(world.wiring, world.timing, world.send)
+    asking = BusCheck(world.wiring, world.timing, world.send)
     world.use(asking)
     world.frames()
     asking.start(world.now)
     if lose:
         asking.take(Changed(lose, "down", "it is down", None), world.now)
-    world.until(lambda: asking.answers is not None, patience)
+    world.until(lambda: asking.answers is not None, timeout)
     return asking.answers
 
 
@@ -110,7 +110,7 @@ def test_a_board_that_is_heard_and_does_not_answer_is_not_asked_for_its_power():
 def test_the_heartbeat_of_an_executor_is_heard():
     world = World(two_boards())
     world.run(0.05)
-    asking = Probe(world.wiring, world.timing, world.send)
+    asking = BusCheck(world.wiring, world.timing, world.send)
     world.use(asking)
     asking.start(world.now)
     assert asking.master_on is None
@@ -140,12 +140,12 @@ def test_boards_of_a_lost_bus_do_not_answer():
 def test_a_bus_that_cannot_be_opened_is_told():
     bus = BusSettings("can0", "socketcan", "no-such-interface")
     with pytest.raises(BusError, match="no-such-interface"):
-        probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
+        check_bus(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
 
 
 def test_an_empty_bus():
     bus = BusSettings("can0", "virtual", "test_probe")
-    asking = probe(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
+    asking = check_bus(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
     assert asking.master_on is None
     [answer] = asking.answers
     assert "can0/5 neither booted nor answered" in answer.text

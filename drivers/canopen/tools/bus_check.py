@@ -30,8 +30,8 @@ _MOST_CHANGES = 4  # changes that the answer lists
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The answer of one board.
+class CheckedBoard:
+    """What the check has found on one board.
 
     Attributes:
         board: name of the board, e.g. "can0/5".
@@ -49,7 +49,7 @@ class Answer:
         return not self.code
 
 
-class Probe:
+class BusCheck:
     """Asks all boards of a wiring in parallel; without I/O and clock, like the master.
 
     It writes only values that the objects have already, to find read-only objects. So no frame that is lost, and no end
@@ -58,7 +58,7 @@ class Probe:
     Args:
         wiring: buses and boards.
         timing: heartbeat times.
-        send: hands out a frame for a bus, by its name; must not call the probe.
+        send: hands out a frame for a bus, by its name; must not call the check.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
@@ -67,10 +67,10 @@ class Probe:
         self._states = {name: NodeStates(link) for name, link in self._links.items()}
         self._boards = lay_out(wiring).boards
         self._runners = {(b.bus, b.node): Runner(b.node, self._links[b.bus]) for b in self._boards}
-        self._answers: dict[str, Answer] = {}
+        self._answers: dict[str, CheckedBoard] = {}
 
     @property
-    def answers(self) -> tuple[Answer, ...] | None:
+    def answers(self) -> tuple[CheckedBoard, ...] | None:
         """The answers in the order of the boards; None until all are there."""
         if len(self._answers) < len(self._boards):
             return None
@@ -154,7 +154,7 @@ class Probe:
         for warning in it.warnings:
             text += f"; {warning}"
         code = "board-error" if register and not lost else ""
-        self._answers[board.name] = Answer(board.name, text, code)
+        self._answers[board.name] = CheckedBoard(board.name, text, code)
 
     def _refuse_heard(self, board: BoardLayout) -> Reading:
         """Refuses a board that answers no SDO, but sends heartbeats or answers a remote frame."""
@@ -170,7 +170,7 @@ class Probe:
     def _note(self, board: BoardLayout) -> Callable[[Fault | None, float], None]:
         def ended(fault: Fault | None, now: float) -> None:
             if fault is not None:
-                self._answers[board.name] = Answer(board.name, fault.message, fault.code)
+                self._answers[board.name] = CheckedBoard(board.name, fault.message, fault.code)
 
         return ended
 
@@ -179,7 +179,7 @@ class Probe:
             if board.bus == fault.source and board.name not in self._answers:
                 self._runners[board.bus, board.node].cancel()
                 text = f"board {board.name} does not answer: {fault.message}"
-                self._answers[board.name] = Answer(board.name, text, fault.code)
+                self._answers[board.name] = CheckedBoard(board.name, text, fault.code)
 
 
 def _try(it: Inspection, need: Need) -> Reading:
@@ -217,13 +217,13 @@ def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
         raise BoardError(Fault("sdo-refused", it.name, text))
 
 
-def probe(wiring: Wiring, timing: Timing) -> Probe:
+def check_bus(wiring: Wiring, timing: Timing) -> BusCheck:
     """Asks all boards; blocks until they have answered or timed out.
 
     Raises:
         BusError: a bus cannot be opened.
     """
     outbox: list[tuple[str, Frame]] = []
-    asking = Probe(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
+    asking = BusCheck(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
     converse(asking, outbox, [CanBus(settings) for settings in wiring.buses])
     return asking
