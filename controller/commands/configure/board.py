@@ -17,7 +17,7 @@ from controller.commands.configure.probe import errors
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.node_reset import reset_node
 from drivers.canopen.tools.node_states import stopped
-from drivers.canopen.tools.survey import Survey, survey
+from drivers.canopen.tools.probe import Probe, probe_bus
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wiring import BusSettings
 
@@ -44,7 +44,7 @@ def board(
     [bus] = [BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses if b.name == bus_name]
     try:
         refuse_executor([bus], settings.name, socket, settings.boards.heartbeat)
-        found = survey(bus, [int(node)])
+        found = probe_bus(bus, [int(node)])
         if found.fault is not None:
             raise Failed(found.fault.message)
         if found.master_heard:
@@ -57,8 +57,8 @@ def board(
         raise Failed(str(error)) from None
 
 
-def show_errors(found: Survey, name: str, as_json: bool) -> None:
-    """Prints error register and error history of a surveyed board.
+def show_errors(found: Probe, name: str, as_json: bool) -> None:
+    """Prints error register and error history of a probed board.
 
     Raises:
         Failed: the board does not answer.

@@ -13,10 +13,10 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import AsJson, Failed, print_json
-from controller.commands.configure.probe import Bitrate, Channel, Interface, surveyed
+from controller.commands.configure.probe import Bitrate, Channel, Interface, probed
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.lss import BIT_TIMINGS, Identity, Lss, Refused, over
-from drivers.canopen.tools.survey import Survey
+from drivers.canopen.tools.probe import Probe
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import MASTER, BusSettings
 
@@ -52,7 +52,7 @@ def node_id(
         rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
         raise InputFaults(Path("--new-bitrate"), [f"{new_bitrate} is not one of {rates}"])
     identity = None if board is None else parse_identity(board)
-    present = surveyed(channel, interface, bitrate, in_full=False)
+    present = probed(channel, interface, bitrate, in_full=False)
     with opened(BusSettings(channel, interface, channel, bitrate)) as lss:
         if list_:
             show(lss.unconfigured(), channel, as_json)
@@ -95,7 +95,7 @@ def parse_identity(text: str) -> Identity:
     return Identity(*numbers)
 
 
-def refuse_taken(present: Survey, new: int, channel: str) -> None:
+def refuse_taken(present: Probe, new: int, channel: str) -> None:
     """Refuses a node id that another board has.
 
     Raises:

@@ -43,7 +43,7 @@ _COUNTS = (0x6000, 0x6200)  # arrays whose sub-index 0 alone is read
 
 
 @dataclass
-class Found:
+class ProbedNode:
     """One node of a bus.
 
     Attributes:
@@ -55,7 +55,7 @@ class Found:
         refused: SDO abort codes of objects that exist and cannot be read, by index and sub-index.
         rpdos: its RPDOs.
         tpdos: its TPDOs.
-        trouble: why the survey of this node ended early, as a sentence.
+        trouble: why the probe of this node ended early, as a sentence.
     """
 
     node: int
@@ -69,7 +69,7 @@ class Found:
     trouble: str | None = None
 
 
-class Survey:
+class Probe:
     """Asks all nodes of a bus in parallel, and listens to heartbeats; without I/O and clock, like the master.
 
     A node that neither answers nor sends heartbeats is polled by a remote frame: it may be stopped.
@@ -79,7 +79,7 @@ class Survey:
 
     Args:
         bus: the bus.
-        send: hands out a frame for a bus, by its name; must not call the survey.
+        send: hands out a frame for a bus, by its name; must not call the probe.
         nodes: node ids to ask.
         in_full: read all important objects; otherwise only 1000h and 1018h.
     """
@@ -95,7 +95,7 @@ class Survey:
         self.fault: Fault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
         self._states = NodeStates(self._link)
-        self._nodes = {node: Found(node) for node in nodes}
+        self._nodes = {node: ProbedNode(node) for node in nodes}
         self._runners = {node: Runner(node, self._link) for node in self._nodes}
         self._in_full = in_full
         self._until: float | None = None
@@ -113,7 +113,7 @@ class Survey:
         return self._states.master_heard
 
     @property
-    def found(self) -> list[Found]:
+    def found(self) -> list[ProbedNode]:
         """The nodes that have answered or were heard, by node id."""
         for number, node in self._nodes.items():
             node.state = self._states.states.get(number)
@@ -155,7 +155,7 @@ class Survey:
         if self._until is not None and now >= self._until:
             self._until = -1.0
 
-    def _ask(self, it: Found) -> Procedure:
+    def _ask(self, it: ProbedNode) -> Procedure:
         outcome = yield Transfer(0x1000, 0, timeout=_FIRST, tries=_TRIES)
         if outcome.silence is not None:
             if it.node != MASTER:
@@ -181,13 +181,13 @@ class Survey:
                 if (pdo := (yield from read_pdo(str(it.node), parameters))) is not None:
                     pdos.append(pdo)
 
-    def _array(self, it: Found, index: int) -> Generator[Step, Outcome, None]:
+    def _array(self, it: ProbedNode, index: int) -> Generator[Step, Outcome, None]:
         if (index, 0) not in it.numbers:
             self._store(it, index, 0, (yield Transfer(index, 0)))
         for sub in range(1, 1 + min(it.numbers.get((index, 0), 0), _MOST_SUBS)):
             self._store(it, index, sub, (yield Transfer(index, sub)))
 
-    def _store(self, it: Found, index: int, sub: int, outcome: Outcome) -> None:
+    def _store(self, it: ProbedNode, index: int, sub: int, outcome: Outcome) -> None:
         """Stores the value or the refusal of an object.
 
         Raises:
@@ -215,13 +215,13 @@ class Survey:
                 runner.cancel()
 
 
-def survey(bus: BusSettings, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> Survey:
+def probe_bus(bus: BusSettings, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> Probe:
     """Asks the nodes of a bus; blocks until they have answered or timed out.
 
     Raises:
         BusError: the bus cannot be opened.
     """
     outbox: list[tuple[str, Frame]] = []
-    asking = Survey(bus, lambda name, frame: outbox.append((name, frame)), nodes, in_full=in_full)
+    asking = Probe(bus, lambda name, frame: outbox.append((name, frame)), nodes, in_full=in_full)
     converse(asking, outbox, [CanBus(bus)])
     return asking

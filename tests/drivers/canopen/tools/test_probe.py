@@ -1,11 +1,11 @@
-"""The survey of a bus on simulated boards."""
+"""The probe of a bus on simulated boards."""
 
 from __future__ import annotations
 
 import pytest
 
 from drivers.canopen.faults import BusError
-from drivers.canopen.tools.survey import Found, Survey, survey
+from drivers.canopen.tools.probe import Probe, ProbedNode, probe_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Changed, Received
@@ -14,16 +14,16 @@ from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards
 
 
-def begun(world: World, **options: bool) -> Survey:
+def begun(world: World, **options: bool) -> Probe:
     world.run(0.05)
-    asking = Survey(world.wiring.buses[0], world.send, **options)
+    asking = Probe(world.wiring.buses[0], world.send, **options)
     world.use(asking)
     world.frames(sdo=True)
     asking.start(world.now)
     return asking
 
 
-def surveyed(world: World, **options: bool) -> Survey:
+def probed(world: World, **options: bool) -> Probe:
     asking = begun(world, **options)
     world.until(lambda: asking.over, 300.0)
     return asking
@@ -31,7 +31,7 @@ def surveyed(world: World, **options: bool) -> Survey:
 
 def test_all_nodes_are_found_and_nothing_is_written() -> None:
     world = World(two_boards())
-    asking = surveyed(world)
+    asking = probed(world)
     assert asking.fault is None
     five, nine = asking.found
     assert (five.node, nine.node, five.answers, five.trouble) == (5, 9, True, None)
@@ -50,7 +50,7 @@ def test_all_nodes_are_found_and_nothing_is_written() -> None:
 def test_each_variant_has_its_row(name: str) -> None:
     world = World(two_boards(), variants={"can0/5": VARIANTS[name]})
     world.run(6.0)
-    five = surveyed(world).found[0]
+    five = probed(world).found[0]
     assert (five.node, five.answers, five.trouble) == (5, True, None)
     board = world.boards.board("can0/5").objects
     for (index, sub), value in five.numbers.items():
@@ -58,12 +58,12 @@ def test_each_variant_has_its_row(name: str) -> None:
     assert [pdo.parameters for pdo in five.rpdos] == [i for i in range(0x1400, 0x1420) if board.has(i)]
 
 
-def test_a_survey_takes_no_longer_with_many_silent_nodes() -> None:
+def test_a_probe_takes_no_longer_with_many_silent_nodes() -> None:
     world = World([Channel(str(n), "can0", n, 0, 0) for n in range(1, 101)])
     for node in range(2, 101):
         world.fault("silence", f"can0/{node}")
     begun_at = world.now
-    assert [node.node for node in surveyed(world).found] == [1]
+    assert [node.node for node in probed(world).found] == [1]
     assert world.now - begun_at < 2.5
 
 
@@ -71,7 +71,7 @@ def test_a_stopped_board_is_heard_though_it_does_not_answer() -> None:
     world = World(two_boards()).up()
     world.say(cia301.NMT, bytes([cia301.Command.STOP, 9]))
     world.run(0.1)
-    asking = surveyed(world)
+    asking = probed(world)
     assert [(node.node, node.answers, node.state) for node in asking.found] == [
         (5, True, State.PRE_OPERATIONAL),
         (9, False, State.STOPPED),
@@ -81,7 +81,7 @@ def test_a_stopped_board_is_heard_though_it_does_not_answer() -> None:
 def test_a_stopped_board_without_heartbeats_answers_a_remote_frame() -> None:
     world = World(two_boards(), variants={"can0/9": VARIANTS["guarding-only"]})
     world.say(cia301.NMT, bytes([cia301.Command.STOP, 9]))
-    asking = surveyed(world)
+    asking = probed(world)
     assert [(node.node, node.answers, node.state) for node in asking.found] == [
         (5, True, None),
         (9, False, State.STOPPED),
@@ -103,8 +103,8 @@ def test_a_boot_up_message_and_a_master_are_heard() -> None:
     assert asking.master_heard
 
 
-def test_a_short_survey_reads_the_identity_only() -> None:
-    [five] = surveyed(World(), in_full=False).found
+def test_a_short_probe_reads_the_identity_only() -> None:
+    [five] = probed(World(), in_full=False).found
     assert {index for index, _ in five.numbers} == {0x1000, 0x1018}
 
 
@@ -117,7 +117,7 @@ def test_a_node_that_stops_answering_is_reported() -> None:
     assert "it stopped answering at" in asking.found[0].trouble
 
 
-def test_a_bus_that_is_down_ends_the_survey() -> None:
+def test_a_bus_that_is_down_ends_the_probe() -> None:
     world = World()
     asking = begun(world)
     asking.take(Changed("can0", "down", "it is down", None), world.now)
@@ -130,11 +130,11 @@ def test_strange_frames_do_no_harm() -> None:
     for frame in (Frame(0x585, b"\x43"), Frame(0x585, b"\xff" * 8), Frame(0x705, b""), Frame(0x7FF, b"\x09")):
         asking.take(Received("can0", frame), world.now)
     world.until(lambda: asking.over, 60.0)
-    assert asking.found[0] == Found(5, **{k: v for k, v in vars(asking.found[0]).items() if k != "node"})
+    assert asking.found[0] == ProbedNode(5, **{k: v for k, v in vars(asking.found[0]).items() if k != "node"})
     assert asking.found[0].answers
 
 
 def test_an_empty_bus() -> None:
-    assert survey(BusSettings("can0", "virtual", "test_survey")).found == []
+    assert probe_bus(BusSettings("can0", "virtual", "test_probe")).found == []
     with pytest.raises(BusError, match="no-such-interface"):
-        survey(BusSettings("can0", "socketcan", "no-such-interface"))
+        probe_bus(BusSettings("can0", "socketcan", "no-such-interface"))
