@@ -33,13 +33,7 @@ from controller.program import (
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {
-    "controller." + name
-    for name in (
-        *("actuators", "error_states", "executor", "flight_recorder", "journal", "notify", "program"),
-        *("scheduling", "settings", "sockets", "strict", "terminals"),
-    )
-}
+ROOMS = {"controller." + name for name in ("armfile", "executor", "flight_recorder", "host", "program")}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48
