@@ -86,7 +86,7 @@ class World(Hardware, Witness):
 
     def told(self, event: Event) -> None:
         self._end_event()
-        self._event, self._before = event, (self.master._network.measured, self.master.known)
+        self._event, self._before = event, (self.core.motion.read, self.master.known)
         self.judge.begin()
         if isinstance(event, FromClient) and event.client == PLANNER:
             self.judge.proposed(event.message)
@@ -96,7 +96,7 @@ class World(Hardware, Witness):
         event, self._event = self._event, None
         if event is None:
             return
-        measured, known = self.master._network.measured, self.master.known
+        measured, known = self.core.motion.read, self.master.known
         if isinstance(event, Ignored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
         wrong_length = isinstance(event, Received) and event.frame.id in TPDOS and len(event.frame.data) != 1

@@ -167,8 +167,8 @@ class World(Hardware):
 
     def measured(self) -> list[int]:
         """States, -1 where unknown."""
-        measured, known = self.master._network.measured, self.master.known
-        return [measured >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
+        states, known = measured(self.master, self.wiring), self.master.known
+        return [states >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
 
     def _collect(self) -> None:
         if isinstance(self.master, Master):
@@ -180,6 +180,13 @@ class World(Hardware):
 def answering(variant: Variant, latency: float) -> Variant:
     """Returns a variant whose SDO answers take a time longer [s]."""
     return replace(variant, answer_delay=variant.answer_delay + latency)
+
+
+def measured(master: Master, wiring: Wiring) -> int:
+    """Returns the states of actuators with one output: the end-stop, else the output; 0 where unknown."""
+    ended = sum(1 << k for k, channel in enumerate(wiring.channels) if channel.input is not None)
+    everything = (1 << len(wiring.channels)) - 1
+    return (master.ends & ended | master.outputs & ~ended) & everything & master.known
 
 
 def bits(*states: int) -> int:

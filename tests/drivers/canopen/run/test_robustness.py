@@ -10,7 +10,7 @@ from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, Echoed, Ignored, Received, SendFailed
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
-from tests.drivers.canopen.world import World, two_boards, two_buses
+from tests.drivers.canopen.world import World, measured, two_boards, two_buses
 
 NODES = (5, 9)
 OURS = [base + node for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700) for node in NODES]
@@ -84,7 +84,7 @@ def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, share
         else:
             now += 0.01 if step[0] == "tick" else 0.5
             master.tick(now)
-        assert 0 <= master._network.measured <= 3
+        assert 0 <= measured(master, wiring) <= 3
         assert master.known in (0, 1, 2, 3)
         master.status(), master.warnings(), master.back, master.boot_faults, master.take_faults()
     assert sum(frame.id == 0x080 for frame in sent) <= commits

@@ -68,7 +68,7 @@ def test_no_write_changes_a_value_so_no_lost_frame_and_no_kill_leaves_one(monkey
             changed.append(f"{index:04X}h sub {sub}: {before.hex()} to {data.hex()}")
 
     monkeypatch.setattr(Objects, "set_data", watched)
-    asked(world, patience=60.0, on_loss=on_loss)
+    asked(world, timeout=60.0, on_loss=on_loss)
     assert changed == []
 
 
