@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, ClientGone, FromClient, Log, Notify, Tick, ToClient
+from controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, Log, Notify, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import (
     Alive,
@@ -34,7 +34,7 @@ from tests.simulation.agenda import Agenda
 
 SIZE = 6
 TRAVEL, MARGIN = 0.05, 0.03
-PLANNER, OTHER, OPERATOR = Client(1, 4001), Client(2, 4002), Client(3, 4003)
+PLANNER, OTHER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002), ClientId(3, 4003)
 LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
 LOST = Fault("board-lost", "can0/1", "board can0/1: no heartbeat")
 CAN = Ignored("can0", 100)  # an event of a bus without effect
@@ -87,7 +87,7 @@ class Rig:
         self.journal = MemoryJournal(SIZE)
         self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
         self.master: FakeMaster = self.core._master
-        self.heard: list[tuple[Client, Any]] = []
+        self.heard: list[tuple[ClientId, Any]] = []
         self.notified: list[str] = []
         self.logged: list[tuple[int, str]] = []
         self.fields: list[Mapping[str, str]] = []  # of the same lines, for the journal
@@ -109,14 +109,14 @@ class Rig:
                     self.logged.append((action.level, action.text))
                     self.fields.append(action.fields)
 
-    def send(self, message: Any, client: Client = PLANNER) -> None:
+    def send(self, message: Any, client: ClientId = PLANNER) -> None:
         self.do(FromClient(client, message))
 
-    def connect(self, client: Client = PLANNER, role: str = "planner") -> None:
+    def connect(self, client: ClientId = PLANNER, role: str = "planner") -> None:
         self.send(Hello(1, role, "small"), client)
         self.alive |= client == PLANNER
 
-    def gone(self, client: Client = PLANNER) -> None:
+    def gone(self, client: ClientId = PLANNER) -> None:
         self.alive = False
         self.do(ClientGone(client))
 
@@ -125,7 +125,7 @@ class Rig:
             self.agenda.run(PERIOD)
             if self.alive:
                 self.send(Alive())
-            self.do(Tick())
+            self.do(ExecutorTick())
 
     def program(self, *states: int, step: float = 0.2, final: bool = True, **fields: Any) -> Program:
         """Sends a program whose stages each have a mark."""
@@ -168,10 +168,10 @@ class Rig:
             )
         )
 
-    def of(self, kind: type[T], client: Client = PLANNER) -> list[T]:
+    def of(self, kind: type[T], client: ClientId = PLANNER) -> list[T]:
         return [message for receiver, message in self.heard if isinstance(message, kind) and receiver == client]
 
-    def last(self, kind: type[T], client: Client = PLANNER) -> T:
+    def last(self, kind: type[T], client: ClientId = PLANNER) -> T:
         return self.of(kind, client)[-1]
 
     @property

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from controller.executor.core.core import DEFECT, PERIOD, Executor
-from controller.executor.core.events import Defect, Tick, ToClient
+from controller.executor.core.events import Defect, ExecutorTick, ToClient
 from controller.executor.process.run import CLOSE, EventLoop
-from controller.executor.process.server import Server
+from controller.executor.process.server import ExecutorServer
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.notify import Notifier
 from controller.program import (
@@ -61,7 +61,7 @@ class Bench:
     def __init__(self, path: Path, **fields: Any) -> None:
         self.now, self.step = 10.0, PERIOD
         self.core = Executor(small_arm(**fields), MemoryJournal(SIZE), 1, build_master=FakeMaster)
-        self.buses, self.server = NoBuses(), Server(path, lambda: self.now)
+        self.buses, self.server = NoBuses(), ExecutorServer(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
         self.loop._time.start(self.now + PERIOD)
         self.client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -178,7 +178,7 @@ def test_an_event_whose_step_fails_is_recorded_before_the_defect(bench: Bench) -
     bench.loop._recorder = Recorder()
     bench.core.step = fail
     bench.go(2)
-    assert recorded[0] == (Tick(), True)
+    assert recorded[0] == (ExecutorTick(), True)
     assert isinstance(recorded[1][0], Defect)
     assert bench.core.modes.mode == "fault"
 

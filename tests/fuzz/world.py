@@ -12,7 +12,7 @@ from typing import Literal
 import can
 
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, ClientGone, Event, FromClient
+from controller.executor.core.events import ClientGone, ClientId, Event, FromClient
 from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
@@ -37,7 +37,7 @@ RPDOS = tuple(cia301.RPDO1 + node for node in NODES)
 TPDOS = tuple(cia301.TPDO1 + node for node in NODES)
 # What boards obey, whoever sends it.
 COMMANDS = {cia301.NMT, cia301.SYNC, *RPDOS, *(cia301.SDO_REQUEST + node for node in NODES)}
-PLANNER, OPERATOR = Client(1, 4001), Client(2, 4002)
+PLANNER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002)
 
 
 HEARD_WITHIN = cia301.wire_bits(8) / BUS.bitrate + WAKE_UP  # [s], from a frame on the free bus to its end
@@ -64,7 +64,7 @@ class World(Hardware, Witness):
         self._answers: list[tuple[int, int, bytes]] = []
         self._booting = False
         self._event: Event | None = None
-        self._turned_away: list[Client] = []
+        self._turned_away: list[ClientId] = []
         self.executor = ExecutorProcess(self.arm, self.agenda, self._random, self.buses, self)
         self.executor.connect(self._hear, lambda: None)
         self.executor.start()
@@ -114,7 +114,7 @@ class World(Hardware, Witness):
         self.last = text
         assert "internal error" not in text, text
 
-    def _hear(self, client: Client, message: Up) -> None:
+    def _hear(self, client: ClientId, message: Up) -> None:
         if isinstance(message, Goodbye):
             self._turned_away.append(client)
         elif client == PLANNER:
@@ -133,11 +133,11 @@ class World(Hardware, Witness):
 
     # --- the planner
 
-    def _greet(self, client: Client) -> None:
+    def _greet(self, client: ClientId) -> None:
         role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
         self.executor.hear(client, FromClient(client, Hello(VERSION, role, self.arm.name)))
 
-    def send(self, message: Down, client: Client = PLANNER) -> None:
+    def send(self, message: Down, client: ClientId = PLANNER) -> None:
         """Sends a message of a client, which connects again after a refusal. An operator may send no program."""
         self.executor.hear(client, FromClient(client, message))
         self.agenda.run(WAKE_UP)

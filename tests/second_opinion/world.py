@@ -11,7 +11,7 @@ import can
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, FromClient, Log, Send, Tick, ToClient
+from controller.executor.core.events import ClientId, ExecutorTick, FromClient, Log, SendFrame, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
@@ -27,7 +27,7 @@ STEP = 0.002  # [s]
 TIMING = Timing(heartbeat=0.1, heartbeat_timeout=0.35, boot_timeout=1.0, travel_time=0.05, settle_margin=0.03)
 BUS = BusSettings("can0", "virtual", "second opinion")
 CHANNELS = tuple(Channel(label, "can0", NODES[k // 3], FIRST + k % 3, FIRST + k % 3) for k, label in enumerate(LABELS))
-PLANNER = Client(1, 4001)
+PLANNER = ClientId(1, 4001)
 BUS_OFF, RESTARTED = 0x40, 0x100  # error frames of SocketCAN
 
 
@@ -134,7 +134,7 @@ class World:
                 self._poll()
                 if k % round(PERIOD / STEP) == 0:
                     self.send(Alive())
-                    self._do(Tick())
+                    self._do(ExecutorTick())
 
     def until(self, mode: str, seconds: float = 20.0) -> None:
         """Lets time pass until the executor is in a mode."""
@@ -162,7 +162,7 @@ class World:
             return
         for action in self.core.step(event, self.now):
             match action:
-                case Send():
+                case SendFrame():
                     self.wire.send(action.frame)
                 case ToClient():
                     self.heard.append(action.message)

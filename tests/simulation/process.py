@@ -8,7 +8,17 @@ from random import Random
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
+from controller.executor.core.events import (
+    Action,
+    ClientGone,
+    ClientId,
+    Event,
+    ExecutorTick,
+    FromClient,
+    Log,
+    SendFrame,
+    ToClient,
+)
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
 from controller.program import Up
@@ -73,14 +83,14 @@ class ExecutorProcess:
         self.recorder: FlightRecorder | None = None
         self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
         self._witness = witness
-        self._to_client: Callable[[Client, Up], None] = lambda client, message: None
+        self._to_client: Callable[[ClientId, Up], None] = lambda client, message: None
         self._dies: Callable[[], None] = lambda: None
         self._at_start: Callable[[], None] = lambda: None
         self._events: deque[Event] = deque()
         self._awake_at = self._started_at = 0.0
         self._woken = self._ticked = False
         self._next_tick = 0.0
-        self._clients: set[Client] = set()
+        self._clients: set[ClientId] = set()
         self._actions_left: int | None = None
 
     # --- its life
@@ -143,11 +153,11 @@ class ExecutorProcess:
 
     # --- its clients
 
-    def connect(self, to_client: Callable[[Client, Up], None], dies: Callable[[], None]) -> None:
+    def connect(self, to_client: Callable[[ClientId, Up], None], dies: Callable[[], None]) -> None:
         """Sets the functions that take messages for clients, and the end of the process."""
         self._to_client, self._dies = to_client, dies
 
-    def hear(self, client: Client, event: FromClient | ClientGone) -> bool:
+    def hear(self, client: ClientId, event: FromClient | ClientGone) -> bool:
         """Takes an event of a client; returns whether the process knows the connection."""
         if isinstance(event, ClientGone):
             if client not in self._clients:
@@ -182,7 +192,7 @@ class ExecutorProcess:
             # `select` promises no order of file descriptors; buses are opened before the first tick.
             first = self._random.random() < 0.5 and self._ticked
             self._ticked = True
-            (self._events.appendleft if first else self._events.append)(Tick())
+            (self._events.appendleft if first else self._events.append)(ExecutorTick())
             self._run_now()
             late = int((self._agenda.now - self._next_tick) / PERIOD)
             self._next_tick += (1 + late) * PERIOD
@@ -217,7 +227,7 @@ class ExecutorProcess:
                 self.kill()
                 return
         match action:
-            case Send(bus, frame):
+            case SendFrame(bus, frame):
                 why = self._buses[bus].send(frame, self._witness.sends(bus, frame))
                 if why is not None:
                     self._events.appendleft(SendFailed(bus, frame, why))

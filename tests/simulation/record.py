@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import LONGEST, PERIOD, Executor
-from controller.executor.core.events import ClientGone, Event, FromClient, Tick
+from controller.executor.core.events import ClientGone, Event, ExecutorTick, FromClient
 from controller.executor.motion.program_execution import STARVED
 from controller.program import (
     Accepted,
@@ -272,7 +272,7 @@ class Record(Witness):
         assert core is not None
         planner = core._clients.planner
         match event:
-            case Tick():
+            case ExecutorTick():
                 passed = min(now - self._last_tick, LONGEST)
                 self._last_tick = now
                 self._silence += passed

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from controller.arm import arm as config
-from controller.executor.core.events import Log, Send
-from controller.executor.process.server import Server
+from controller.executor.core.events import Log, SendFrame
+from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
 from controller.flight_recorder import recorder as recording
 from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save
@@ -70,9 +70,11 @@ def test_the_first_different_action_is_named(
     assert "all actions reproduced" in capsys.readouterr().out
     generations = load(path)
     number, entry = next(
-        (k, entry) for k, entry in enumerate(generations[-1].entries) if any(isinstance(a, Send) for a in entry.actions)
+        (k, entry)
+        for k, entry in enumerate(generations[-1].entries)
+        if any(isinstance(a, SendFrame) for a in entry.actions)
     )
-    first = next(k for k, action in enumerate(entry.actions) if isinstance(action, Send))
+    first = next(k for k, action in enumerate(entry.actions) if isinstance(action, SendFrame))
     sent = entry.actions[first]
     entry.actions[first] = sent._replace(bus="another")
     difference = replay(generations).difference
@@ -153,7 +155,7 @@ class Called:
         (Called(os.system, "true"), "system"),
         (Called(eval, "1"), "builtins.eval"),
         (Called(getattr, "", "join"), "builtins.getattr"),
-        (Called(Server, Path("x")), "server.Server"),
+        (Called(ExecutorServer, Path("x")), "server.Server"),
         (Called(keeper.save, (), Path("x"), ""), "keeper.save"),
         (Called(pickling.method_of, Path("x"), "unlink"), "PosixPath"),
         (Called(pickling.method_of, [], "append"), "method 'append'"),

@@ -10,25 +10,25 @@ from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.ending import Ending
 from controller.executor.core.events import (
     Action,
-    Client,
     ClientGone,
+    ClientId,
     Defect,
     Event,
+    ExecutorTick,
     FromClient,
     Health,
     Log,
     Notify,
     Quit,
-    Send,
-    Tick,
+    SendFrame,
     ToClient,
 )
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
 from controller.executor.core.reports import Reports
-from controller.executor.core.requests import Requests
-from controller.executor.core.results import Results
-from controller.executor.motion.motion import Motion
+from controller.executor.core.requests import ClientRequests
+from controller.executor.core.results import ProgramResults
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.clients import Clients
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
@@ -76,12 +76,12 @@ class Executor:
         self._actions: list[Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
-        self._results = Results(clients.to_planner, journal)
+        self._results = ProgramResults(clients.to_planner, journal)
         self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
-        self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)
+        self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         self.modes = Modes(master, motion, locked, self.reports, self._act)
-        self._requests = Requests(arm, motion, locked, self.modes, clients, self._act)
+        self._requests = ClientRequests(arm, motion, locked, self.modes, clients, self._act)
         self.ending = Ending(arm, motion, locked, self.modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
@@ -150,7 +150,7 @@ class Executor:
 
     def _handle(self, event: Event, now: float) -> None:
         match event:
-            case Tick():
+            case ExecutorTick():
                 self._tick(now)
             case FromClient():
                 self._hear(event.client, event.message, now)
@@ -228,7 +228,7 @@ class Executor:
 
     # --- clients
 
-    def _hear(self, client: Client, message: Down, now: float) -> None:
+    def _hear(self, client: ClientId, message: Down, now: float) -> None:
         if client == self._clients.planner:
             self._clients.hear(self.motion.clock)
         match message:
@@ -244,7 +244,7 @@ class Executor:
                 self._requests.take(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
-    def _greet(self, client: Client, hello: Hello) -> None:
+    def _greet(self, client: ClientId, hello: Hello) -> None:
         if self._clients.greet(client, hello, self.motion.clock):
             arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
             self._to_client(client, Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest))
@@ -282,10 +282,10 @@ class Executor:
         self._actions.append(action)
 
     def _send(self, bus: str, frame: Frame) -> None:
-        self._actions.append(Send(bus, frame))
+        self._actions.append(SendFrame(bus, frame))
         self._handed_out = True
 
-    def _to_client(self, client: Client, message: Up) -> None:
+    def _to_client(self, client: ClientId, message: Up) -> None:
         self._actions.append(ToClient(client, message))
 
 

@@ -8,7 +8,7 @@ from controller.executor.core.bits import first
 from controller.executor.core.events import Action, Log, Notify
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.program import Setpoint, pack
 
@@ -31,7 +31,7 @@ class Ending:
     def __init__(
         self,
         arm: ExecutedArm,
-        motion: Motion,
+        motion: ArmMotion,
         locked: LockedActuators,
         modes: Modes,
         act: Callable[[Action], None],

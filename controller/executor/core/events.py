@@ -9,7 +9,7 @@ from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event as CanEvent
 
 
-class Client(NamedTuple):
+class ClientId(NamedTuple):
     """A connection to the executor's socket.
 
     Attributes:
@@ -21,7 +21,7 @@ class Client(NamedTuple):
     pid: int
 
 
-class Tick(NamedTuple):
+class ExecutorTick(NamedTuple):
     """A control period has begun."""
 
 
@@ -42,14 +42,14 @@ class Health(NamedTuple):
 class FromClient(NamedTuple):
     """A client sent a message."""
 
-    client: Client
+    client: ClientId
     message: Down
 
 
 class ClientGone(NamedTuple):
     """A connection was closed."""
 
-    client: Client
+    client: ClientId
 
 
 class Defect(NamedTuple):
@@ -66,10 +66,10 @@ class Quit(NamedTuple):
     """The process is asked to end."""
 
 
-Event = CanEvent | Tick | Health | FromClient | ClientGone | Defect | Quit
+Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | Defect | Quit
 
 
-class Send(NamedTuple):
+class SendFrame(NamedTuple):
     """A frame for a bus."""
 
     bus: str
@@ -79,7 +79,7 @@ class Send(NamedTuple):
 class ToClient(NamedTuple):
     """A message for a client. The server closes the connection after a `Goodbye`."""
 
-    client: Client
+    client: ClientId
     message: Up
 
 
@@ -97,4 +97,4 @@ class Log(NamedTuple):
     fields: Mapping[str, str] = MappingProxyType({})
 
 
-Action = Send | ToClient | Notify | Log
+Action = SendFrame | ToClient | Notify | Log

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from controller.executor.core.events import Action, Log, Notify
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.reports import Reports
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.host.journal import fields_of_fault, fields_of_mode
 from controller.program import Mode
 from drivers.canopen.faults import Fault
@@ -75,7 +75,12 @@ class Modes:
     """
 
     def __init__(
-        self, master: Master, motion: Motion, locked: LockedActuators, reports: Reports, act: Callable[[Action], None]
+        self,
+        master: Master,
+        motion: ArmMotion,
+        locked: LockedActuators,
+        reports: Reports,
+        act: Callable[[Action], None],
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being booted"

@@ -6,7 +6,7 @@ from controller.executor.core.arm import WORDS, ExecutedArm
 from controller.executor.core.bits import indices
 from controller.executor.core.events import Health
 from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
 from drivers.canopen.faults import Fault as BoardFault
@@ -32,7 +32,7 @@ class Reports:
     """
 
     def __init__(
-        self, arm: ExecutedArm, master: Master, motion: Motion, locked: LockedActuators, journal: SwitchJournal
+        self, arm: ExecutedArm, master: Master, motion: ArmMotion, locked: LockedActuators, journal: SwitchJournal
     ) -> None:
         self.changed = True
         self.real_time = "off"

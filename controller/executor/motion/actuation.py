@@ -15,8 +15,8 @@ LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waite
 EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
 
 
-class Commit(NamedTuple):
-    """The result of a commit.
+class CommitOutcome(NamedTuple):
+    """How a commit has ended.
 
     Attributes:
         states: commanded states.
@@ -181,7 +181,7 @@ class Actuation:
         self.switches += moved.bit_count()
         return moved
 
-    def conclude(self, now: float) -> Commit | None:
+    def conclude(self, now: float) -> CommitOutcome | None:
         """Returns the result of the commit that has ended, and counts its switches; None if no commit has ended."""
         if self.target is None or self._master.committing or not self._master.outputs_known:
             return None
@@ -194,7 +194,7 @@ class Actuation:
             self._refused(why, now)
         reached = self.states == states and not self._doubtful
         self._doubtful = 0
-        return Commit(states, reached)
+        return CommitOutcome(states, reached)
 
     def adopt(self, measured: int, definite: int, now: float) -> None:
         """Adopts the outputs that the boards read back, and counts the switches of an interrupted commit.

@@ -6,8 +6,8 @@ from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import first, merged
 from controller.executor.core.kinds import Ends, Kinds
 from controller.executor.core.locked import LockedActuators
-from controller.executor.core.results import Results
-from controller.executor.motion.actuation import Actuation, Commit
+from controller.executor.core.results import ProgramResults
+from controller.executor.motion.actuation import Actuation, CommitOutcome
 from controller.executor.motion.clearance import ClearanceQuestions
 from controller.executor.motion.motion_supervision import Finding, MotionSupervision
 from controller.executor.motion.program_execution import End, ProgramExecution
@@ -22,7 +22,7 @@ REALIGNMENT = -1  # in place of the index of a stage
 NOT_CLEAR = "the next stage cannot begin: "
 
 
-class Motion:
+class ArmMotion:
     """Switches the boards to the stages of the running program or stream, and supervises the actuators.
 
     Attributes:
@@ -49,7 +49,7 @@ class Motion:
         master: Master,
         journal: SwitchJournal,
         locked: LockedActuators,
-        results: Results,
+        results: ProgramResults,
         send: Callable[[Up], None],
     ) -> None:
         self.execution: ProgramExecution | None = None
@@ -300,7 +300,7 @@ class Motion:
         """
         self._index, self._before = index, self.actuation.states
         if states == self._before and not (strict and self.moving):
-            self._took(Commit(states, reached=True), now)
+            self._took(CommitOutcome(states, reached=True), now)
             return None
         differ = self.actuation.differ(states, 0)
         if now < self.actuation.ready_at(differ, strict) - 1e-9 or (strict and self.moving):
@@ -321,7 +321,7 @@ class Motion:
                 self.execution.begins(index)
         return None
 
-    def _took(self, commit: Commit, now: float) -> None:
+    def _took(self, commit: CommitOutcome, now: float) -> None:
         """Records that the outputs have reached the stage begun last."""
         self.supervision.await_anew(commit.states, self.ends, self.clock, now)
         execution, stream = self.execution, self.stream

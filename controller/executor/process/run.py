@@ -12,9 +12,20 @@ from collections import deque
 from collections.abc import Callable
 
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Action, Defect, Event, Health, Log, Notify, Quit, Send, Tick, ToClient
+from controller.executor.core.events import (
+    Action,
+    Defect,
+    Event,
+    ExecutorTick,
+    Health,
+    Log,
+    Notify,
+    Quit,
+    SendFrame,
+    ToClient,
+)
 from controller.executor.process.buses import Buses
-from controller.executor.process.server import Server
+from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
 
@@ -52,7 +63,7 @@ class EventLoop:
         self,
         core: Executor,
         buses: Buses,
-        server: Server,
+        server: ExecutorServer,
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
         recorder: FlightRecorder | None = None,
@@ -136,7 +147,7 @@ class EventLoop:
         self._report_all()
         if self._core.reports.diagnostics_due(began + SOON):
             self._step(Health(self._time.take(), self._server.dropped, self._core.journal.problem))
-        self._step(Tick())
+        self._step(ExecutorTick())
         self._take_frames()
         self._time.ticked(began, self._clock())
         if self._recorder is not None:
@@ -152,7 +163,7 @@ class EventLoop:
             self._record(event, now, None)
             raise
         for action in actions:
-            if isinstance(action, Send):
+            if isinstance(action, SendFrame):
                 self._buses.send(action.bus, action.frame, self._clock())
             else:
                 self._queued.append(action)

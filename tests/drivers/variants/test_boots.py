@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from tests.drivers.canopen.tools.test_probe import asked
 
 from drivers.canopen.wire.cia301 import Command, State
 from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.tools.test_bus_check import asked
 from tests.drivers.canopen.world import World
 from tests.drivers.variants.cases import CASES, IN_VAIN, UNSEEN_WITHOUT_WRITING, Case
 
