@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import (
     MOST_BYTES,
     Acknowledge,

@@ -8,7 +8,7 @@ import logging
 import pytest
 
 from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import Halt, Lock, unpack
 from drivers.canopen.faults import Fault
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready

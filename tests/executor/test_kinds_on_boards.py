@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import Answer, Ended, Reset, Snapshot, unpack
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import SIZE

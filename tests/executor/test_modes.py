@@ -5,9 +5,9 @@ import logging
 import pytest
 
 from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
 from controller.executor.core.modes import CLEARING, RETRY
 from controller.executor.motion.actuation import BUSY_FOR
+from controller.host.process import Quit
 from controller.program import (
     Answer,
     Cancel,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from controller.executor.core.core import PERIOD
-from controller.executor.core.events import FromClient, Quit
+from controller.executor.core.events import FromClient
+from controller.host.process import Quit
 from controller.program import Accepted, Begun, Diagnostics, Ended, Halt, Reset, Settled, Snapshot, unpack
 from tests.executor.rig import PLANNER, SIZE, TRAVEL
 from tests.executor.world import STEP, A, B, World, ready

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import Cancel, Halt, Reset, unpack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 

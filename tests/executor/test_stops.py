@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
 from controller.executor.motion.actuation import BUSY_FOR
+from controller.host.process import Quit
 from controller.program import Answer, Cancel, Ended, Halt, Reset
 from tests.executor.rig import CAN, TRAVEL, Rig, ready
 

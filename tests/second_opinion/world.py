@@ -11,8 +11,9 @@ import can
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import ClientId, ExecutorTick, FromClient, Log, SendFrame, ToClient
+from controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
+from controller.host.process import Log
 from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring

@@ -15,12 +15,12 @@ from controller.executor.core.events import (
     Event,
     ExecutorTick,
     FromClient,
-    Log,
     SendFrame,
     ToClient,
 )
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
+from controller.host.process import Log
 from controller.program import Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, SendFailed

@@ -13,13 +13,14 @@ from typing import Any
 import pytest
 
 from controller.arm import arm as config
-from controller.executor.core.events import Log, SendFrame
+from controller.executor.core.events import SendFrame
 from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
 from controller.flight_recorder import recorder as recording
 from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save
 from controller.flight_recorder.loading import load
 from controller.flight_recorder.pickling import LEFT_OUT, unpickle
+from controller.host.process import Log
 from controller.obstacles.obstacles import sphere
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Answered, Start
@@ -155,7 +156,7 @@ class Called:
         (Called(os.system, "true"), "system"),
         (Called(eval, "1"), "builtins.eval"),
         (Called(getattr, "", "join"), "builtins.getattr"),
-        (Called(ExecutorServer, Path("x")), "server.Server"),
+        (Called(ExecutorServer, Path("x")), "server.ExecutorServer"),
         (Called(keeper.save, (), Path("x"), ""), "keeper.save"),
         (Called(pickling.method_of, Path("x"), "unlink"), "PosixPath"),
         (Called(pickling.method_of, [], "append"), "method 'append'"),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.events import Received

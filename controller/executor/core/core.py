@@ -17,9 +17,6 @@ from controller.executor.core.events import (
     ExecutorTick,
     FromClient,
     Health,
-    Log,
-    Notify,
-    Quit,
     SendFrame,
     ToClient,
 )
@@ -31,6 +28,7 @@ from controller.executor.core.results import ProgramResults
 from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.clients import Clients
 from controller.executor.process.switch_journal import SwitchJournal
+from controller.host.process import Log, Notify, Quit
 from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
 from drivers.canopen.faults import Fault
 from drivers.canopen.run.master import Master

@@ -5,11 +5,12 @@ from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import first
-from controller.executor.core.events import Action, Log, Notify
+from controller.executor.core.events import Action
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
 from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.setpoint_stream import SetpointStream
+from controller.host.process import Log, Notify
 from controller.program import Setpoint, pack
 
 

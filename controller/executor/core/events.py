@@ -1,9 +1,8 @@
 """Events and actions of the executor's core, as plain data."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
+from controller.host.process import Log, Notify, Quit
 from controller.program import Down, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event as CanEvent
@@ -62,10 +61,6 @@ class Defect(NamedTuple):
     text: str
 
 
-class Quit(NamedTuple):
-    """The process is asked to end."""
-
-
 Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | Defect | Quit
 
 
@@ -81,20 +76,6 @@ class ToClient(NamedTuple):
 
     client: ClientId
     message: Up
-
-
-class Notify(NamedTuple):
-    """An assignment for systemd, e.g. "READY=1"."""
-
-    text: str
-
-
-class Log(NamedTuple):
-    """A line of the log, with a level of the module logging, and fields for the journal."""
-
-    level: int
-    text: str
-    fields: Mapping[str, str] = MappingProxyType({})
 
 
 Action = SendFrame | ToClient | Notify | Log

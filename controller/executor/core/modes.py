@@ -3,11 +3,12 @@
 import logging
 from collections.abc import Callable
 
-from controller.executor.core.events import Action, Log, Notify
+from controller.executor.core.events import Action
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.reports import Reports
 from controller.executor.motion.motion import ArmMotion
 from controller.host.journal import fields_of_fault, fields_of_mode
+from controller.host.process import Log, Notify
 from controller.program import Mode
 from drivers.canopen.faults import Fault
 from drivers.canopen.run.master import Master

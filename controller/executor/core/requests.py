@@ -5,13 +5,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Action, ClientId, Log, ToClient
+from controller.executor.core.events import Action, ClientId, ToClient
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
 from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.program_execution import ProgramExecution, StageMisfit, check_stages, checked_states
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.process.clients import Clients
+from controller.host.process import Log
 from controller.program import (
     Accepted,
     Answer,

@@ -12,22 +12,12 @@ from collections import deque
 from collections.abc import Callable
 
 from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import (
-    Action,
-    Defect,
-    Event,
-    ExecutorTick,
-    Health,
-    Log,
-    Notify,
-    Quit,
-    SendFrame,
-    ToClient,
-)
+from controller.executor.core.events import Action, Defect, Event, ExecutorTick, Health, SendFrame, ToClient
 from controller.executor.process.buses import Buses
 from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
+from controller.host.process import Log, Notify, Quit
 
 log = logging.getLogger("executor")
 
