@@ -17,7 +17,7 @@ from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.emergencies import Emergencies
 from drivers.simulation.lss import LssSlave
 from drivers.simulation.objects import Objects
-from drivers.simulation.outputs import Outputs
+from drivers.simulation.outputs import SimulatedOutputs
 from drivers.simulation.pdos import Pdos
 from drivers.simulation.supervision import Supervision
 from drivers.simulation.variants import STANDARD, Variant
@@ -87,7 +87,7 @@ class SimulatedBoard:
         self._bus = send
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
         self.lss = LssSlave(identity, node, self.send_message)
-        self._outputs = Outputs(self.objects, variant)
+        self._outputs = SimulatedOutputs(self.objects, variant)
         self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message)
         self._take_node()
         self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests, and the times of their answers

@@ -12,7 +12,7 @@ from drivers.simulation.variants import Variant
 _POLARITY, _ERROR_MODE, _ERROR_VALUE = 0x6202, 0x6206, 0x6207
 
 
-class Outputs:
+class SimulatedOutputs:
     """The levels of the pins, which follow from the last command, the error state and the NMT state.
 
     The command is 6200h or the maker's object. The error state never changes the command. It begins when the board

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from drivers.canopen.wire import cia301
 from drivers.simulation.emergencies import Emergencies
 from drivers.simulation.objects import Objects
-from drivers.simulation.outputs import Outputs
+from drivers.simulation.outputs import SimulatedOutputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240
@@ -45,7 +45,7 @@ class Pdos:
     """
 
     def __init__(
-        self, objects: Objects, outputs: Outputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
+        self, objects: Objects, outputs: SimulatedOutputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
     ) -> None:
         self.sync_due = math.inf
         self.losing = 0

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.canopen.wire.cia301 import REMOTE, Frame
-from drivers.canopen.wiring import BusSettings, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.firmware import SimulatedBoard
@@ -26,7 +26,7 @@ _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault takes effect soon
 class Port:
     """The boards' connection to one bus; it is opened again after a loss of the interface."""
 
-    def __init__(self, settings: BusSettings) -> None:
+    def __init__(self, settings: BusWiring) -> None:
         self._settings = settings
         self._failed = False
         self._bus: can.BusABC | None = self._open()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from drivers.canopen.faults import Busy, Fault
-from drivers.canopen.status import Status
+from drivers.canopen.status import MasterStatus
 from drivers.canopen.wiring import Timing, Wiring
 
 
@@ -179,8 +179,8 @@ class FakeMaster:
     def warnings(self) -> tuple[Fault, ...]:
         return ()
 
-    def status(self) -> Status:
-        return Status((), ())
+    def status(self) -> MasterStatus:
+        return MasterStatus((), ())
 
     def _break(self, verb: str) -> None:
         if verb in self.broken:

@@ -29,7 +29,7 @@ from controller.program import (
 )
 from drivers.canopen.faults import Fault
 from drivers.canopen.wire.events import Ignored
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
 
@@ -73,7 +73,7 @@ def small_arm(
         for k, label in enumerate(LABELS)
     )
     names = dict.fromkeys(["can0", *([input_board.bus] if input_board else [])])
-    buses = tuple(BusSettings(name, "virtual", name) for name in names)
+    buses = tuple(BusWiring(name, "virtual", name) for name in names)
     wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks)
     timing = Timing(travel_time=TRAVEL, settle_margin=margin)
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)

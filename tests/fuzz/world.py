@@ -18,7 +18,7 @@ from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Ignored, Received
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.decoder import Decoder
 from tests.fuzz.judge import Judge, Moved, Wedged
@@ -29,7 +29,7 @@ from tests.simulation.process import WAKE_UP, ExecutorProcess, Witness
 NODES = (5, 9)
 TRAVEL = 0.02
 TIMING = Timing(heartbeat=0.02, heartbeat_timeout=0.07, boot_timeout=0.1, travel_time=TRAVEL)
-BUS = BusSettings("can0", "virtual", "fuzz")
+BUS = BusWiring("can0", "virtual", "fuzz")
 CHANNELS = tuple(
     Channel(label, "can0", NODES[k // 3], k % 3, None if k == 5 else k % 3) for k, label in enumerate(LABELS)
 )

@@ -16,7 +16,7 @@ from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.process import Log
 from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.second_opinion.board import MODULE, Board, Change, Kind
 
 NODES = (1, 2)
@@ -26,7 +26,7 @@ SIZE = len(LABELS)
 A, B = 0b000111, 0b011100
 STEP = 0.002  # [s]
 TIMING = Timing(heartbeat=0.1, heartbeat_timeout=0.35, boot_timeout=1.0, travel_time=0.05, settle_margin=0.03)
-BUS = BusSettings("can0", "virtual", "second opinion")
+BUS = BusWiring("can0", "virtual", "second opinion")
 CHANNELS = tuple(Channel(label, "can0", NODES[k // 3], FIRST + k % 3, FIRST + k % 3) for k, label in enumerate(LABELS))
 PLANNER = ClientId(1, 4001)
 BUS_OFF, RESTARTED = 0x40, 0x100  # error frames of SocketCAN

@@ -18,7 +18,7 @@ from drivers.canopen.tools.node_states import stopped
 from drivers.canopen.tools.probe import TEXTS, Probe, ProbedNode, probe_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."
 
@@ -69,7 +69,7 @@ def probed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) 
     Raises:
         Failed: the bus cannot be used, or an executor uses it.
     """
-    bus = BusSettings(channel, interface, channel, bitrate)
+    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     try:
         refuse_executor([bus])
         found = probe_bus(bus, in_full=in_full)

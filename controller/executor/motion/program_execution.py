@@ -181,7 +181,7 @@ class ProgramExecution:
         """Replaces the stages from `message.first` on, see `Replacement`.
 
         Raises:
-            Misfit: the stages do not fit; nothing has changed.
+            StageMisfit: the stages do not fit; nothing has changed.
         """
         first = message.first
         if message.generation <= self._generation:
@@ -216,7 +216,7 @@ def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: in
         actuators: number.
 
     Raises:
-        Misfit: a stage does not fit; the text says why.
+        StageMisfit: a stage does not fit; the text says why.
     """
     for k, stage in enumerate(stages):
         states = checked_states(stage.states, actuators)
@@ -234,7 +234,7 @@ def checked_states(states: bytes, actuators: int) -> int:
     """Returns packed states as an integer.
 
     Raises:
-        Misfit: they are states of another number of actuators.
+        StageMisfit: they are states of another number of actuators.
     """
     bits = unpack(states)
     if len(states) != (actuators + 7) // 8 or bits >> actuators:

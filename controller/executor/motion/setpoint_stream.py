@@ -23,7 +23,7 @@ class SetpointStream:
         actuators: number of actuators.
 
     Raises:
-        Misfit: a stage does not fit the arm.
+        StageMisfit: a stage does not fit the arm.
     """
 
     def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:

@@ -14,9 +14,9 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
 from drivers.canopen.run.board import Board
-from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import TIMEOUT, Outcome, Transfer
+from drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
 from drivers.canopen.wire.cia301 import INVALID, Command, State
@@ -45,7 +45,7 @@ class Boot:
 
     index: int
     board: Board
-    outputs: Outputs
+    outputs: OutputLines
     timing: Timing
     error_state: ErrorState | None
     it: Inspection
@@ -54,7 +54,9 @@ class Boot:
     stopped: bool = False
 
 
-def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
+def boot_board(
+    index: int, board: Board, outputs: OutputLines, timing: Timing, error_state: ErrorState | None
+) -> Procedure:
     """Boots a board. A board that is operational and correctly configured is not written to.
 
     A refused board gets its objects and its NMT state back, except outputs that were written off.
@@ -75,7 +77,7 @@ def _steps(boot: Boot) -> Procedure:
         yield from step(boot)
 
 
-def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, tuple[int, bool]]:
+def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
     """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
 
     Args:
@@ -89,7 +91,7 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
     def stopped() -> bool:  # a stopped board answers no SDO
         return board is not None and board.state is State.STOPPED and not ordered
 
-    for _ in range(1 + math.ceil(patience / TIMEOUT)):
+    for _ in range(1 + math.ceil(patience / SDO_TIMEOUT)):
         outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
         if outcome.silence is None:
             kind = objects.number(name, 0x1000, 0, 4, outcome)
@@ -274,7 +276,7 @@ def _read_back(boot: Boot) -> Procedure:
     board.ready = True
 
 
-def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, Outcome, dict[int, int]]:
+def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOutcome, dict[int, int]]:
     """Reads what RPDOs carry, by mapping entry. Words and single bits of outputs are read as bytes.
 
     Raises:

@@ -7,7 +7,7 @@ from functools import partial
 
 from drivers.canopen.boot.board_boot import boot_board
 from drivers.canopen.faults import Fault
-from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.run.station import Station
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -24,7 +24,7 @@ class Booting:
         timing: heartbeat and boot times.
     """
 
-    def __init__(self, stations: Sequence[Station], outputs: Outputs, wiring: Wiring, timing: Timing) -> None:
+    def __init__(self, stations: Sequence[Station], outputs: OutputLines, wiring: Wiring, timing: Timing) -> None:
         self._stations, self._outputs = stations, outputs
         self._error_state, self._timing = wiring.error_state, timing
         self._pending: set[int] = set()  # indices of boards

@@ -13,7 +13,7 @@ from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wire import cia301
@@ -74,7 +74,7 @@ class Inspection:
             self.warnings.append(text)
 
 
-Reading = Generator[Step, Outcome, None]
+Reading = Generator[Step, SdoOutcome, None]
 
 
 def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState | None) -> Reading:
@@ -102,7 +102,7 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     yield from _read(it, configuration.interrupts(it.layout))
 
 
-def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome, tuple[int, str, bool]]:
+def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, str, bool]]:
     """Reads the error register and, if it is set, the newest entry of the error history.
 
     Returns:
@@ -124,7 +124,7 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     return register, text, lost
 
 
-def _newest_error(it: Inspection) -> Generator[Step, Outcome, tuple[int, int]]:
+def _newest_error(it: Inspection) -> Generator[Step, SdoOutcome, tuple[int, int]]:
     """Returns sub-index and value of the newest error in 1003h; value 0 if there is none, or it cannot be read.
 
     Some stacks also enter the ends of errors, with the code 0000h.
@@ -208,7 +208,7 @@ def _supervision(it: Inspection, timing: Timing) -> Reading:
     it.needs = [*off, *(guard if it.guarded else beats), *it.needs]
 
 
-def _entry(it: Inspection) -> Generator[Step, Outcome, int]:
+def _entry(it: Inspection) -> Generator[Step, SdoOutcome, int]:
     """Returns the entry of 1016h that watches the master already, else the first free one, else the first."""
     count = yield from objects.find(it.name, 0x1016, 0)
     for sub in range(1, 1 + (count or 0)):

@@ -10,7 +10,7 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wire import cia301
@@ -42,7 +42,7 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
 
 def cover(
     it: Inspection, pdos: list[tuple[Pdo, PdoState]]
-) -> Generator[Step, Outcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
+) -> Generator[Step, SdoOutcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
     """Searches PDOs that carry the process data together with their present mappings.
 
     Args:
@@ -153,7 +153,9 @@ def ask_for_sync(it: Inspection) -> Reading:
                 it.rpdos[i] = wanted, present._replace(kind=(yield from objects.read(it.name, present.parameters, 2)))
 
 
-def _find_pdo(it: Inspection, wanted: Pdo, taken: set[int], in_full: bool) -> Generator[Step, Outcome, PdoState | None]:
+def _find_pdo(
+    it: Inspection, wanted: Pdo, taken: set[int], in_full: bool
+) -> Generator[Step, SdoOutcome, PdoState | None]:
     """Searches a PDO for the bits of the wanted one.
 
     Returns:

@@ -8,10 +8,10 @@ from drivers.canopen.faults import Fault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
 from drivers.canopen.pdo import union
 from drivers.canopen.run.board import Board, StateImage
-from drivers.canopen.run.outputs import Key, Outputs
+from drivers.canopen.run.outputs import Key, OutputLines
 from drivers.canopen.run.reception import Reception
 from drivers.canopen.run.station import Station
-from drivers.canopen.status import Status
+from drivers.canopen.status import MasterStatus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.link import Link
@@ -46,7 +46,7 @@ class Boards:
         self.pulsed = sum(
             1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
         )
-        self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
+        self.image, self.log, self.outputs = StateImage(), FaultLog(), OutputLines(self.layout)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
         self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
         self.stations = [
@@ -171,9 +171,9 @@ class Boards:
                 text = f"two boards answer as {name}: give each its own node id, then reset"
                 station.board.fail(Fault("duplicate-node", name, text))
 
-    def status(self, now: float) -> Status:
+    def status(self, now: float) -> MasterStatus:
         """Returns state and counters for diagnostics."""
-        return Status(
+        return MasterStatus(
             buses=tuple(link.status(self._worst_case[name]) for name, link in self.links.items()),
             boards=tuple(station.board.status(now) for station in self.stations),
         )

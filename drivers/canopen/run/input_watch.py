@@ -32,7 +32,7 @@ class InputWatch:
             here = [s for s in self._stations if s.board.layout.bus == link.name]
             guards = {s.index for s in here if any(bit.line & interlocks for bit in s.board.layout.inputs)}
             transfers = sum(len(subs_of(s.board.layout.input_bits)) for s in here if s.index not in guards)
-            shared = transfers * 2 * wire_bits(8) / (_SHARE * link.settings.bitrate)
+            shared = transfers * 2 * wire_bits(8) / (_SHARE * link.wiring.bitrate)
             self._periods |= {s.index: _PERIOD if s.index in guards else max(_PERIOD, shared) for s in here}
         self._due: dict[int, float] = {}
 

@@ -13,7 +13,7 @@ from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
 from drivers.canopen.run.input_watch import InputWatch
 from drivers.canopen.run.outputs import Key
 from drivers.canopen.run.verification import Verification
-from drivers.canopen.status import Status
+from drivers.canopen.status import MasterStatus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
@@ -310,7 +310,7 @@ class Master:
         passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
         return passive + self._boards.warnings()
 
-    def status(self) -> Status:
+    def status(self) -> MasterStatus:
         """Returns state and counters for diagnostics."""
         return self._boards.status(self._clock.now)
 

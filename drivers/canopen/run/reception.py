@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from drivers.canopen.faults import Fault
-from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.run.station import Station
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
@@ -26,7 +26,7 @@ class Reception:
     def __init__(
         self,
         bus: str,
-        outputs: Outputs,
+        outputs: OutputLines,
         stations: Iterable[Station],
         rebooted: Callable[[Station, float], None],
         report: Callable[[Fault], None],

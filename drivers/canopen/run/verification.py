@@ -9,7 +9,7 @@ from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.run.boards import Boards
 from drivers.canopen.run.station import Station
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need, abort_words
 from drivers.canopen.sdo.procedure import Step, Wait
 from drivers.canopen.wire import cia301
@@ -48,7 +48,7 @@ class Verification:
         self._of_bus = {
             name: [station for station in boards.stations if station.board.layout.bus == name] for name in boards.links
         }
-        bitrates = {name: link.settings.bitrate for name, link in boards.links.items()}
+        bitrates = {name: link.wiring.bitrate for name, link in boards.links.items()}
         self._pace = {name: max(_SHORTEST, 2 * wire_bits(8) / (_SHARE * rate)) for name, rate in bitrates.items()}
 
     def begin(self) -> None:
@@ -112,7 +112,7 @@ class Verification:
         else:
             self._start(station, self._errors(station), now)
 
-    def _start(self, station: Station, reading: Generator[Step, Outcome, None], now: float) -> None:
+    def _start(self, station: Station, reading: Generator[Step, SdoOutcome, None], now: float) -> None:
         station.runner.start(reading, None, now)
 
     def _end(self, i: int) -> None:
@@ -120,7 +120,7 @@ class Verification:
         self.blocking.discard(i)
         self._pulses.discard(i)
 
-    def _outputs(self, station: Station) -> Generator[Step, Outcome, None]:
+    def _outputs(self, station: Station) -> Generator[Step, SdoOutcome, None]:
         """Compares the outputs of a board with the switched levels; a board may need some time."""
         board, i, outputs = station.board, station.index, self._boards.outputs
         changes, wrong = outputs.changes[i], list[tuple[int, int]]()
@@ -141,7 +141,7 @@ class Verification:
         if missed and board.ready:
             self._not_switched(station, *wrong[-1])
 
-    def _read(self, station: Station) -> Generator[Step, Outcome, int | None]:
+    def _read(self, station: Station) -> Generator[Step, SdoOutcome, int | None]:
         """Reads the used outputs of a board; None, and a fault the third time, if the board does not tell them."""
         board, bits = station.board, 0
         for sub in subs_of(board.layout.output_bits):
@@ -153,7 +153,7 @@ class Verification:
         self._silent[station.index] = 0
         return bits & board.layout.output_bits
 
-    def _unread(self, station: Station, sub: int, outcome: Outcome) -> None:
+    def _unread(self, station: Station, sub: int, outcome: SdoOutcome) -> None:
         """Counts a read without a result; it verifies nothing, so the board stays due."""
         board, i = station.board, station.index
         board.unverified += 1
@@ -205,7 +205,7 @@ class Verification:
         self._end(station.index)
         board.fail(Fault("not-switched", board.name, text))
 
-    def _object(self, station: Station, need: Need) -> Generator[Step, Outcome, None]:
+    def _object(self, station: Station, need: Need) -> Generator[Step, SdoOutcome, None]:
         """Checks that an object still has its value from the end of the boot."""
         board = station.board
         for _ in range(2):
@@ -219,7 +219,7 @@ class Verification:
             )
             board.fail(Fault("board-changed", board.name, text))
 
-    def _errors(self, station: Station) -> Generator[Step, Outcome, None]:
+    def _errors(self, station: Station) -> Generator[Step, SdoOutcome, None]:
         """Checks the error register, 1001h, for an error without an emergency."""
         board = station.board
         for _ in range(2):
@@ -239,7 +239,7 @@ class Verification:
             text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
             board.report(Fault("board-error", board.name, text))
 
-    def _new_error(self, board: Board) -> Generator[Step, Outcome, bool]:
+    def _new_error(self, board: Board) -> Generator[Step, SdoOutcome, bool]:
         """Returns whether the error history, 1003h sub 1, has a new error since the boot; an entry 0000h is an end."""
         if board.history is None or board.emergency is not None:
             return False

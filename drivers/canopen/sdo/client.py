@@ -10,7 +10,7 @@ from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link, Outgoing
 
-TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
+SDO_TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
 _PATIENCE, _LONGEST = 2.5, 3.0  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
@@ -34,12 +34,12 @@ class Transfer:
     index: int
     sub: int
     data: bytes | None = None
-    timeout: float = TIMEOUT
+    timeout: float = SDO_TIMEOUT
     tries: int = TRIES
     fresh: bool = False
 
 
-class Outcome(NamedTuple):
+class SdoOutcome(NamedTuple):
     """The result of a transfer: exactly one of its fields is set.
 
     Attributes:
@@ -66,7 +66,7 @@ class SdoClient:
     """
 
     def __init__(self, node: int, link: Link) -> None:
-        self.outcome: Outcome | None = None
+        self.outcome: SdoOutcome | None = None
         self._request_id = cia301.SDO_REQUEST + node
         self._link = link
         self._transfer: Transfer | None = None
@@ -127,14 +127,14 @@ class SdoClient:
         else:
             self._count_answer()
         if kind == 0x80:
-            self._end(Outcome(abort=int.from_bytes(data[4:], "little")))
+            self._end(SdoOutcome(abort=int.from_bytes(data[4:], "little")))
         elif self._segments is not None:
             return
         elif transfer.data is not None and kind == 0x60:
-            self._end(Outcome(data=b""))
+            self._end(SdoOutcome(data=b""))
         elif transfer.data is None and kind == 0x40:
             if data[0] & 0x02:  # expedited; without a size, four bytes
-                self._end(Outcome(data=data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)]))
+                self._end(SdoOutcome(data=data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)]))
             else:
                 self._segments, self._expected = b"", 0
                 self._send(bytes((0x60, 0, 0, 0, 0, 0, 0, 0)), now)
@@ -154,7 +154,7 @@ class SdoClient:
             self._request(now)
         else:
             self._owe(self._asked, now)
-            self._end(Outcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
+            self._end(SdoOutcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
 
     def _request(self, now: float) -> None:
         assert self._transfer is not None
@@ -199,10 +199,10 @@ class SdoClient:
         self._segments += data[1 : 8 - (data[0] >> 1 & 7)]
         self._expected += 1
         if data[0] & 1:
-            self._end(Outcome(data=self._segments))
+            self._end(SdoOutcome(data=self._segments))
         elif self._expected >= _MOST_SEGMENTS:
             self._abort(_TOO_LONG, now)
-            self._end(Outcome(silence=f"its answer is longer than {_MOST_SEGMENTS} segments"))
+            self._end(SdoOutcome(silence=f"its answer is longer than {_MOST_SEGMENTS} segments"))
         else:
             self._send(bytes((0x60 | (self._expected & 1) << 4, 0, 0, 0, 0, 0, 0, 0)), now)
 
@@ -214,6 +214,6 @@ class SdoClient:
         self._outgoing = Outgoing(Frame(self._request_id, data))
         self._link.queue(self._outgoing, now)
 
-    def _end(self, outcome: Outcome) -> None:
+    def _end(self, outcome: SdoOutcome) -> None:
         self.cancel()
         self.outcome = outcome

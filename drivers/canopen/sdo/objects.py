@@ -6,7 +6,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 from drivers.canopen.faults import Fault
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Step
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
@@ -102,7 +102,7 @@ class Need:
         return (present & ~self.mask | self.value & self.mask) & (1 << 8 * self.size) - 1
 
 
-def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, Outcome, int]:
+def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, SdoOutcome, int]:
     """Reads an unsigned value of `size` bytes; `board` is the name for messages.
 
     Raises:
@@ -112,7 +112,7 @@ def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -
     return number(board, index, sub, size, outcome)
 
 
-def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Outcome, int | None]:
+def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an unsigned value like `read`; returns None if the board has no such object.
 
     Raises:
@@ -124,7 +124,7 @@ def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Out
     return number(board, index, sub, size, outcome)
 
 
-def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int:
+def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> int:
     """Returns the value that a transfer has read.
 
     Raises:
@@ -142,7 +142,7 @@ def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int
     return int.from_bytes(outcome.data[:size], "little")
 
 
-def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | None]:
+def write(board: str, need: Need, value: int) -> Generator[Step, SdoOutcome, int | None]:
     """Writes a value; returns None, or the abort code of the board.
 
     Raises:
@@ -155,7 +155,7 @@ def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | 
     return outcome.abort
 
 
-def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, None]:
+def ensure(board: str, need: Need, present: int) -> Generator[Step, SdoOutcome, None]:
     """Writes the needed value into an object with another value, and reads it back.
 
     Raises:
@@ -177,7 +177,7 @@ def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
     return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
 
-def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
+def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an object; returns its value, or None if the board has no such object.
 
     Raises:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 from drivers.canopen.faults import Fault
-from drivers.canopen.sdo.client import Outcome, SdoClient, Transfer
+from drivers.canopen.sdo.client import SdoClient, SdoOutcome, Transfer
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command
 from drivers.canopen.wire.link import Link, Outgoing
@@ -38,9 +38,9 @@ class Ask:
 
 
 Step = Transfer | Ask | Order | Wait
-Procedure = Generator[Step, Outcome, None]
+Procedure = Generator[Step, SdoOutcome, None]
 
-DONE = Outcome(data=b"")
+DONE = SdoOutcome(data=b"")
 
 
 class BoardError(Exception):
@@ -104,7 +104,7 @@ class Runner:
         if self._procedure is not None and (outcome := self._outcome(now)) is not None:
             self._resume(outcome, now)
 
-    def _resume(self, outcome: Outcome | None, now: float) -> None:
+    def _resume(self, outcome: SdoOutcome | None, now: float) -> None:
         """Continues until a step must wait."""
         procedure, fault = self._procedure, None
         assert procedure is not None
@@ -133,7 +133,7 @@ class Runner:
             self._outgoing = Outgoing(cia301.command(step.command, self._node))
             self._link.queue(self._outgoing, now)
 
-    def _outcome(self, now: float) -> Outcome | None:
+    def _outcome(self, now: float) -> SdoOutcome | None:
         """Returns the outcome of the step; None while it runs."""
         step = self._step
         if isinstance(step, Transfer):
@@ -141,15 +141,15 @@ class Runner:
         if isinstance(step, Ask):
             if self._sdo.outcome is None and step.unless():
                 self._sdo.cancel()
-                return Outcome(silence="cancelled")
+                return SdoOutcome(silence="cancelled")
             return self._sdo.outcome
         if isinstance(step, Wait):
             if step.until():
                 return DONE
-            return Outcome(silence="timed out") if now - self._since >= step.patience else None
+            return SdoOutcome(silence="timed out") if now - self._since >= step.patience else None
         if self._outgoing is None or self._outgoing.sent:
             return DONE
         if now - self._since < _ORDER_TIMEOUT:
             return None
         self._outgoing.cancelled = True
-        return Outcome(silence="the bus takes no frames")
+        return SdoOutcome(silence="the bus takes no frames")

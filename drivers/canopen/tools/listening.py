@@ -9,7 +9,7 @@ from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Echoed, Event, Received
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 _SHORTEST, _PERIODS = 1.2, 1.5  # [s], and heartbeats of the master
 
@@ -50,7 +50,7 @@ class Listening:
         self._now = now
 
 
-def master_on(buses: Iterable[BusSettings], heartbeat: float = 0.0) -> str | None:
+def master_on(buses: Iterable[BusWiring], heartbeat: float = 0.0) -> str | None:
     """Listens on buses; returns the name of one on which a master sends its heartbeat, or None.
 
     Args:

@@ -11,7 +11,7 @@ from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.canopen.wire.events import Changed, Echoed, Event, Received
 from drivers.canopen.wire.link import Link, Outgoing
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 _STUCK_AFTER = 0.5  # [s]
 
@@ -30,7 +30,7 @@ class NodeReset:
         send: hands out a frame for a bus, by its name; must not call this object.
     """
 
-    def __init__(self, bus: BusSettings, node: int, patience: float, send: Callable[[str, Frame], None]) -> None:
+    def __init__(self, bus: BusWiring, node: int, patience: float, send: Callable[[str, Frame], None]) -> None:
         self.booted_after: float | None = None
         self.fault: Fault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
@@ -72,7 +72,7 @@ class NodeReset:
         self.fault = self.fault or fault
 
 
-def reset_node(bus: BusSettings, node: int, patience: float) -> NodeReset:
+def reset_node(bus: BusWiring, node: int, patience: float) -> NodeReset:
     """Resets a node; blocks until its boot-up message or the timeout.
 
     Raises:

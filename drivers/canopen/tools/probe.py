@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from drivers.canopen.boot.pdo_setup import PdoState, read_pdo
 from drivers.canopen.faults import Fault
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner, Step
 from drivers.canopen.tools.conversation import converse
 from drivers.canopen.tools.node_states import NodeStates
@@ -17,7 +17,7 @@ from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Changed, Echoed, Event, Received
 from drivers.canopen.wire.link import Link
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 NODES = range(1, 128)
 _FIRST, _TRIES = 0.5, 2  # [s] for the first answer of a node, and attempts
@@ -86,7 +86,7 @@ class Probe:
 
     def __init__(
         self,
-        bus: BusSettings,
+        bus: BusWiring,
         send: Callable[[str, Frame], None],
         nodes: Iterable[int] = NODES,
         *,
@@ -181,13 +181,13 @@ class Probe:
                 if (pdo := (yield from read_pdo(str(it.node), parameters))) is not None:
                     pdos.append(pdo)
 
-    def _array(self, it: ProbedNode, index: int) -> Generator[Step, Outcome, None]:
+    def _array(self, it: ProbedNode, index: int) -> Generator[Step, SdoOutcome, None]:
         if (index, 0) not in it.numbers:
             self._store(it, index, 0, (yield Transfer(index, 0)))
         for sub in range(1, 1 + min(it.numbers.get((index, 0), 0), _MOST_SUBS)):
             self._store(it, index, sub, (yield Transfer(index, sub)))
 
-    def _store(self, it: ProbedNode, index: int, sub: int, outcome: Outcome) -> None:
+    def _store(self, it: ProbedNode, index: int, sub: int, outcome: SdoOutcome) -> None:
         """Stores the value or the refusal of an object.
 
         Raises:
@@ -215,7 +215,7 @@ class Probe:
                 runner.cancel()
 
 
-def probe_bus(bus: BusSettings, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> Probe:
+def probe_bus(bus: BusWiring, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> Probe:
     """Asks the nodes of a bus; blocks until they have answered or timed out.
 
     Raises:

@@ -13,7 +13,7 @@ import can
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
 from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
@@ -62,12 +62,12 @@ class CanBus:
     A bus that goes down is opened again by `poll`, with a growing pause between attempts.
 
     Args:
-        settings: name, interface, channel and bit rate.
+        wiring: name, interface, channel and bit rate.
         clock: time for the pauses [s].
     """
 
-    def __init__(self, settings: BusSettings, clock: Callable[[], float] = time.monotonic) -> None:
-        self.settings = settings
+    def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic) -> None:
+        self.wiring = wiring
         self._clock = clock
         self._bus: can.BusABC | None = None
         self._closed = True
@@ -79,7 +79,7 @@ class CanBus:
     @property
     def name(self) -> str:
         """Name of the bus."""
-        return self.settings.name
+        return self.wiring.name
 
     def open(self) -> None:
         """Opens the bus.
@@ -90,7 +90,7 @@ class CanBus:
         try:
             self._bus = self._open()
         except Exception as error:  # python-can passes on whatever the interface raises
-            s = self.settings
+            s = self.wiring
             raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
         self._closed = self._down = False
         self._events.append(Changed(self.name, "active", "", None))
@@ -168,7 +168,7 @@ class CanBus:
         return Received(self.name, frame, at) if message.is_rx else Echoed(self.name, frame, at)
 
     def _open(self) -> can.BusABC:
-        s = self.settings
+        s = self.wiring
         bus = can.Bus(
             interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=True, ignore_config=True
         )

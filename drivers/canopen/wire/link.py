@@ -10,7 +10,7 @@ from drivers.canopen.status import BusStatus, Traffic
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.load import Meter
 from drivers.canopen.wire.tx_echo import TxPending
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _UNUSABLE = ("closed", "down", "bus-off")
@@ -43,20 +43,20 @@ class Link:
     lines off, is sent on a bus that is not armed.
 
     Attributes:
-        settings: name, interface, channel and bit rate.
+        wiring: name, interface, channel and bit rate.
         state: "closed", "active", "warning", "passive", "bus-off" or "down".
         armed: whether RPDOs and SYNC may be sent.
         pending: frames that were handed out and have not been echoed.
 
     Args:
-        settings: name, interface, channel and bit rate.
+        wiring: name, interface, channel and bit rate.
         send: hands out a frame for a bus, by its name.
         stuck_after: the bus counts as lost if no frame could be sent for this time [s].
     """
 
-    def __init__(self, settings: BusSettings, send: Callable[[str, Frame], None], stuck_after: float) -> None:
-        self.settings = settings
-        self.name = settings.name
+    def __init__(self, wiring: BusWiring, send: Callable[[str, Frame], None], stuck_after: float) -> None:
+        self.wiring = wiring
+        self.name = wiring.name
         self.state = "closed"
         self.armed = False
         self.pending = TxPending(longest=max(1.0, 2 * stuck_after))
@@ -233,7 +233,7 @@ class Link:
             overruns=self._overruns,
             frames_per_second=meter.frames_per_second,
             bits_per_second=meter.bits_per_second,
-            load=min(1.0, meter.bits_per_second / self.settings.bitrate),
+            load=min(1.0, meter.bits_per_second / self.wiring.bitrate),
             worst_case=worst_case,
         )
 

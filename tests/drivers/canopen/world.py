@@ -12,7 +12,7 @@ from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, Event, SendFailed
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import STANDARD, Variant
 from tests.simulation.hardware import Hardware
 
@@ -40,7 +40,7 @@ class World(Hardware):
     ) -> None:
         channels = channels or one_board()
         names = sorted({line.bus for c in channels for line in c.lines.values()})
-        buses = tuple(BusSettings(name, "none", name, bitrate) for name in names)
+        buses = tuple(BusWiring(name, "none", name, bitrate) for name in names)
         self.wiring = Wiring(buses, tuple(channels), **options)
         self.timing = timing or Timing()
         given = {str(board): STANDARD for board in self.wiring.boards} | dict(variants or {})

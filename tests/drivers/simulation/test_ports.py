@@ -8,7 +8,7 @@ import can
 import pytest
 
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 from drivers.simulation.simulation import Port
 from tests.emulated import Interface
 from tests.waiting import eventually
@@ -23,7 +23,7 @@ def interface() -> Iterator[Interface]:
 
 
 def test_a_port_whose_board_speaks_first_when_its_interface_is_gone_is_opened_again(interface: Interface) -> None:
-    settings = BusSettings("can0", "emulated", interface.channel)
+    settings = BusWiring("can0", "emulated", interface.channel)
     port = Port(settings)
     interface.delete()
     port.send(Frame(0x701, b"\5"))  # the only word of its socket that the interface is gone

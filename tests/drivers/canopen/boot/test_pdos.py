@@ -8,7 +8,7 @@ import pytest
 
 from drivers.canopen.boot import quirks
 from drivers.canopen.boot.quirks import Quirk, quirk_of
-from drivers.canopen.wiring import Channel, NodeSettings
+from drivers.canopen.wiring import Channel, NodeWiring
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
@@ -146,7 +146,7 @@ def test_outputs_of_a_makers_object():
     world = World(
         FIVE,
         variants={"can0/5": VARIANTS["maker-object"]},
-        nodes=(NodeSettings("can0", 5, object=0x2201),),
+        nodes=(NodeWiring("can0", 5, object=0x2201),),
         error_state="off",
     ).up()
     world.commit(1, 0)
@@ -165,7 +165,7 @@ def test_outputs_of_a_makers_object():
     ],
 )
 def test_another_device_than_the_arms_file_names_is_refused(named, words):
-    world = World(FIVE, nodes=(NodeSettings("can0", 5, **named),))
+    world = World(FIVE, nodes=(NodeWiring("can0", 5, **named),))
     world.boot()
     [fault] = world.master.boot_faults
     assert fault.code == "wrong-device"
@@ -177,7 +177,7 @@ def test_the_named_device_is_taken():
     world = World(FIVE)
     held = [world.boards.board("can0/5").objects.number(0x1018, sub) for sub in (1, 2, 3, 4)]
     names = dict(zip(("vendor", "product", "revision", "serial"), held, strict=True))
-    World(FIVE, nodes=(NodeSettings("can0", 5, **names),)).up()
+    World(FIVE, nodes=(NodeWiring("can0", 5, **names),)).up()
 
 
 def test_quirks_are_found_by_vendor_and_product(monkeypatch):

@@ -9,7 +9,7 @@ from drivers.canopen.faults import Busy
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, Echoed, Ignored, Received, SendFailed
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.drivers.canopen.world import World, measured, two_boards, two_buses
 
 NODES = (5, 9)
@@ -61,7 +61,7 @@ SYSTEM = (
 @given(steps=st.lists(SYSTEM, max_size=60), shared=st.booleans())
 def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, shared):
     sent: list[Frame] = []
-    buses = (BusSettings("can0", "none", ""),)
+    buses = (BusWiring("can0", "none", ""),)
     wiring = Wiring(buses, tuple(two_boards()), shared_rpdo=shared)
     master = Master(wiring, Timing(), lambda bus, frame: sent.append(frame))
     now, commits = 0.0, 0
@@ -114,7 +114,7 @@ RIGHT = {0x1000: 0x00030191, 0x6200: 8, 0x6000: 8, 0x1005: 0x80}
 def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared, beats, many):
     """None is a correct answer, after which the boot continues. The boot ends with success or a fault."""
     channels = [Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 130 if many else 1, 1)]
-    wiring = Wiring((BusSettings("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
+    wiring = Wiring((BusWiring("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
     sent: list[Frame] = []
     master = Master(wiring, Timing(boot_timeout=0.2), lambda bus, frame: sent.append(frame))
     master.take(Changed("can0", "active", "", None), 0.0)

@@ -10,7 +10,7 @@ from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import Runner
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 TYPE = b"\x43\x00\x10\x00\x91\x01\x02\x00"
 OTHER = b"\x4f\x00\x62\x01\x01\x00\x00\x00"
@@ -22,7 +22,7 @@ class Line:
 
     def __init__(self, *answers: list[bytes] | None) -> None:
         self.sent: list[Frame] = []
-        self.link = Link(BusSettings("can0", "none", ""), lambda bus, frame: self.sent.append(frame), 10.0)
+        self.link = Link(BusWiring("can0", "none", ""), lambda bus, frame: self.sent.append(frame), 10.0)
         self.link.changed("active", "", None, 0.0)
         self.runner = Runner(5, self.link)
         self.answers, self.now, self.requests = list(answers), 0.0, list[str]()

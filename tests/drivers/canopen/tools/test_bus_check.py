@@ -11,7 +11,7 @@ from drivers.canopen.tools.bus_check import BusCheck, CheckedBoard, check_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wire.events import Changed
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.objects import Objects
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
@@ -138,13 +138,13 @@ def test_boards_of_a_lost_bus_do_not_answer():
 
 
 def test_a_bus_that_cannot_be_opened_is_told():
-    bus = BusSettings("can0", "socketcan", "no-such-interface")
+    bus = BusWiring("can0", "socketcan", "no-such-interface")
     with pytest.raises(BusError, match="no-such-interface"):
         check_bus(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
 
 
 def test_an_empty_bus():
-    bus = BusSettings("can0", "virtual", "test_probe")
+    bus = BusWiring("can0", "virtual", "test_probe")
     asking = check_bus(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
     assert asking.master_on is None
     [answer] = asking.answers

@@ -9,7 +9,7 @@ from drivers.canopen.tools.probe import Probe, ProbedNode, probe_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Changed, Received
-from drivers.canopen.wiring import BusSettings, Channel
+from drivers.canopen.wiring import BusWiring, Channel
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards
 
@@ -135,6 +135,6 @@ def test_strange_frames_do_no_harm() -> None:
 
 
 def test_an_empty_bus() -> None:
-    assert probe_bus(BusSettings("can0", "virtual", "test_probe")).found == []
+    assert probe_bus(BusWiring("can0", "virtual", "test_probe")).found == []
     with pytest.raises(BusError, match="no-such-interface"):
-        probe_bus(BusSettings("can0", "socketcan", "no-such-interface"))
+        probe_bus(BusWiring("can0", "socketcan", "no-such-interface"))

@@ -13,7 +13,7 @@ from drivers.canopen.faults import BusError
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 from tests import emulated
 
 FRAME = Frame(0x77F, b"\x05")
@@ -42,7 +42,7 @@ def buses(request, tmp_path: Path) -> Iterator[tuple[CanBus, can.BusABC]]:
     interface = emulated.Interface(tmp_path) if request.param == "emulated" else None
     channel = interface.channel if interface else f"test_bus {request.node.name}"
     other = can.Bus(interface=request.param, channel=channel, ignore_config=True)
-    bus = CanBus(BusSettings("can0", request.param, channel))
+    bus = CanBus(BusWiring("can0", request.param, channel))
     bus.open()
     yield bus, other
     bus.close()
@@ -54,7 +54,7 @@ def buses(request, tmp_path: Path) -> Iterator[tuple[CanBus, can.BusABC]]:
 def test_frames_come_in_go_out_and_come_back(buses):
     bus, other = buses
     assert bus.poll() == [Changed("can0", "active", "", None)]
-    assert (bus.fileno() is None) == (bus.settings.interface == "virtual")
+    assert (bus.fileno() is None) == (bus.wiring.interface == "virtual")
     assert bus.send(FRAME) is None
     assert wait(bus, len) == [Echoed("can0", FRAME)]
     message = other.recv(20)
@@ -113,7 +113,7 @@ def test_a_poll_returns_no_more_than_256_frames(buses):
 
 def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
     interface = emulated.Interface(tmp_path)
-    bus = CanBus(BusSettings("can0", "emulated", interface.channel))
+    bus = CanBus(BusWiring("can0", "emulated", interface.channel))
     bus.open()
     interface.hold()
     why = None
@@ -130,7 +130,7 @@ def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
 @pytest.mark.parametrize("how", ["down", "deleted"])
 def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
     interface, clock = emulated.Interface(tmp_path), Clock()
-    bus = CanBus(BusSettings("can0", "emulated", interface.channel), clock)
+    bus = CanBus(BusWiring("can0", "emulated", interface.channel), clock)
     bus.open()
     bus.poll()
     interface.down() if how == "down" else interface.delete()
@@ -152,7 +152,7 @@ def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
 
 def test_sending_on_a_bus_that_is_down_shows_it(tmp_path):
     interface = emulated.Interface(tmp_path)
-    bus = CanBus(BusSettings("can0", "emulated", interface.channel))
+    bus = CanBus(BusWiring("can0", "emulated", interface.channel))
     bus.open()
     bus.poll()
     interface.down()
@@ -164,7 +164,7 @@ def test_sending_on_a_bus_that_is_down_shows_it(tmp_path):
 
 @pytest.mark.parametrize("interface", ["nonsense", "socketcan"])
 def test_a_bus_that_cannot_be_opened_is_named(interface):
-    bus = CanBus(BusSettings("can7", interface, "nowhere0"))
+    bus = CanBus(BusWiring("can7", interface, "nowhere0"))
     with pytest.raises(BusError, match=rf"can7.*nowhere0.*{interface}"):
         bus.open()
     assert bus.send(FRAME) == "the bus is closed"
@@ -173,7 +173,7 @@ def test_a_bus_that_cannot_be_opened_is_named(interface):
 
 
 def test_a_closed_bus_says_so():
-    bus = CanBus(BusSettings("can0", "virtual", "test_bus closed"))
+    bus = CanBus(BusWiring("can0", "virtual", "test_bus closed"))
     bus.open()
     bus.close()
     assert [event.state for event in bus.poll()] == ["closed"]
