@@ -17,7 +17,7 @@ from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hell
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Ignored, Received
+from drivers.canopen.wire.events import FrameIgnored, FrameReceived
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.decoder import Decoder
@@ -97,9 +97,9 @@ class World(Hardware, Witness):
         if event is None:
             return
         measured, known = self.core.motion.read, self.master.known
-        if isinstance(event, Ignored) and (measured, known) != self._before:
+        if isinstance(event, FrameIgnored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
-        wrong_length = isinstance(event, Received) and event.frame.id in TPDOS and len(event.frame.data) != 1
+        wrong_length = isinstance(event, FrameReceived) and event.frame.id in TPDOS and len(event.frame.data) != 1
         if wrong_length and measured != self._before[0]:
             raise AssertionError(f"taken for inputs: {event}")
         self.boots += self.master.booting and not self._booting
@@ -161,10 +161,10 @@ class World(Hardware, Witness):
         """Sends a frame of the intruder to the executor and to the boards."""
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
         events = self._decoder.decode(it)
-        if standard != any(isinstance(event, Received) for event in events):
+        if standard != any(isinstance(event, FrameReceived) for event in events):
             raise AssertionError(f"taken for {events}: {it}")
         for event in events:
-            if isinstance(event, Received):
+            if isinstance(event, FrameReceived):
                 self.dirty |= event.frame.id in COMMANDS
                 self.buses["can0"].from_other(event.frame)
             else:

@@ -23,7 +23,7 @@ from controller.flight_recorder import FlightRecorder
 from controller.host.process import Log
 from controller.program import Up
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, SendFailed
+from drivers.canopen.wire.events import BusChanged, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import BusModel
 
@@ -110,7 +110,7 @@ class ExecutorProcess:
         self._started_at = self._agenda.now
         self._witness.started()
         for name, bus in self._buses.items():
-            self.post(Changed(name, bus.state, "", None))
+            self.post(BusChanged(name, bus.state, "", None))
         self._tick_later(self.instances)
         happen, self._at_start = self._at_start, lambda: None
         happen()

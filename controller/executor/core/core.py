@@ -34,7 +34,7 @@ from drivers.canopen.faults import Fault
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed, Received
+from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
 PERIOD = 0.01  # [s] between two ticks
 LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay
@@ -117,7 +117,7 @@ class Executor:
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
-        if not (isinstance(event, Echoed) and self.collecting):  # one echo of many, nothing has changed
+        if not (isinstance(event, FrameEchoed) and self.collecting):  # one echo of many, nothing has changed
             self._guarded(self._conclude, on_bus(event, now), now)
         self._guarded(self._requests.answer_held, now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
@@ -292,6 +292,6 @@ def on_bus(event: Event, now: float) -> float | None:
 
     The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
     """
-    if not isinstance(event, Echoed | Received) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
+    if not isinstance(event, FrameEchoed | FrameReceived) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
         return None
     return now if event.at is None else min(event.at, now)

@@ -13,7 +13,7 @@ from pathlib import Path
 from controller.armfile.strict import InputFaults
 from controller.executor.core.arm import ExecutedArm
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses, board_names
 from drivers.simulation.fault_commands import perform
@@ -51,9 +51,9 @@ class EmbeddedBoards:
 
     def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
         """Takes wiring and times of the arm, and the variant of each board by the board's name."""
-        self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
+        self._events: deque[Event] = deque(BusChanged(bus.name, "active", "", None) for bus in wiring.buses)
         self._boards = SimulatedBuses(
-            wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame, self._at)), variants
+            wiring, timing, lambda bus, frame: self._events.append(FrameReceived(bus, frame, self._at)), variants
         )
         self._lines = FaultLines(self._boards)
         self._clock = self._last = self._at = -math.inf
@@ -85,7 +85,7 @@ class EmbeddedBoards:
     def send(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
         self._at = self._time(now)
-        self._events.append(Echoed(bus, frame, self._at))
+        self._events.append(FrameEchoed(bus, frame, self._at))
         self._boards.receive(bus, frame, self._at)
 
     def close(self) -> None:

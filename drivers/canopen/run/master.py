@@ -16,7 +16,7 @@ from drivers.canopen.run.verification import Verification
 from drivers.canopen.status import MasterStatus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
+from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from drivers.canopen.wire.load import BITS
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -59,15 +59,15 @@ class Master:
 
     def take(self, event: Event, now: float) -> None:
         """Passes an event of a bus to one of the six methods below."""
-        if isinstance(event, Received):
+        if isinstance(event, FrameReceived):
             self.receive(event.bus, event.frame, now)
-        elif isinstance(event, Echoed):
+        elif isinstance(event, FrameEchoed):
             self.echoed(event.bus, event.frame, now)
-        elif isinstance(event, Ignored):
+        elif isinstance(event, FrameIgnored):
             self.ignore(event.bus, event.bits, now)
-        elif isinstance(event, Changed):
+        elif isinstance(event, BusChanged):
             self.bus_changed(event.bus, event.state, event.why, event.errors, now)
-        elif isinstance(event, Overrun):
+        elif isinstance(event, BusOverrun):
             self.overrun(event.bus, now)
         else:
             self.send_failed(event.bus, event.frame, event.why, now)

@@ -20,7 +20,7 @@ from drivers.canopen.tools.node_states import NodeStates, stopped
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wire.link import Link
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -96,12 +96,12 @@ class BusCheck:
     def take(self, event: Event, now: float) -> None:
         """Takes an event of a bus."""
         link = self._links[event.bus]
-        if isinstance(event, Changed):
+        if isinstance(event, BusChanged):
             if (fault := link.changed(event.state, event.why, event.errors, now)) is not None:
                 self._give_up(fault)
-        elif isinstance(event, Echoed) and link.echoed(event.frame, now):
+        elif isinstance(event, FrameEchoed) and link.echoed(event.frame, now):
             return
-        elif isinstance(event, Echoed | Received):
+        elif isinstance(event, FrameEchoed | FrameReceived):
             self._states[event.bus].hear(event.frame)
             function, node = cia301.split(event.frame.id)
             runner = self._runners.get((event.bus, node))

@@ -8,7 +8,7 @@ from drivers.canopen.tools.conversation import converse
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed, Event, Received
+from drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived
 from drivers.canopen.wiring import MASTER, BusWiring
 
 _SHORTEST, _PERIODS = 1.2, 1.5  # [s], and heartbeats of the master
@@ -39,7 +39,11 @@ class Listening:
 
     def take(self, event: Event, now: float) -> None:
         """Takes an event of a bus. Frames of an executor on this computer are echoes."""
-        if isinstance(event, Echoed | Received) and event.frame.id == cia301.HEARTBEAT + MASTER and event.frame.data:
+        if (
+            isinstance(event, FrameEchoed | FrameReceived)
+            and event.frame.id == cia301.HEARTBEAT + MASTER
+            and event.frame.data
+        ):
             self.master_on = event.bus
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:

@@ -24,7 +24,7 @@ from canopen.lss import (
 
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed, Received
+from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
 _REQUEST, _ANSWER = LssMaster.LSS_TX_COBID, LssMaster.LSS_RX_COBID
 _PATIENCE, _TRIES = 1.0, 3  # [s] for an answer, and attempts
@@ -208,7 +208,7 @@ def over(bus: CanBus) -> Exchange:
 
     def heard() -> list[bytes]:
         # The frames of a board that runs on this computer are echoes, as those of this process.
-        frames = [event.frame for event in bus.poll() if isinstance(event, Echoed | Received)]
+        frames = [event.frame for event in bus.poll() if isinstance(event, FrameEchoed | FrameReceived)]
         return [frame.data for frame in frames if frame.id == _ANSWER]
 
     def exchange(request: bytes, code: int | None, patience: float) -> list[bytes]:

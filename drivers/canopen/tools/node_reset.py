@@ -9,7 +9,7 @@ from drivers.canopen.tools.conversation import converse
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Command, Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wire.link import Link, Outgoing
 from drivers.canopen.wiring import BusWiring
 
@@ -51,11 +51,13 @@ class NodeReset:
 
     def take(self, event: Event, now: float) -> None:
         """Takes an event of the bus."""
-        if isinstance(event, Changed):
+        if isinstance(event, BusChanged):
             self._note(self._link.changed(event.state, event.why, event.errors, now))
-        elif isinstance(event, Echoed) and self._link.echoed(event.frame, now):
+        elif isinstance(event, FrameEchoed) and self._link.echoed(event.frame, now):
             return
-        elif isinstance(event, Echoed | Received) and event.frame == cia301.heartbeat(self._node, State.BOOT_UP):
+        elif isinstance(event, FrameEchoed | FrameReceived) and event.frame == cia301.heartbeat(
+            self._node, State.BOOT_UP
+        ):
             self.booted_after = now - self._begun
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:

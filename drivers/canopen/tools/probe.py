@@ -15,7 +15,7 @@ from drivers.canopen.tools.node_states import NodeStates
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wire.link import Link
 from drivers.canopen.wiring import MASTER, BusWiring
 
@@ -128,11 +128,11 @@ class Probe:
 
     def take(self, event: Event, now: float) -> None:
         """Takes an event of the bus."""
-        if isinstance(event, Changed):
+        if isinstance(event, BusChanged):
             self._give_up(self._link.changed(event.state, event.why, event.errors, now))
-        elif isinstance(event, Echoed) and self._link.echoed(event.frame, now):
+        elif isinstance(event, FrameEchoed) and self._link.echoed(event.frame, now):
             return
-        elif isinstance(event, Echoed | Received):
+        elif isinstance(event, FrameEchoed | FrameReceived):
             function, node = cia301.split(event.frame.id)
             data = event.frame.data
             if function == cia301.SDO_ANSWER and node in self._runners and len(data) == 8:

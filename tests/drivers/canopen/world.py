@@ -11,7 +11,7 @@ from drivers.canopen.faults import Busy, Fault
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Event, SendFailed
+from drivers.canopen.wire.events import BusChanged, Event, SendFailed
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import STANDARD, Variant
 from tests.simulation.hardware import Hardware
@@ -63,7 +63,7 @@ class World(Hardware):
         """Replaces the master by a new one, with open buses."""
         self.use(Master(self.wiring, self.timing, self.send))
         for name, bus in self.buses.items():
-            self.master.take(Changed(name, bus.state, "", None), self.now)
+            self.master.take(BusChanged(name, bus.state, "", None), self.now)
 
     def use(self, master: Any) -> None:
         """Replaces the master, which is killed, by another or a tool; it hears nothing that came before."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from drivers.canopen.faults import Busy
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Ignored, Received, SendFailed
+from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored, FrameReceived, SendFailed
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.drivers.canopen.world import World, measured, two_boards, two_buses
 
@@ -27,11 +27,11 @@ FRAMES = st.builds(Frame, COB_IDS, st.binary(max_size=8)) | ANSWERS
 STATES = st.sampled_from(["active", "warning", "passive", "bus-off", "down", "closed", None])
 ERRORS = st.none() | st.tuples(st.integers(0, 255), st.integers(0, 255))
 EVENTS = (
-    st.builds(Received, st.just("can0"), FRAMES)
-    | st.builds(Echoed, st.just("can0"), FRAMES)
-    | st.builds(Ignored, st.just("can0"), st.integers(0, 200))
+    st.builds(FrameReceived, st.just("can0"), FRAMES)
+    | st.builds(FrameEchoed, st.just("can0"), FRAMES)
+    | st.builds(FrameIgnored, st.just("can0"), st.integers(0, 200))
     | st.builds(SendFailed, st.just("can0"), FRAMES, st.just("full"))
-    | st.builds(Changed, st.just("can0"), STATES, st.text(max_size=5), ERRORS)
+    | st.builds(BusChanged, st.just("can0"), STATES, st.text(max_size=5), ERRORS)
 )
 
 
@@ -117,7 +117,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
     wiring = Wiring((BusWiring("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
     sent: list[Frame] = []
     master = Master(wiring, Timing(boot_timeout=0.2), lambda bus, frame: sent.append(frame))
-    master.take(Changed("can0", "active", "", None), 0.0)
+    master.take(BusChanged("can0", "active", "", None), 0.0)
     master.tick(0.0)
     master.boot(0.0)
     now, written, script = 0.0, dict[bytes, bytes](), iter(answers)

@@ -10,7 +10,7 @@ from drivers.canopen.faults import BusError
 from drivers.canopen.tools.bus_check import BusCheck, CheckedBoard, check_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wire.events import Changed
+from drivers.canopen.wire.events import BusChanged
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.objects import Objects
 from drivers.simulation.variants import VARIANTS
@@ -26,7 +26,7 @@ def asked(world: World, lose: str | None = None, timeout: float = 20.0, **change
     world.frames()
     asking.start(world.now)
     if lose:
-        asking.take(Changed(lose, "down", "it is down", None), world.now)
+        asking.take(BusChanged(lose, "down", "it is down", None), world.now)
     world.until(lambda: asking.answers is not None, timeout)
     return asking.answers
 

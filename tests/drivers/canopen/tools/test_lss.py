@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused, over
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed
+from drivers.canopen.wire.events import FrameEchoed
 from drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
 from tests.drivers.canopen.world import World, two_boards
 
@@ -147,14 +147,16 @@ def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes(monkeypa
         name = "can0"
 
         def __init__(self) -> None:
-            self.events: list[Echoed] = []
-            self.slave = LssSlave(ONE, 3, lambda cob_id, data: self.events.append(Echoed("can0", Frame(cob_id, data))))
+            self.events: list[FrameEchoed] = []
+            self.slave = LssSlave(
+                ONE, 3, lambda cob_id, data: self.events.append(FrameEchoed("can0", Frame(cob_id, data)))
+            )
 
         def send(self, frame: Frame) -> None:
-            self.events.append(Echoed("can0", frame))
+            self.events.append(FrameEchoed("can0", frame))
             self.slave.receive(frame.data)
 
-        def poll(self) -> list[Echoed]:
+        def poll(self) -> list[FrameEchoed]:
             events, self.events = self.events, []
             return events
 

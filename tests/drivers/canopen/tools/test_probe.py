@@ -8,7 +8,7 @@ from drivers.canopen.faults import BusError
 from drivers.canopen.tools.probe import Probe, ProbedNode, probe_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Changed, Received
+from drivers.canopen.wire.events import BusChanged, FrameReceived
 from drivers.canopen.wiring import BusWiring, Channel
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards
@@ -120,7 +120,7 @@ def test_a_node_that_stops_answering_is_reported() -> None:
 def test_a_bus_that_is_down_ends_the_probe() -> None:
     world = World()
     asking = begun(world)
-    asking.take(Changed("can0", "down", "it is down", None), world.now)
+    asking.take(BusChanged("can0", "down", "it is down", None), world.now)
     assert (asking.over, asking.fault.message) == (True, "can0: it is down")
 
 
@@ -128,7 +128,7 @@ def test_strange_frames_do_no_harm() -> None:
     world = World()
     asking = begun(world)
     for frame in (Frame(0x585, b"\x43"), Frame(0x585, b"\xff" * 8), Frame(0x705, b""), Frame(0x7FF, b"\x09")):
-        asking.take(Received("can0", frame), world.now)
+        asking.take(FrameReceived("can0", frame), world.now)
     world.until(lambda: asking.over, 60.0)
     assert asking.found[0] == ProbedNode(5, **{k: v for k, v in vars(asking.found[0]).items() if k != "node"})
     assert asking.found[0].answers

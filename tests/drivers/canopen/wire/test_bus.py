@@ -12,7 +12,7 @@ import pytest
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
+from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from drivers.canopen.wiring import BusWiring
 from tests import emulated
 
@@ -30,7 +30,7 @@ class Clock:
 def wait(bus: CanBus, condition: Callable[[list[Event]], object]) -> list[Event]:
     events: list[Event] = []
     for _ in range(20_000):
-        events += [e._replace(at=None) if isinstance(e, Echoed | Received) else e for e in bus.poll()]
+        events += [e._replace(at=None) if isinstance(e, FrameEchoed | FrameReceived) else e for e in bus.poll()]
         if condition(events):
             return events
         time.sleep(0.001)
@@ -53,19 +53,19 @@ def buses(request, tmp_path: Path) -> Iterator[tuple[CanBus, can.BusABC]]:
 
 def test_frames_come_in_go_out_and_come_back(buses):
     bus, other = buses
-    assert bus.poll() == [Changed("can0", "active", "", None)]
+    assert bus.poll() == [BusChanged("can0", "active", "", None)]
     assert (bus.fileno() is None) == (bus.wiring.interface == "virtual")
     assert bus.send(FRAME) is None
-    assert wait(bus, len) == [Echoed("can0", FRAME)]
+    assert wait(bus, len) == [FrameEchoed("can0", FRAME)]
     message = other.recv(20)
     assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x77F, b"\x05", False)
     other.send(can.Message(arbitration_id=0x705, data=b"\x7f", is_extended_id=False))
     other.send(can.Message(arbitration_id=0x705, data=b"\x7f", is_extended_id=True))
     other.send(can.Message(arbitration_id=0x705, is_extended_id=False, is_remote_frame=True, dlc=1))
     assert wait(bus, lambda events: len(events) == 3) == [
-        Received("can0", Frame(0x705, b"\x7f")),
-        Ignored("can0", 90),
-        Ignored("can0", 55),
+        FrameReceived("can0", Frame(0x705, b"\x7f")),
+        FrameIgnored("can0", 90),
+        FrameIgnored("can0", 55),
     ]
 
 
@@ -94,10 +94,10 @@ def test_error_frames_change_the_state(buses):
             can.Message(arbitration_id=kind, data=bytes.fromhex(data), is_error_frame=True, is_extended_id=False)
         )
     assert wait(bus, lambda events: len(events) == 4) == [
-        Changed("can0", "passive", "", (130, 7)),
-        Changed("can0", "bus-off", "", None),
-        Changed("can0", None, "", (2, 3)),
-        Overrun("can0"),
+        BusChanged("can0", "passive", "", (130, 7)),
+        BusChanged("can0", "bus-off", "", None),
+        BusChanged("can0", None, "", (2, 3)),
+        BusOverrun("can0"),
     ]
 
 
@@ -108,7 +108,7 @@ def test_a_poll_returns_no_more_than_256_frames(buses):
         other.send(can.Message(arbitration_id=k, is_extended_id=False))
     time.sleep(0.2)
     assert len(bus.poll()) <= 256
-    wait(bus, lambda events: events and events[-1] == Received("can0", Frame(299, b"")))
+    wait(bus, lambda events: events and events[-1] == FrameReceived("can0", Frame(299, b"")))
 
 
 def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
@@ -122,7 +122,7 @@ def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
         time.sleep(0.001)
     assert "No buffer space" in why
     interface.release()
-    assert all(event == Echoed("can0", FRAME) for event in wait(bus, lambda events: len(events) > 10)[1:])
+    assert all(event == FrameEchoed("can0", FRAME) for event in wait(bus, lambda events: len(events) > 10)[1:])
     bus.close()
     interface.close()
 
@@ -145,7 +145,7 @@ def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
     clock.now += 1.1
     assert [event.state for event in wait(bus, len)] == ["active"]
     assert bus.send(FRAME) is None
-    wait(bus, lambda events: Echoed("can0", FRAME) in events)
+    wait(bus, lambda events: FrameEchoed("can0", FRAME) in events)
     bus.close()
     interface.close()
 
