@@ -27,7 +27,7 @@ from controller.program import (
     pack,
     unpack,
 )
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.wire.events import FrameIgnored
 from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
@@ -37,7 +37,7 @@ SIZE = 6
 TRAVEL, MARGIN = 0.05, 0.03
 PLANNER, OTHER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002), ClientId(3, 4003)
 LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
-LOST = Fault("board-lost", "can0/1", "board can0/1: no heartbeat")
+LOST = ArmFault("board-lost", "can0/1", "board can0/1: no heartbeat")
 CAN = FrameIgnored("can0", 100)  # an event of a bus without effect
 
 T = TypeVar("T")

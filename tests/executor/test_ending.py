@@ -10,7 +10,7 @@ import pytest
 from controller.executor.core.core import PERIOD
 from controller.host.process import Quit
 from controller.program import Halt, Lock, unpack
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -130,7 +130,7 @@ def test_a_fault_ends_the_contraction_in_words() -> None:
     rig = extended(contract_on_stop=True, inrush=1)
     rig.do(Quit())
     rig.go(TRAVEL)
-    rig.master.fail(Fault("emergency", "can0/1", "short circuit"))
+    rig.master.fail(ArmFault("emergency", "can0/1", "short circuit"))
     rig.go(0.1)
     assert rig.core.ended
     text = "the arm is not contracted before the end (on_stop): it is fault: short circuit"

@@ -16,7 +16,7 @@ from controller.program import (
     Halt,
     Reset,
 )
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
@@ -88,7 +88,7 @@ def test_a_halt_while_booting_stays(rig: Rig) -> None:
 def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
     rig.run(A, B)
     rig.go(0.05)
-    rig.master.fail(Fault("emergency", "can0/1", "short circuit"))
+    rig.master.fail(ArmFault("emergency", "can0/1", "short circuit"))
     rig.do(CAN)
     assert (rig.mode, rig.reason, rig.results) == ("fault", "short circuit", [(1, "aborted")])
     rig.go(5 * RETRY)
@@ -99,7 +99,7 @@ def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
 
 
 def test_lines_on_modes_and_faults_have_fields_for_the_journal(rig: Rig) -> None:
-    rig.master.fail(Fault("emergency", "can0/3", "short circuit"))
+    rig.master.fail(ArmFault("emergency", "can0/3", "short circuit"))
     rig.do(CAN)
     fields = {text: it for (_, text), it in zip(rig.logged, rig.fields, strict=True)}
     fault, mode = fields["emergency: short circuit"], fields["fault: short circuit"]
@@ -112,7 +112,7 @@ def test_lines_on_modes_and_faults_have_fields_for_the_journal(rig: Rig) -> None
 def test_faults_that_clear_by_themselves_are_left_without_a_reset(rig: Rig, code: str) -> None:
     rig.run(A, B)
     rig.go(0.15)
-    rig.master.fail(Fault(code, "can0", "gone"))
+    rig.master.fail(ArmFault(code, "can0", "gone"))
     rig.go(5 * RETRY)
     assert rig.mode == "fault"
     rig.master.back = True
@@ -130,7 +130,7 @@ def test_one_that_fails_again_is_tried_once_a_second(rig: Rig) -> None:
 
 
 def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
-    limit = Fault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
+    limit = ArmFault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
     rig.master.warnings = lambda: (limit,)
     rig.send(Halt(1))
     rig.send(Reset(2))
@@ -139,7 +139,7 @@ def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
 
 
 def test_faults_of_a_boot_are_reported_at_its_end(rig: Rig) -> None:
-    rig.master.boot_faults = [LOST, Fault("board-missing", "can0/2", "another")]
+    rig.master.boot_faults = [LOST, ArmFault("board-missing", "can0/2", "another")]
     rig.send(Halt(1))
     rig.send(Reset(2))
     rig.go(3 * PERIOD)
@@ -151,7 +151,7 @@ def test_a_halted_process_acts_on_nothing_old(rig: Rig) -> None:
     rig.go(0.05)
     late = rig.program(B, start=A)
     rig.agenda.run(3)
-    rig.master.halt = Fault("halted", "executor", "halted for 3 s")
+    rig.master.halt = ArmFault("halted", "executor", "halted for 3 s")
     rig.send(late)
     assert (rig.mode, rig.last(Declined).cause, rig.last(Ended).message) == ("fault", "mode", "halted for 3 s")
     rig.go(0.5)

@@ -30,7 +30,7 @@ from controller.executor.process.clients import Clients
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.host.process import Log, Notify, Quit
 from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
@@ -38,7 +38,7 @@ from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
 PERIOD = 0.01  # [s] between two ticks
 LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay
-DEFECT = Fault("internal-error", "executor", "internal error, see the log; the arm holds")
+DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 P = ParamSpec("P")
 

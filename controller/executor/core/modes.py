@@ -10,7 +10,7 @@ from controller.executor.motion.motion import ArmMotion
 from controller.host.journal import fields_of_fault, fields_of_mode
 from controller.host.process import Log, Notify
 from controller.program import Mode
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
@@ -27,12 +27,12 @@ class ActiveFaults:
 
     def __init__(self, others: frozenset[str] = frozenset()) -> None:
         self._clearing = CLEARING | others
-        self._faults: dict[tuple[str, str], Fault] = {}
+        self._faults: dict[tuple[str, str], ArmFault] = {}
 
     def __bool__(self) -> bool:
         return bool(self._faults)
 
-    def add(self, fault: Fault) -> bool:
+    def add(self, fault: ArmFault) -> bool:
         """Adds a fault; returns whether it is new."""
         new = (fault.code, fault.source) not in self._faults
         self._faults.setdefault((fault.code, fault.source), fault)
@@ -47,7 +47,7 @@ class ActiveFaults:
         """Whether every active fault clears by itself."""
         return all(code in self._clearing for code, _ in self._faults)
 
-    def all(self) -> tuple[Fault, ...]:
+    def all(self) -> tuple[ArmFault, ...]:
         """Returns the faults, the oldest first."""
         return tuple(self._faults.values())
 
@@ -141,7 +141,7 @@ class Modes:
             for fault in self._motion.interlocks():
                 self.fail(fault, now)
 
-    def fail(self, fault: Fault, now: float) -> None:
+    def fail(self, fault: ArmFault, now: float) -> None:
         """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
         if self.faults.add(fault):
             self._log(logging.ERROR, fault)
@@ -189,7 +189,7 @@ class Modes:
             motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
             self.hold_measured(now)
 
-    def _log(self, level: int, fault: Fault) -> None:
+    def _log(self, level: int, fault: ArmFault) -> None:
         self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))
 
     def _enter_fault(self, message: str, reason: str, now: float) -> None:

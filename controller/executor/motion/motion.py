@@ -15,7 +15,7 @@ from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.motion.travel_times import TravelTimes
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
@@ -127,11 +127,11 @@ class ArmMotion:
         self._travel_times.forget(-1)
         self.actuation.adopt(self.read, self.definite, now)
 
-    def interlocks(self) -> list[Fault]:
+    def interlocks(self) -> list[ArmFault]:
         """Returns a fault for each open interlock."""
         opened = self.kinds.open(self._master.ends, self._master.inputs_known)
         places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
-        return [Fault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
+        return [ArmFault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
 
     # --- begin and end
 

@@ -10,7 +10,7 @@ from drivers.canopen.boot import configuration, inspection, pdo_search
 from drivers.canopen.boot.inspection import Inspection
 from drivers.canopen.boot.pins import settle
 from drivers.canopen.boot.undo import Undo
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
 from drivers.canopen.run.board import Board
@@ -106,7 +106,7 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
     text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
     if board is not None and board.frames > before:
         text = f"board {name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
-    raise BoardError(Fault("board-missing", name, text))
+    raise BoardError(ArmFault("board-missing", name, text))
 
 
 def _find(boot: Boot) -> Procedure:
@@ -223,7 +223,7 @@ def _await_operational(boot: Boot) -> Procedure:
         if board.state is not State.STOPPED:
             _, why, _ = yield from inspection.read_errors(boot.it, board)
             text += f"; {why}" if why else ""
-        raise BoardError(Fault("board-stopped", board.name, text))
+        raise BoardError(ArmFault("board-stopped", board.name, text))
 
 
 def _set_error_mode(boot: Boot) -> Procedure:
@@ -242,7 +242,7 @@ def _check_errors(boot: Boot) -> Procedure:
         yield Wait(lambda: False, _ERROR_PATIENCE / 5)
     if not lost:
         text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
-        raise BoardError(Fault("board-error", board.name, text))
+        raise BoardError(ArmFault("board-error", board.name, text))
     it.warn(f"it keeps an error from before this boot: {text}")
     it.standing_errors = register
 
@@ -260,7 +260,7 @@ def _read_back(boot: Boot) -> Procedure:
     if board.state is not State.OPERATIONAL:
         seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         raise BoardError(
-            Fault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
+            ArmFault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
         )
     boot.outputs.adopt(boot.index, rpdos, values)
     if board.input_frames == before:  # otherwise a TPDO has brought newer values
@@ -316,7 +316,7 @@ def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
 def _order(layout: BoardLayout, command: Command) -> Procedure:
     if (yield Order(command)).data is None:
         text = f"board {layout.name} could not be told to change its state: {layout.bus} takes no frames"
-        raise BoardError(Fault("board-missing", layout.name, text))
+        raise BoardError(ArmFault("board-missing", layout.name, text))
 
 
 _STEPS: tuple[Callable[[Boot], Procedure], ...] = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from drivers.canopen.boot import configuration
 from drivers.canopen.boot.pdo_setup import PdoState
 from drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
 from drivers.canopen.run.board import Board
@@ -172,7 +172,7 @@ def _check_type(it: Inspection, kind: int) -> Reading:
         if not count or count < subs[-1]:
             has = "no" if not count else f"{count} bytes of"
             text = f"board {it.name} has {has} {what} in {base:04X}h; sub {subs[-1]} is needed, the wiring uses it"
-            raise BoardError(Fault("wrong-device", it.name, f"{text} (1000h sub 0 is {kind:08X}h)"))
+            raise BoardError(ArmFault("wrong-device", it.name, f"{text} (1000h sub 0 is {kind:08X}h)"))
         if base in (OUTPUTS, INPUTS) and kind & 0xFFFF == _PROFILE and not kind & flag:
             it.warn(f"1000h sub 0 is {kind:08X}h, without the bit of digital {what}, but {base:04X}h is there")
 
@@ -186,7 +186,7 @@ def _check_without_profile(it: Inspection, kind: int) -> Reading:
         return
     advice = "is the node id right? A board with outputs in an object of its maker needs `object` in the arm's file"
     text = f"board {it.name} has {text} with outputs in 6200h: {advice}"
-    raise BoardError(Fault("wrong-device", it.name, text))
+    raise BoardError(ArmFault("wrong-device", it.name, text))
 
 
 def _supervision(it: Inspection, timing: Timing) -> Reading:
@@ -202,7 +202,7 @@ def _supervision(it: Inspection, timing: Timing) -> Reading:
             f"board {it.name} has neither 1016h sub 1 and 1017h (heartbeats) nor 100Ch and 100Dh (node guarding): it"
             " would not notice that the executor has ended, and would not be noticed if it fails"
         )
-        raise BoardError(Fault("wrong-device", it.name, text))
+        raise BoardError(ArmFault("wrong-device", it.name, text))
     # Some boards allow only one of the two: the other one is switched off first.
     off = [Need(n.index, n.sub, 0, n.size, n.what) for n in (beats if it.guarded else guard)]
     it.needs = [*off, *(guard if it.guarded else beats), *it.needs]
@@ -243,13 +243,13 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     if layout.loss[0] and not goes_off:
         text = f"board {it.name} has no {missing}; it is needed: with on_loss: contract, or with pulses, its outputs"
         text += " must go off when the master is lost; if they do so by themselves, set boards.error_state to off"
-        raise BoardError(Fault("wrong-device", it.name, text))
+        raise BoardError(ArmFault("wrong-device", it.name, text))
     if state is None:
         text = (
             f"board {it.name} has no {missing}, so what its outputs do when the master is lost cannot be read or"
             " written: if you know it, set boards.error_state to off, hold or device in the arm's file"
         )
-        raise BoardError(Fault("wrong-device", it.name, text))
+        raise BoardError(ArmFault("wrong-device", it.name, text))
     does = {"off": "go off", "hold": "hold", "device": "do what the device is set to"}[state]
     it.warn(f"it has no {missing}; by the arm's file (error_state) its outputs {does} when the master is lost")
 

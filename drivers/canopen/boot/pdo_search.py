@@ -6,7 +6,7 @@ from collections.abc import Container, Generator, Iterable
 
 from drivers.canopen.boot.inspection import Inspection, Reading, ensure
 from drivers.canopen.boot.pdo_setup import ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
 from drivers.canopen.sdo import objects
@@ -35,7 +35,7 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
             present = yield from _find_pdo(it, pdo, taken, in_full)
             if present is None:
                 what = f"{pdo_words(pdo.parameters)} ({pdo.parameters:04X}h): it is needed for its process data"
-                raise BoardError(Fault("wrong-device", it.name, f"board {it.name} has no {what}"))
+                raise BoardError(ArmFault("wrong-device", it.name, f"board {it.name} has no {what}"))
             taken.add(present.parameters)
             found.append((pdo._replace(parameters=present.parameters), present))
 
@@ -115,7 +115,7 @@ def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:
                 f"board {layout.name}: outputs {outputs} of one actuator are in {frames}, which do not wait for SYNC:"
                 " both could be on between two frames. Wire them to outputs of one RPDO"
             )
-            raise BoardError(Fault("wrong-device", layout.name, text))
+            raise BoardError(ArmFault("wrong-device", layout.name, text))
 
 
 def set_up_pdos(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Generator
 from typing import NamedTuple
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
 from drivers.canopen.sdo import objects
@@ -187,7 +187,7 @@ def set_up(
         reason = f"{pdo_words(parameters)} cannot be shared with other boards as the arm's file says (shared_rpdo)"
     if reason is not None:
         words = "; ".join(why) or "it does not keep what is written"
-        raise BoardError(Fault("sdo-refused", name, f"board {name}: {reason}; {words}"))
+        raise BoardError(ArmFault("sdo-refused", name, f"board {name}: {reason}; {words}"))
     return now
 
 

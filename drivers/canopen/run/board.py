@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, union
 from drivers.canopen.sdo.objects import Need
@@ -99,7 +99,7 @@ class Board:
         report: takes faults.
     """
 
-    def __init__(self, layout: BoardLayout, image: StateImage, report: Callable[[Fault], None]) -> None:
+    def __init__(self, layout: BoardLayout, image: StateImage, report: Callable[[ArmFault], None]) -> None:
         self.layout = layout
         self.state: State | None = None
         self.frames = self.boots = self.input_frames = 0
@@ -152,7 +152,7 @@ class Board:
         self.ready = self._booted = False
         self.state = self.history = None
 
-    def fail(self, fault: Fault) -> None:
+    def fail(self, fault: ArmFault) -> None:
         """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
         self.ready = False
         self.report(fault)
@@ -276,4 +276,4 @@ class Board:
             self._fault("wrong-length", f"{what}: does another device send its TPDO?")
 
     def _fault(self, code: str, what: str) -> None:
-        self.report(Fault(code, self.name, f"board {self.name}: {what}"))
+        self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.faults import Fault, FaultLog
+from drivers.canopen.faults import ArmFault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
 from drivers.canopen.pdo import union
 from drivers.canopen.run.board import Board, StateImage
@@ -118,17 +118,17 @@ class Boards:
         touched = union(b.layout.output_lines for b in boards if b.layout.output_lines & off)
         return states & ~off & ~(doubtful & touched), off
 
-    def warnings(self) -> tuple[Fault, ...]:
+    def warnings(self) -> tuple[ArmFault, ...]:
         """Returns the warnings of ready boards: limits, and outputs that were written off before the start."""
         boards = [station.board for station in self.stations if station.board.ready]
         limits = (
-            Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
+            ArmFault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
         )
         text = "outputs may have been switched off by the board; written off before start"
-        released = (Fault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
+        released = (ArmFault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
         return (*limits, *released)
 
-    def rearm(self) -> dict[str, Fault]:
+    def rearm(self) -> dict[str, ArmFault]:
         """Arms all buses; returns a fault for each unusable bus, by its name."""
         return {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
 
@@ -169,7 +169,7 @@ class Boards:
             if twice and station.board.ready:
                 name = station.board.name
                 text = f"two boards answer as {name}: give each its own node id, then reset"
-                station.board.fail(Fault("duplicate-node", name, text))
+                station.board.fail(ArmFault("duplicate-node", name, text))
 
     def status(self, now: float) -> MasterStatus:
         """Returns state and counters for diagnostics."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from drivers.canopen.boot.booting import Booting
-from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.faults import ArmFault, Busy
 from drivers.canopen.run.boards import Boards
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
@@ -138,7 +138,7 @@ class Master:
             self._verification.tick(time)
             self._inputs.tick(time)
 
-    def halted(self, now: float) -> Fault | None:
+    def halted(self, now: float) -> ArmFault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master.
 
         Then the states of all boards are unknown until `boot`. A running boot begins again, without a fault. Call this
@@ -151,7 +151,7 @@ class Master:
             return None
         self._boards.forget()  # the boards' states are unknown after the halt
         text = f"the executor was halted for {pause:.2f} s, and the boards lost their master: the arm holds"
-        return Fault("halted", "executor", text)
+        return ArmFault("halted", "executor", text)
 
     def boot(self, now: float) -> None:
         """Boots all boards of all buses in parallel; switches no output.
@@ -218,7 +218,7 @@ class Master:
         return self._booting.under_way
 
     @property
-    def boot_faults(self) -> list[Fault]:
+    def boot_faults(self) -> list[ArmFault]:
         """Faults of the last boot: one for each board or bus that is not ready."""
         return self._booting.faults
 
@@ -296,7 +296,7 @@ class Master:
         """Returns whether a question to a board still waits for its answer."""
         return self._boards.stations[board].questioning
 
-    def take_faults(self) -> list[Fault]:
+    def take_faults(self) -> list[ArmFault]:
         """Returns the faults since the last call; each code and source once until the next `boot`."""
         return self._boards.log.take()
 
@@ -305,7 +305,7 @@ class Master:
         switched, self._commit.switched = self._commit.switched, []
         return switched
 
-    def warnings(self) -> tuple[Fault, ...]:
+    def warnings(self) -> tuple[ArmFault, ...]:
         """Returns a warning for each error-passive bus, and for each board with limits."""
         passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
         return passive + self._boards.warnings()
@@ -343,7 +343,7 @@ class Master:
         self._releasing, refuses = (0, 0), partial(self._boards.refusal, off)
         self._commit.begin(states, frames, refuses, now, self._clock.at(now), together=off is None)
 
-    def _lose(self, fault: Fault) -> None:
+    def _lose(self, fault: ArmFault) -> None:
         self._boards.forget(fault.source)  # one fault for the bus, not one for each board
         self._commit.bus_lost(fault.source)
         self._booting.bus_lost(fault)

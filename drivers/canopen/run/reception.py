@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.run.station import Station
 from drivers.canopen.wire import cia301
@@ -29,7 +29,7 @@ class Reception:
         outputs: OutputLines,
         stations: Iterable[Station],
         rebooted: Callable[[Station, float], None],
-        report: Callable[[Fault], None],
+        report: Callable[[ArmFault], None],
     ) -> None:
         self._bus, self._rebooted, self._report = bus, rebooted, report
         self.stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
@@ -42,7 +42,7 @@ class Reception:
         what = self._masters.get(cob_id) or ("an RPDO" if self._outputs.sends(self._bus, cob_id) else None)
         if what is not None:
             text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
-            self._report(Fault("foreign-master", self._bus, f"{text} the boards"))
+            self._report(ArmFault("foreign-master", self._bus, f"{text} the boards"))
             return True
         if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
             return False

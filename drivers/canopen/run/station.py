@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.sdo.client import Transfer
@@ -46,7 +46,7 @@ class Station:
         if not self.runner.running:
             self.runner.start(_ask_presence(), None, now)
 
-    def _answered(self, fault: Fault | None, now: float) -> None:
+    def _answered(self, fault: ArmFault | None, now: float) -> None:
         self.questioning = False
         if self._again:
             self.question(now)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.run.boards import Boards
@@ -167,7 +167,7 @@ class Verification:
             self.failed = text
         self._silent[i] = 0
         self._end(i)
-        board.fail(Fault("not-verified", board.name, text))
+        board.fail(ArmFault("not-verified", board.name, text))
 
     def _right(self, station: Station, pulsing: bool) -> None:
         """Records that the outputs are right; after the end of a pulse, this tells nothing of the pulse."""
@@ -203,7 +203,7 @@ class Verification:
         if station.index in self.blocking:
             self.failed = text
         self._end(station.index)
-        board.fail(Fault("not-switched", board.name, text))
+        board.fail(ArmFault("not-switched", board.name, text))
 
     def _object(self, station: Station, need: Need) -> Generator[Step, SdoOutcome, None]:
         """Checks that an object still has its value from the end of the boot."""
@@ -217,7 +217,7 @@ class Verification:
                 f"board {board.name} has {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
                 " and was there: another program writes to it, or it has restarted; reset configures it again"
             )
-            board.fail(Fault("board-changed", board.name, text))
+            board.fail(ArmFault("board-changed", board.name, text))
 
     def _errors(self, station: Station) -> Generator[Step, SdoOutcome, None]:
         """Checks the error register, 1001h, for an error without an emergency."""
@@ -237,7 +237,7 @@ class Verification:
             text += f"; 1003h sub 1 tells {cia301.emergency_words(code)}"
         if board.ready:
             text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
-            board.report(Fault("board-error", board.name, text))
+            board.report(ArmFault("board-error", board.name, text))
 
     def _new_error(self, board: Board) -> Generator[Step, SdoOutcome, bool]:
         """Returns whether the error history, 1003h sub 1, has a new error since the boot; an entry 0000h is an end."""

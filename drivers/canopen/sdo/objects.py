@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Step
 
@@ -132,13 +132,13 @@ def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> 
     """
     if outcome.abort is not None:
         text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
-        raise BoardError(Fault("sdo-refused", board, text))
+        raise BoardError(ArmFault("sdo-refused", board, text))
     if outcome.data is None:
         message = f"board {board} does not answer to {index:04X}h sub {sub}: {outcome.silence}"
-        raise BoardError(Fault("board-missing", board, message))
+        raise BoardError(ArmFault("board-missing", board, message))
     if len(outcome.data) not in (size, 4):  # some boards send four bytes for any number
         text = f"board {board} answers {len(outcome.data)} bytes to {index:04X}h sub {sub}; {size} are needed"
-        raise BoardError(Fault("wrong-device", board, text))
+        raise BoardError(ArmFault("wrong-device", board, text))
     return int.from_bytes(outcome.data[:size], "little")
 
 
@@ -151,7 +151,7 @@ def write(board: str, need: Need, value: int) -> Generator[Step, SdoOutcome, int
     outcome = yield Transfer(need.index, need.sub, value.to_bytes(need.size, "little"))
     if outcome.abort is None and outcome.data is None:
         message = f"board {board} does not answer to {need.index:04X}h sub {need.sub}: {outcome.silence}"
-        raise BoardError(Fault("board-missing", board, message))
+        raise BoardError(ArmFault("board-missing", board, message))
     return outcome.abort
 
 
@@ -168,13 +168,13 @@ def ensure(board: str, need: Need, present: int) -> Generator[Step, SdoOutcome, 
     confirmed = yield from read(board, need.index, need.sub, need.size, fresh=True)
     if not need.met(confirmed):
         text = f"board {board} has {need.words(confirmed)} in {need.place} after {need.words(value)} was written"
-        raise BoardError(Fault("sdo-refused", board, f"{text}: does another program write to it?"))
+        raise BoardError(ArmFault("sdo-refused", board, f"{text}: does another program write to it?"))
 
 
 def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
     """Returns the error of a board that refuses a value."""
     text = f"board {board} has {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
-    return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
+    return BoardError(ArmFault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
 
 def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
@@ -186,9 +186,9 @@ def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
     present = yield from find(board, need.index, need.sub, need.size)
     if present is None and need.required is not None:
         text = f"board {board} has no {need.place}; {need.words(need.value)} is needed there: {need.required}"
-        raise BoardError(Fault("wrong-device", board, text))
+        raise BoardError(ArmFault("wrong-device", board, text))
     if present is not None and need.fixed is not None and not need.met(present):
         needed = need.words(need.corrected(present))
         text = f"board {board} has {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
-        raise BoardError(Fault("wrong-device", board, text))
+        raise BoardError(ArmFault("wrong-device", board, text))
     return present

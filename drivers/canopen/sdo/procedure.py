@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.sdo.client import SdoClient, SdoOutcome, Transfer
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command
@@ -46,7 +46,7 @@ DONE = SdoOutcome(data=b"")
 class BoardError(Exception):
     """A procedure cannot continue; `fault` says why."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: ArmFault) -> None:
         super().__init__(fault.message)
         self.fault = fault
 
@@ -58,7 +58,7 @@ class Runner:
         self._node, self._link = node, link
         self._sdo = SdoClient(node, link)
         self._procedure: Procedure | None = None
-        self._ended: Callable[[Fault | None, float], None] | None = None
+        self._ended: Callable[[ArmFault | None, float], None] | None = None
         self._step: Step | None = None
         self._outgoing: Outgoing | None = None  # frame of an NMT command
         self._since = 0.0  # when the step began
@@ -73,7 +73,7 @@ class Runner:
         """Whether two boards answer; see `SdoClient.twice`."""
         return self._sdo.twice
 
-    def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None] | None, now: float) -> None:
+    def start(self, procedure: Procedure, ended: Callable[[ArmFault | None, float], None] | None, now: float) -> None:
         """Starts a procedure in place of the running one; `ended`, if any, takes its fault, or None, and the time."""
         self.cancel()
         self._procedure, self._ended = procedure, ended

@@ -9,7 +9,7 @@ from drivers.canopen.boot import inspection, pdo_search
 from drivers.canopen.boot.board_boot import find
 from drivers.canopen.boot.inspection import Inspection, Reading
 from drivers.canopen.boot.pdo_setup import PdoState, pdo_words, usable
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout, lay_out
 from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo import objects
@@ -162,19 +162,19 @@ class BusCheck:
         yield from states.learn(board.node)
         state = states.states.get(board.node)
         if state is State.STOPPED:
-            raise BoardError(Fault("board-stopped", board.name, stopped(board.name)))
+            raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name)))
         if state is not None:
             text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_PATIENCE:g} s"
-            raise BoardError(Fault("board-missing", board.name, text))
+            raise BoardError(ArmFault("board-missing", board.name, text))
 
-    def _note(self, board: BoardLayout) -> Callable[[Fault | None, float], None]:
-        def ended(fault: Fault | None, now: float) -> None:
+    def _note(self, board: BoardLayout) -> Callable[[ArmFault | None, float], None]:
+        def ended(fault: ArmFault | None, now: float) -> None:
             if fault is not None:
                 self._answers[board.name] = CheckedBoard(board.name, fault.message, fault.code)
 
         return ended
 
-    def _give_up(self, fault: Fault) -> None:
+    def _give_up(self, fault: ArmFault) -> None:
         for board in self._boards:
             if board.bus == fault.source and board.name not in self._answers:
                 self._runners[board.bus, board.node].cancel()
@@ -214,7 +214,7 @@ def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
     need = Need(present.parameters + 0x200, 0, present.entries)
     if (abort := (yield from objects.write(it.name, need, present.entries))) == objects.READ_ONLY:
         text = f"board {it.name}: {why}; it refuses another mapping: {objects.abort_words(abort)}"
-        raise BoardError(Fault("sdo-refused", it.name, text))
+        raise BoardError(ArmFault("sdo-refused", it.name, text))
 
 
 def check_bus(wiring: Wiring, timing: Timing) -> BusCheck:

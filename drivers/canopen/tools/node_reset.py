@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.tools.conversation import converse
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
@@ -32,7 +32,7 @@ class NodeReset:
 
     def __init__(self, bus: BusWiring, node: int, patience: float, send: Callable[[str, Frame], None]) -> None:
         self.booted_after: float | None = None
-        self.fault: Fault | None = None
+        self.fault: ArmFault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
         self._node, self._patience = node, patience
         self._begun = 0.0
@@ -70,7 +70,7 @@ class NodeReset:
         self._note(self._link.tick(now, now))
         self._silent = now - self._begun >= self._patience
 
-    def _note(self, fault: Fault | None) -> None:
+    def _note(self, fault: ArmFault | None) -> None:
         self.fault = self.fault or fault
 
 

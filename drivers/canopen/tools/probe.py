@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
 
 from drivers.canopen.boot.pdo_setup import PdoState, read_pdo
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner, Step
@@ -92,7 +92,7 @@ class Probe:
         *,
         in_full: bool = True,
     ) -> None:
-        self.fault: Fault | None = None
+        self.fault: ArmFault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
         self._states = NodeStates(self._link)
         self._nodes = {node: ProbedNode(node) for node in nodes}
@@ -197,18 +197,18 @@ class Probe:
             it.numbers[index, sub] = int.from_bytes(outcome.data, "little")
         elif outcome.abort is None:
             text = f"it stopped answering at {index:04X}h sub {sub}: {outcome.silence}"
-            raise BoardError(Fault("board-missing", str(it.node), text))
+            raise BoardError(ArmFault("board-missing", str(it.node), text))
         elif outcome.abort not in (objects.NO_OBJECT, objects.NO_SUB_INDEX):
             it.refused[index, sub] = outcome.abort
 
-    def _note(self, node: int) -> Callable[[Fault | None, float], None]:
-        def ended(fault: Fault | None, now: float) -> None:
+    def _note(self, node: int) -> Callable[[ArmFault | None, float], None]:
+        def ended(fault: ArmFault | None, now: float) -> None:
             if fault is not None:
                 self._nodes[node].trouble = fault.message
 
         return ended
 
-    def _give_up(self, fault: Fault | None) -> None:
+    def _give_up(self, fault: ArmFault | None) -> None:
         if fault is not None and self.fault is None:
             self.fault = fault
             for runner in self._runners.values():

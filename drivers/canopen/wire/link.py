@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.status import BusStatus, Traffic
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.load import Meter
@@ -91,7 +91,7 @@ class Link:
         heard = last is None or last > self._lost_at
         return self.usable and heard and not self.failing and self._stuck_for(now) <= self._stuck_after
 
-    def rearm(self) -> Fault | None:
+    def rearm(self) -> ArmFault | None:
         """Arms the bus and drops waiting frames; returns a fault if the bus is not usable."""
         self.clear()
         self.armed = self.usable
@@ -100,7 +100,7 @@ class Link:
             self._failing_since = None
             return None
         code = "bus-off" if self.state == "bus-off" else "bus-down"
-        return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
+        return ArmFault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
     def clear(self) -> None:
         """Drops the queued frames."""
@@ -173,7 +173,7 @@ class Link:
             del self._unsent[outgoing.frame]
             self._pump(now)
 
-    def changed(self, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> Fault | None:
+    def changed(self, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> ArmFault | None:
         """Takes a new state and new error counters; returns a fault if the bus is lost."""
         if errors is not None:
             self._errors = errors
@@ -188,7 +188,7 @@ class Link:
         self.armed &= self.usable
         return None
 
-    def tick(self, now: float, clock: float) -> Fault | None:
+    def tick(self, now: float, clock: float) -> ArmFault | None:
         """Call every period; returns a fault if the bus is stuck.
 
         Args:
@@ -210,13 +210,13 @@ class Link:
         self._pump(now)
         return None
 
-    def passive(self) -> Fault | None:
+    def passive(self) -> ArmFault | None:
         """Returns a warning while the controller is error-passive; it does not stop the arm."""
         if self.state != "passive":
             return None
         errors = f"{self._errors[0]} transmit and {self._errors[1]} receive errors"
         text = f"{self.name} is error-passive after {errors}: check cable, termination, bit rate before it is bus-off"
-        return Fault("bus-passive", self.name, text)
+        return ArmFault("bus-passive", self.name, text)
 
     def status(self, worst_case: Traffic) -> BusStatus:
         """Returns state and counters, with the computed worst case."""
@@ -254,10 +254,10 @@ class Link:
         since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
         return now - min(since) if since else 0.0
 
-    def _lose(self, state: str, why: str, now: float) -> Fault:
+    def _lose(self, state: str, why: str, now: float) -> ArmFault:
         self.armed = False
         self.state = state
         self._lost_at = now
         self.clear()
         code = {"bus-off": "bus-off", "down": "bus-down"}.get(state, "bus-busy")
-        return Fault(code, self.name, f"{self.name}: {why}")
+        return ArmFault(code, self.name, f"{self.name}: {why}")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.faults import ArmFault, Busy
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
@@ -51,7 +51,7 @@ class World(Hardware):
         self.run, self.until, self.after = self.agenda.run, self.agenda.until, self.agenda.after
         self.stalled = False
         self.switched: list[tuple[int, float]] = []
-        self._faults: list[Fault] = []
+        self._faults: list[ArmFault] = []
         self._waiting: list[Event] = []
         self.master: Any = None
         self.new_master()
@@ -150,7 +150,7 @@ class World(Hardware):
         return [(frame.id, frame.data.hex(" ")) for frame in log if frame.id & 0x780 not in left_out]
 
     @property
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[ArmFault]:
         """Faults that the masters have reported."""
         self._collect()
         return self._faults

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import Runner
@@ -27,7 +27,7 @@ class Line:
         self.runner = Runner(5, self.link)
         self.answers, self.now, self.requests = list(answers), 0.0, list[str]()
         self.value: object = None
-        self.fault: Fault | None = None
+        self.fault: ArmFault | None = None
 
     def run(self, steps) -> object:
         """Runs a part of a procedure to its end; returns its value, or its fault."""
@@ -35,7 +35,7 @@ class Line:
         def procedure():
             self.value = yield from steps
 
-        def ended(fault: Fault | None, now: float) -> None:
+        def ended(fault: ArmFault | None, now: float) -> None:
             self.fault = fault
 
         self.runner.start(procedure(), ended, self.now)
