@@ -284,7 +284,7 @@ class Loop:
             case events.Wake(at):
                 self._wake = at
             case Notify(text):
-                services.notifier.send(text)
+                services.notifier.notify(text)
             case Log(level, text, fields):
                 log.log(level, "%s", text, extra={"journal": fields})
             case events.Fail(reason):

@@ -48,7 +48,7 @@ class FaultLog:
             self._reported.add(key)
             self._new.append(fault)
 
-    def take(self) -> list[ArmFault]:
+    def drain(self) -> list[ArmFault]:
         """Returns the faults that were reported since the last call."""
         new, self._new = self._new, []
         return new

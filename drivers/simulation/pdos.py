@@ -94,7 +94,7 @@ class Pdos:
                 if now <= self._window_ends:
                     self._latched[pdo.index] = data
             else:
-                self._outputs.take(pdo.entries, data)
+                self._outputs.receive_rpdo(pdo.entries, data)
                 changed = True
         return changed
 
@@ -110,7 +110,7 @@ class Pdos:
         self._emergencies.recover(_SYNC_LENGTH)
         for pdo in self._rpdos:
             if pdo.index in self._latched:
-                self._outputs.take(pdo.entries, self._latched[pdo.index])
+                self._outputs.receive_rpdo(pdo.entries, self._latched[pdo.index])
         changed = bool(self._latched)
         self._latched.clear()
         return changed

@@ -51,8 +51,8 @@ class FakeMaster:
         self._switched: list[tuple[int, float]] = []
         self._asked: set[int] = set()
 
-    def take(self, event: Any, now: float) -> None:
-        self._break("take")
+    def receive_event(self, event: Any, now: float) -> None:
+        self._break("receive_event")
 
     def tick(self, now: float) -> None:
         self.ticks.append(now)
@@ -168,11 +168,11 @@ class FakeMaster:
         self._faults.append(fault)
         self.known &= ~lost
 
-    def take_faults(self) -> list[ArmFault]:
+    def drain_faults(self) -> list[ArmFault]:
         faults, self._faults = self._faults, []
         return faults
 
-    def take_switched(self) -> list[tuple[int, float]]:
+    def drain_switched(self) -> list[tuple[int, float]]:
         switched, self._switched = self._switched, []
         return switched
 

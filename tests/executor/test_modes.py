@@ -173,7 +173,7 @@ def test_a_bus_that_takes_nothing_is_tried_again_and_then_a_fault(rig: Rig) -> N
     assert sum(rig.journal.counts) == 3
 
 
-@pytest.mark.parametrize("verb", ["tick", "commit", "measured", "take"])
+@pytest.mark.parametrize("verb", ["tick", "commit", "measured", "receive_event"])
 def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, verb: str) -> None:
     rig.run(A, B)
     rig.go(0.05)

@@ -48,7 +48,7 @@ class NoBuses:
             raise RuntimeError("the bus is broken")
         return []
 
-    def send(self, bus: str, frame: Any, now: float) -> None:
+    def send_frame(self, bus: str, frame: Any, now: float) -> None:
         pass
 
     def close(self) -> None:

@@ -54,10 +54,10 @@ def test_messages_come_in_with_their_process_and_answers_go_out(server: Executor
         events = server.poll()
         assert [event.message for event in events] == [Alive(), Halt(3)]
         assert events[0].client.pid == os.getpid()
-        server.send(events[0].client, Answer(3, True, "stopped"))
+        server.send_message(events[0].client, Answer(3, True, "stopped"))
         assert decode_up(client.recv(MOST_BYTES)) == Answer(3, True, "stopped")
     assert server.poll() == [ClientGone(events[0].client)]
-    server.send(events[0].client, Answer(3, True, "nobody"))
+    server.send_message(events[0].client, Answer(3, True, "nobody"))
 
 
 @pytest.mark.parametrize("packet", [b"nonsense", b"\x91\xa3abc", encode(Alive()) + b"\0", b"\0" * (MOST_BYTES + 1)])
@@ -76,7 +76,7 @@ def test_a_client_is_closed_after_a_goodbye(server: ExecutorServer, path: Path) 
     with connected(path) as client:
         client.send(encode(Alive()))
         (event,) = server.poll()
-        server.send(event.client, Goodbye("no"))
+        server.send_message(event.client, Goodbye("no"))
         assert decode_up(client.recv(MOST_BYTES)) == Goodbye("no")
         assert client.recv(1) == b""
     assert server.poll() == [ClientGone(event.client)]
@@ -87,12 +87,12 @@ def test_telemetry_is_dropped_for_who_does_not_read_and_results_wait(server: Exe
         client.send(encode(Alive()))
         (event,) = server.poll()
         while not server.waiting:
-            server.send(event.client, TELEMETRY)
+            server.send_message(event.client, TELEMETRY)
         assert server.writable()
-        server.send(event.client, TELEMETRY)
+        server.send_message(event.client, TELEMETRY)
         assert server.dropped == 1
         result = Ended(1, 1, b"", "done", "", 0, 0, b"", b"")
-        server.send(event.client, result)
+        server.send_message(event.client, result)
         heard = []
         while not heard or not isinstance(heard[-1], Ended):
             heard.append(decode_up(client.recv(MOST_BYTES)))
@@ -106,9 +106,9 @@ def test_who_never_reads_is_disconnected_at_last(server: ExecutorServer, path: P
         client.send(encode(Alive()))
         (event,) = server.poll()
         while not server.waiting:
-            server.send(event.client, TELEMETRY)
+            server.send_message(event.client, TELEMETRY)
         for _ in range(MOST_QUEUED + 1):
-            server.send(event.client, Answer(1, True, ""))
+            server.send_message(event.client, Answer(1, True, ""))
         assert server.poll() == [ClientGone(event.client)]
 
 
@@ -217,8 +217,8 @@ def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: ExecutorServer, 
         client.send(encode(Hello(1, "planner", "")))
         (event,) = timed.poll()
         while not timed.waiting:
-            timed.send(event.client, TELEMETRY)
-        timed.send(event.client, Goodbye("no"))
+            timed.send_message(event.client, TELEMETRY)
+        timed.send_message(event.client, Goodbye("no"))
         clock.now += HELLO_TIMEOUT
         assert timed.poll([]) == [ClientGone(event.client)]
 

@@ -71,7 +71,7 @@ def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: fl
     def do(event: Any) -> None:
         for action in core.step(event, now):
             if isinstance(action, SendFrame):
-                boards.send(action.bus, action.frame, now)
+                boards.send_frame(action.bus, action.frame, now)
             elif isinstance(action, ToClient):
                 heard.append(action.message)
 

@@ -164,7 +164,7 @@ class World:
         for action in self.core.step(event, self.now):
             match action:
                 case SendFrame():
-                    self.wire.send(action.frame)
+                    self.wire.send_frame(action.frame)
                 case ToClient():
                     self.heard.append(action.message)
                 case Log():

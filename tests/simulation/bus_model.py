@@ -92,7 +92,7 @@ class BusModel:
     def _sends(self) -> bool:
         return self._connected and not self.stuck
 
-    def send(self, frame: Frame, belongs_to: object = None) -> str | None:
+    def send_frame(self, frame: Frame, belongs_to: object = None) -> str | None:
         """Takes a frame of the executor; returns why it cannot be sent, or None."""
         if self.state == "down":
             return "Network is down"

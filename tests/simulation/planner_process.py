@@ -140,7 +140,7 @@ class PlannerProcess:
             self.post(Quit())
             self._agenda.at(self.quits_at, lambda: self._end(in_order=True))
 
-    def send(self, assignment: str) -> None:
+    def notify(self, assignment: str) -> None:
         """Takes what the loop tells systemd."""
 
     # --- rounds

@@ -228,7 +228,7 @@ class ExecutorProcess:
                 return
         match action:
             case SendFrame(bus, frame):
-                why = self._buses[bus].send(frame, self._witness.sends(bus, frame))
+                why = self._buses[bus].send_frame(frame, self._witness.sends(bus, frame))
                 if why is not None:
                     self._events.appendleft(SendFailed(bus, frame, why))
             case ToClient(client, message):

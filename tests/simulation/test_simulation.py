@@ -55,7 +55,7 @@ def _do_not_wait(self: Commit, clock: float, now: float) -> None:
     buses, self._waiting = list(self._waiting), {}
     self._syncs.update(buses)
     for bus in buses:
-        self._links[bus].send(Frame(SYNC), now)
+        self._links[bus].send_frame(Frame(SYNC), now)
 
 
 _hold_measured = Modes.hold_measured
@@ -77,7 +77,7 @@ def _start_switches(self: SimulatedBoard, state: State) -> None:
         for wired in self.wired:
             sub = wired.output // 8 + 1
             index = self.variant.output_object
-            self.objects.put(index, sub, self.objects.number(index, sub) ^ 1 << wired.output % 8)
+            self.objects.set_number(index, sub, self.objects.number(index, sub) ^ 1 << wired.output % 8)
         self._drive()
 
 

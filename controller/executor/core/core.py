@@ -153,7 +153,7 @@ class Executor:
             case FromClient():
                 self._hear(event.client, event.message, now)
             case Health():
-                self.reports.take_health(event)
+                self.reports.receive_health(event)
                 self._clients.to_all(self.reports.diagnostics(now))
             case ClientGone():
                 if self._clients.remove(event.client):
@@ -163,7 +163,7 @@ class Executor:
             case Quit():
                 self._quit(now)
             case _:
-                self._master.take(event, now)
+                self._master.receive_event(event, now)
 
     def _conclude(self, at: float | None, now: float) -> None:
         """Records what the event has changed on the boards; `at` is the time of its frame on the bus [s]."""
@@ -239,7 +239,7 @@ class Executor:
             case Counts() if client == self._clients.planner:
                 self.journal.raise_to(message.counts)
             case _:
-                self._requests.take(client, message, now)
+                self._requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
     def _greet(self, client: ClientId, hello: Hello) -> None:
@@ -266,7 +266,7 @@ class Executor:
         """Ends the running program with a result; a second call waits for no stage and no contraction."""
         if self.ending.begun:
             self.ending.abandon()
-            self.motion.close()
+            self.motion.send_result()
             self._results.send_counts()
             self._requests.answer_held(math.inf)
             return

@@ -130,7 +130,7 @@ class Modes:
 
     def update(self, now: float) -> None:
         """Takes the master's faults, and finds the end of a boot. Call after each event."""
-        for fault in self._master.take_faults():
+        for fault in self._master.drain_faults():
             self.fail(fault, now)
         self._begin_boot(now)
         if self._booting and not self._waits and not self._master.booting:

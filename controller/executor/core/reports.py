@@ -79,7 +79,7 @@ class Reports:
             ),
         )
 
-    def take_health(self, health: Health) -> None:
+    def receive_health(self, health: Health) -> None:
         """Takes the figures of the process."""
         self.changed |= health.journal != self._health.journal
         self._health = health

@@ -90,14 +90,14 @@ class ClientRequests:
         """The greatest number of a program or stream so far."""
         return max(self._program, self._stream)
 
-    def take(self, client: ClientId, message: Down, now: float) -> None:
-        """Handles a message."""
+    def receive_request(self, client: ClientId, message: Down, now: float) -> None:
+        """Carries out a request, and answers it now or as soon as nothing switches any more."""
         if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
             self._act(ToClient(client, Goodbye("an operator may only halt")))
             return
         match message:
             case Program():
-                self._take_program(message, now)
+                self._receive_program(message, now)
             case Replacement():
                 self._replace(message)
             case Setpoint():
@@ -115,7 +115,7 @@ class ClientRequests:
 
     # --- programs and set-points
 
-    def _take_program(self, message: Program, now: float) -> None:
+    def _receive_program(self, message: Program, now: float) -> None:
         """Starts a program in place of the running one, or declines it."""
         declined = self._declined(message)
         if declined is not None:

@@ -64,7 +64,7 @@ class ArmMotion:
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
         self._index, self._before = 0, 0  # the stage whose commit runs; states before it
         self._homes = False  # whether actuators of unknown state travel to a known one
-        self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
+        self._ended: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
 
     # --- what is measured
 
@@ -170,15 +170,15 @@ class ArmMotion:
         self.actuation.rest()
         if execution is None:
             return
-        self._closing = execution, status, message
+        self._ended = execution, status, message
         if not self.busy:
-            self.close()
+            self.send_result()
 
-    def close(self) -> None:
+    def send_result(self) -> None:
         """Sends the result of a program that has ended."""
-        if self._closing is not None:
-            execution, status, message = self._closing
-            self._closing = None
+        if self._ended is not None:
+            execution, status, message = self._ended
+            self._ended = None
             try:
                 measured, known = self.packed()
             except Exception:  # a defect must not keep a program from its result
@@ -194,8 +194,8 @@ class ArmMotion:
             at: time of the event's frame on the bus [s]; None: unknown.
             now: [s].
         """
-        running = self.execution if self._closing is None else self._closing[0]
-        for lines, switched_at in self._master.take_switched():
+        running = self.execution if self._ended is None else self._ended[0]
+        for lines, switched_at in self._master.drain_switched():
             mask = self.actuation.switched(lines, switched_at)
             self.supervision.switched(mask, self.actuation.states, self.ends, self.clock, now)
             self._travel_times.begin(mask, self.actuation.states, self.ends, at)
@@ -207,7 +207,7 @@ class ArmMotion:
                 running.travels += travels
         commit = self.actuation.conclude(now)
         if not self.committing:
-            self.close()
+            self.send_result()
         if commit is not None and commit.reached and self._index != REALIGNMENT:
             self._took(commit, now)
 

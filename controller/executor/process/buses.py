@@ -30,7 +30,7 @@ class Buses(Protocol):
     def poll(self, now: float) -> Sequence[Event]:
         """Returns the events since the last call."""
 
-    def send(self, bus: str, frame: Frame, now: float) -> None:
+    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """Sends a frame; an event tells whether it was sent."""
 
     def close(self) -> None:
@@ -68,9 +68,9 @@ class CanBuses:
             events += bus.poll()
         return events
 
-    def send(self, bus: str, frame: Frame, now: float) -> None:
+    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
-        why = self._buses[bus].send(frame)
+        why = self._buses[bus].send_frame(frame)
         if why is not None:
             self._failed.append(SendFailed(bus, frame, why))
 

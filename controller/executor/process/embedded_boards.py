@@ -82,7 +82,7 @@ class EmbeddedBoards:
         self._events.clear()
         return events
 
-    def send(self, bus: str, frame: Frame, now: float) -> None:
+    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
         self._at = self._time(now)
         self._events.append(FrameEchoed(bus, frame, self._at))

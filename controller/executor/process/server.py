@@ -86,7 +86,7 @@ class ExecutorServer:
         self._gone = []
         return events
 
-    def send(self, client: ClientId, message: Up) -> None:
+    def send_message(self, client: ClientId, message: Up) -> None:
         """Sends a message to a client, or queues it."""
         connection = self._connections.get(client)
         if connection is None or connection.closing:
@@ -159,7 +159,7 @@ class ExecutorServer:
                 message = decode_down(bytes(self._buffer[:size]))
             except Malformed as error:
                 self._log.warning(f"process {connection.client.pid}: {error}", self._clock())
-                self.send(connection.client, Goodbye(str(error)[:1_000]))
+                self.send_message(connection.client, Goodbye(str(error)[:1_000]))
                 return
             if not connection.closing:
                 if isinstance(message, Hello):

@@ -253,7 +253,7 @@ def _read_back(boot: Boot) -> Procedure:
     rpdos, tpdos = pdo_search.adopt(it)
     pdo_search.check_pairs(it.layout, rpdos)
     values = yield from _carried_values(board, rpdos)
-    board.take_inputs_from(tpdos)
+    board.set_tpdos(tpdos)
     before = board.input_frames
     for sub in subs_of(board.layout.input_bits):
         inputs[sub] = yield from objects.read(board.name, INPUTS, sub)

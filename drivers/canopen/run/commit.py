@@ -106,7 +106,7 @@ class Commit:
             for frame, key in list(frames.items()):
                 if key is not None:
                     self._outputs.sending(key)
-                self._links[bus].send(frame, now)
+                self._links[bus].send_frame(frame, now)
         self._sync_when_sent(clock, now)
 
     def give_up(self, why: str) -> None:
@@ -200,7 +200,7 @@ class Commit:
                 del self._waiting[bus]
             self._syncs.update(ready)
             for bus in ready:
-                self._links[bus].send(_SYNC, now)
+                self._links[bus].send_frame(_SYNC, now)
 
     def _sync_sent(self, bus: str, clock: float) -> None:
         if bus in self._syncs:

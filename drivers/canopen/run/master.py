@@ -57,10 +57,10 @@ class Master:
         self._commit = Commit(boards.links, boards.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
         self._releasing = 0, 0  # levels and lines of the last release
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Passes an event of a bus to one of the six methods below."""
         if isinstance(event, FrameReceived):
-            self.receive(event.bus, event.frame, now)
+            self.receive_frame(event.bus, event.frame, now)
         elif isinstance(event, FrameEchoed):
             self.echoed(event.bus, event.frame, now)
         elif isinstance(event, FrameIgnored):
@@ -72,11 +72,11 @@ class Master:
         else:
             self.send_failed(event.bus, event.frame, event.why, now)
 
-    def receive(self, bus: str, frame: Frame, now: float) -> None:
+    def receive_frame(self, bus: str, frame: Frame, now: float) -> None:
         """Takes a data frame with an 11 bit identifier from another node."""
         link = self._links[bus]
         link.received(BITS[min(len(frame.data), 8)])
-        if not self._receptions[bus].receive(frame, self._clock.at(now)):
+        if not self._receptions[bus].receive_frame(frame, self._clock.at(now)):
             link.ignored()
 
     def ignore(self, bus: str, bits: int, now: float) -> None:
@@ -89,7 +89,7 @@ class Master:
         """Takes the echo of a sent frame; a frame of another program counts as received."""
         time = self._clock.at(now)
         if not self._links[bus].echoed(frame, time):
-            self.receive(bus, frame, now)
+            self.receive_frame(bus, frame, now)
             return
         if self._commit.under_way:
             self._commit.sent(bus, frame, now, time)
@@ -142,7 +142,7 @@ class Master:
         """Returns a fault if `tick` was not called for so long that the boards lost their master.
 
         Then the states of all boards are unknown until `boot`. A running boot begins again, without a fault. Call this
-        before any event is handled. `tick` and `commit` check this as well, and report it in `take_faults`.
+        before any event is handled. `tick` and `commit` check this as well, and report it in `drain_faults`.
         """
         if (pause := self._heartbeat.halted(now)) is None:
             return None
@@ -167,8 +167,8 @@ class Master:
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
         """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after them, see `Commit`.
 
-        Nothing is sent if nothing changes. `committing`, `commit_failed` and `take_switched` tell the result. The first
-        commit after a boot ends when the outputs of boards without end-stops were read back.
+        Nothing is sent if nothing changes. `committing`, `commit_failed` and `drain_switched` tell the result. After a
+        boot, the first commit ends when the outputs of boards without end-stops were read back.
 
         Args:
             outputs: levels of all lines.
@@ -296,11 +296,11 @@ class Master:
         """Returns whether a question to a board still waits for its answer."""
         return self._boards.stations[board].questioning
 
-    def take_faults(self) -> list[ArmFault]:
+    def drain_faults(self) -> list[ArmFault]:
         """Returns the faults since the last call; each code and source once until the next `boot`."""
-        return self._boards.log.take()
+        return self._boards.log.drain()
 
-    def take_switched(self) -> list[tuple[int, float]]:
+    def drain_switched(self) -> list[tuple[int, float]]:
         """Returns the switches since the last call: mask of lines, and time when their SYNC was known as sent [s]."""
         switched, self._commit.switched = self._commit.switched, []
         return switched

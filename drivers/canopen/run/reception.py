@@ -36,7 +36,7 @@ class Reception:
         self._masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
         self._outputs = outputs
 
-    def receive(self, frame: Frame, now: float) -> bool:
+    def receive_frame(self, frame: Frame, now: float) -> bool:
         """Takes a frame of another node; returns whether it was understood."""
         cob_id, data = frame
         what = self._masters.get(cob_id) or ("an RPDO" if self._outputs.sends(self._bus, cob_id) else None)
@@ -47,7 +47,7 @@ class Reception:
         if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
             return False
         function, board, boots = cob_id & 0x780, station.board, station.board.boots
-        understood = board.receive(cob_id, data, now)
+        understood = board.receive_frame(cob_id, data, now)
         if function == cia301.SDO_ANSWER and understood:
             station.runner.receive_sdo(data, now)
         if board.boots != boots:

@@ -100,23 +100,23 @@ class SdoClient:
             self._outgoing.cancelled = True
         self._transfer = self._outgoing = self._segments = self.outcome = None
 
-    def receive(self, data: bytes, now: float) -> None:
+    def receive_answer(self, data: bytes, now: float) -> None:
         """Takes a frame of 8 bytes from the board's SDO server."""
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
-            self._take_late(data[1:4])
+            self._receive_late(data[1:4])
             return
         kind = data[0] & 0xE0
         if self._segments is not None and kind == 0x00:
             self._link.answered(outgoing, now)
-            self._take_segment(data, now)
+            self._receive_segment(data, now)
             return
         if data[1:4] != self._multiplexer:
-            self._take_late(data[1:4])
+            self._receive_late(data[1:4])
             return
         if self._skip > 0:  # late or not: the answer to a new request is right in both cases
             self._skip -= 1
-            self._take_late(data[1:4])
+            self._receive_late(data[1:4])
             self._link.answered(outgoing, now)
             self._request(now)
             return
@@ -173,7 +173,7 @@ class SdoClient:
         owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
         self._owed[self._multiplexer] = owed + answers, now + _LATE
 
-    def _take_late(self, multiplexer: bytes) -> None:
+    def _receive_late(self, multiplexer: bytes) -> None:
         """Takes a late answer to another object, or to an earlier request."""
         if (owed := self._owed.get(multiplexer)) is not None:
             if owed[0] > 1:
@@ -192,7 +192,7 @@ class SdoClient:
         self._answered += 1
         self._last = self._multiplexer
 
-    def _take_segment(self, data: bytes, now: float) -> None:
+    def _receive_segment(self, data: bytes, now: float) -> None:
         assert self._segments is not None
         if data[0] >> 4 & 1 != self._expected & 1:
             return  # a repeated segment

@@ -91,7 +91,7 @@ class Runner:
 
     def receive_sdo(self, data: bytes, now: float) -> None:
         """Takes an SDO answer of 8 bytes. Call `check` afterwards."""
-        self._sdo.receive(data, now)
+        self._sdo.receive_answer(data, now)
 
     def tick(self, now: float) -> None:
         """Call every period: handles timeouts."""

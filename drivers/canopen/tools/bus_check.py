@@ -93,7 +93,7 @@ class BusCheck:
         for board in self._boards:
             self._runners[board.bus, board.node].start(self._ask(board), self._note(board), now)
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of a bus."""
         link = self._links[event.bus]
         if isinstance(event, BusChanged):

@@ -37,7 +37,7 @@ class Listening:
         """Begins. All buses are open."""
         self._begun = self._now = now
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of a bus. Frames of an executor on this computer are echoes."""
         if (
             isinstance(event, FrameEchoed | FrameReceived)

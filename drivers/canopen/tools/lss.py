@@ -214,7 +214,7 @@ def over(bus: CanBus) -> Exchange:
     def exchange(request: bytes, code: int | None, patience: float) -> list[bytes]:
         answers = heard()
         answered = False
-        if (why := bus.send(Frame(_REQUEST, request))) is not None:
+        if (why := bus.send_frame(Frame(_REQUEST, request))) is not None:
             raise LssRefused(f"{bus.name}: {why}")
         until = time.monotonic() + (_PAUSE if code is None else patience)
         while time.monotonic() < until:

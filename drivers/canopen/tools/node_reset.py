@@ -49,7 +49,7 @@ class NodeReset:
         self._note(self._link.changed("active", "", None, now))
         self._link.queue(Outgoing(cia301.command(Command.RESET_NODE, self._node)), now)
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of the bus."""
         if isinstance(event, BusChanged):
             self._note(self._link.changed(event.state, event.why, event.errors, now))

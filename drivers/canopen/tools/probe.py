@@ -126,7 +126,7 @@ class Probe:
         for node, runner in self._runners.items():
             runner.start(self._ask(self._nodes[node]), self._note(node), now)
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of the bus."""
         if isinstance(event, BusChanged):
             self._give_up(self._link.changed(event.state, event.why, event.errors, now))

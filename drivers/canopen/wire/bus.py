@@ -108,7 +108,7 @@ class CanBus:
             return None
         return number if number >= 0 else None
 
-    def send(self, frame: Frame) -> str | None:
+    def send_frame(self, frame: Frame) -> str | None:
         """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"

@@ -109,7 +109,7 @@ class Link:
         self._queue.clear()
         self._unsent.clear()
 
-    def send(self, frame: Frame, now: float) -> None:
+    def send_frame(self, frame: Frame, now: float) -> None:
         """Hands out a frame at once."""
         self._sent_since_tick = True
         self.pending.sent(frame, now)
@@ -247,7 +247,7 @@ class Link:
                 if outgoing.first_at is None:
                     outgoing.first_at = now
                 self._unsent[outgoing.frame] = outgoing
-                self.send(outgoing.frame, now)
+                self.send_frame(outgoing.frame, now)
 
     def _stuck_for(self, now: float) -> float:
         """Returns for how long a frame has been waiting to be sent [s]."""

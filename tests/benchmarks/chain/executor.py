@@ -46,13 +46,13 @@ def note_halts(record: Record) -> None:
 
 def note_programs(record: Record) -> None:
     """Records the time at which each program was read [s]."""
-    take = ClientRequests._take_program
+    take = ClientRequests._receive_program
 
     def noting(requests: ClientRequests, message: Program, now: float) -> None:
         record.note(time.monotonic())
         take(requests, message, now)
 
-    ClientRequests._take_program = noting  # type: ignore[method-assign]
+    ClientRequests._receive_program = noting  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

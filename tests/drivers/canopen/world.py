@@ -63,7 +63,7 @@ class World(Hardware):
         """Replaces the master by a new one, with open buses."""
         self.use(Master(self.wiring, self.timing, self.send))
         for name, bus in self.buses.items():
-            self.master.take(BusChanged(name, bus.state, "", None), self.now)
+            self.master.receive_event(BusChanged(name, bus.state, "", None), self.now)
 
     def use(self, master: Any) -> None:
         """Replaces the master, which is killed, by another or a tool; it hears nothing that came before."""
@@ -73,7 +73,7 @@ class World(Hardware):
 
     def send(self, bus: str, frame: Frame) -> None:
         """Sends a frame of the master; it hears of a failure afterwards."""
-        why = self.buses[bus].send(frame)
+        why = self.buses[bus].send_frame(frame)
         if why is not None:
             self.after(0.0, lambda: self._to_master(SendFailed(bus, frame, why)))
 
@@ -103,7 +103,7 @@ class World(Hardware):
         elif isinstance(event, SendFailed) and not isinstance(self.master, Master):
             self.master.send_failed(event.bus, event.frame, self.now)
         else:
-            self.master.take(event, self.now)
+            self.master.receive_event(event, self.now)
             self._collect()
 
     # --- what a test gives
@@ -172,8 +172,8 @@ class World(Hardware):
 
     def _collect(self) -> None:
         if isinstance(self.master, Master):
-            self._faults += self.master.take_faults()
-            self.switched += self.master.take_switched()
+            self._faults += self.master.drain_faults()
+            self.switched += self.master.drain_switched()
 
 
 @functools.cache

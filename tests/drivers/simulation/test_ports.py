@@ -26,14 +26,14 @@ def test_a_port_whose_board_speaks_first_when_its_interface_is_gone_is_opened_ag
     settings = BusWiring("can0", "emulated", interface.channel)
     port = Port(settings)
     interface.delete()
-    port.send(Frame(0x701, b"\5"))  # the only word of its socket that the interface is gone
+    port.send_frame(Frame(0x701, b"\5"))  # the only word of its socket that the interface is gone
     interface.make()
-    port.receive(0.0)
+    port.receive_frame(0.0)
     with can.Bus(interface="emulated", channel=interface.channel, ignore_config=True) as other:
 
         def heard() -> bool:
             other.send(can.Message(arbitration_id=0x80, is_extended_id=False))
-            return port.receive(0.1) is not None
+            return port.receive_frame(0.1) is not None
 
         eventually(heard)
     port.close()

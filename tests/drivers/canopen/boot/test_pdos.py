@@ -56,8 +56,8 @@ def test_nothing_is_written_to_a_board_that_holds_it_already():
 
 def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
-    world.boards.board("can0/5").objects.put(0x6206, 3, 0x00)  # its outputs hold in the error state
-    world.boards.board("can0/5").objects.put(0x6200, 3, 0x40)
+    world.boards.board("can0/5").objects.set_number(0x6206, 3, 0x00)  # its outputs hold in the error state
+    world.boards.board("can0/5").objects.set_number(0x6200, 3, 0x40)
     world.up()
     world.commit(1, 0)
     assert world.frames()[:2] == [(0x205, "01 00 40 00 00 00 00 00"), (0x080, "")]
@@ -69,7 +69,7 @@ def test_a_fixed_mapping_without_the_outputs_is_refused():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
     objects = world.boards.board("can0/5").objects
     for sub in range(1, 9):
-        objects.put(0x1600, sub, 0x62000808)
+        objects.set_number(0x1600, sub, 0x62000808)
     world.boot()
     [fault] = world.master.boot_faults
     assert fault.code == "sdo-refused"

@@ -40,7 +40,7 @@ EVENTS = (
 def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     world = World(two_boards()).up()
     for frame in frames:
-        world.master.receive("can0", frame, world.now)  # the boards do not hear it
+        world.master.receive_frame("can0", frame, world.now)  # the boards do not hear it
         world.master.status()
     world.run(0.05)
     assert not [frame for frame in world.frames() if frame[0] in (0x000, 0x080, 0x205, 0x209)]
@@ -68,7 +68,7 @@ def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, share
     for step in steps:
         now += 0.001
         if not isinstance(step[0], str) or step[0] == "can0":
-            master.take(step, now)
+            master.receive_event(step, now)
         elif step[0] == "commit":
             try:
                 master.commit(step[1], now)
@@ -86,7 +86,7 @@ def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, share
             master.tick(now)
         assert 0 <= measured(master, wiring) <= 3
         assert master.known in (0, 1, 2, 3)
-        master.status(), master.warnings(), master.back, master.boot_faults, master.take_faults()
+        master.status(), master.warnings(), master.back, master.boot_faults, master.drain_faults()
     assert sum(frame.id == 0x080 for frame in sent) <= commits
     if not commits:
         assert not [frame for frame in sent if frame.id in (0x205, 0x209)]
@@ -117,7 +117,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
     wiring = Wiring((BusWiring("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
     sent: list[Frame] = []
     master = Master(wiring, Timing(boot_timeout=0.2), lambda bus, frame: sent.append(frame))
-    master.take(BusChanged("can0", "active", "", None), 0.0)
+    master.receive_event(BusChanged("can0", "active", "", None), 0.0)
     master.tick(0.0)
     master.boot(0.0)
     now, written, script = 0.0, dict[bytes, bytes](), iter(answers)
@@ -126,7 +126,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
         assert now < 600
         master.tick(now)
         if beats:
-            master.receive("can0", Frame(0x705, b"\x05"), now)
+            master.receive_frame("can0", Frame(0x705, b"\x05"), now)
         while sent:
             frame = sent.pop(0)
             master.echoed("can0", frame, now)
@@ -149,7 +149,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
             else:
                 kind = 0x43 | (4 - answer[2]) << 2 if reading else 0x60
                 data = bytes((kind,)) + place + answer[1].to_bytes(4, "little")
-            master.receive("can0", Frame(0x585, data), now)
+            master.receive_frame("can0", Frame(0x585, data), now)
     assert master.ready or master.boot_faults
     assert all(fault.message for fault in master.boot_faults)
 

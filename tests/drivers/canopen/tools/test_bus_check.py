@@ -26,14 +26,14 @@ def asked(world: World, lose: str | None = None, timeout: float = 20.0, **change
     world.frames()
     asking.start(world.now)
     if lose:
-        asking.take(BusChanged(lose, "down", "it is down", None), world.now)
+        asking.receive_event(BusChanged(lose, "down", "it is down", None), world.now)
     world.until(lambda: asking.answers is not None, timeout)
     return asking.answers
 
 
 def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     world = World(two_boards())
-    world.boards.board("can0/9").objects.put(0x1000, 0, 0x00020191)
+    world.boards.board("can0/9").objects.set_number(0x1000, 0, 0x00020191)
     fresh = World(two_boards()).boards.board("can0/5").objects
     good, other = asked(world)
     assert (good.board, good.ok, good.code) == ("can0/5", True, "")
@@ -47,7 +47,7 @@ def test_every_board_says_what_it_is_and_nothing_on_it_changes():
 
 def test_an_error_register_is_told():
     world = World()
-    world.boards.board("can0/5").objects.put(0x1001, 0, 0x81)
+    world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x81)
     [answer] = asked(world)
     assert (answer.ok, answer.code) == (False, "board-error")
     assert "error register 1001h sub 0 is 81h; 00h is needed" in answer.text
@@ -86,7 +86,7 @@ def test_a_lost_answer_leaves_the_error_mode_of_a_running_arm():
 def test_a_stopped_board_is_said_to_be_stopped(variant):
     world = World(two_boards(), variants={"can0/5": VARIANTS[variant]}).up()
     if variant != "standard":  # guarded: no heartbeat tells the state
-        world.boards.board("can0/5").objects.put(0x1017, 0, 0)
+        world.boards.board("can0/5").objects.set_number(0x1017, 0, 0)
         world.boards.board("can0/5")._supervision.begin(world.now)
     world.stalled = True
     world.say(cia301.NMT, bytes([cia301.Command.STOP, 5]))

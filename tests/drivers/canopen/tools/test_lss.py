@@ -152,7 +152,7 @@ def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes(monkeypa
                 ONE, 3, lambda cob_id, data: self.events.append(FrameEchoed("can0", Frame(cob_id, data)))
             )
 
-        def send(self, frame: Frame) -> None:
+        def send_frame(self, frame: Frame) -> None:
             self.events.append(FrameEchoed("can0", frame))
             self.slave.receive(frame.data)
 

@@ -120,7 +120,7 @@ def test_a_node_that_stops_answering_is_reported() -> None:
 def test_a_bus_that_is_down_ends_the_probe() -> None:
     world = World()
     asking = begun(world)
-    asking.take(BusChanged("can0", "down", "it is down", None), world.now)
+    asking.receive_event(BusChanged("can0", "down", "it is down", None), world.now)
     assert (asking.over, asking.fault.message) == (True, "can0: it is down")
 
 
@@ -128,7 +128,7 @@ def test_strange_frames_do_no_harm() -> None:
     world = World()
     asking = begun(world)
     for frame in (Frame(0x585, b"\x43"), Frame(0x585, b"\xff" * 8), Frame(0x705, b""), Frame(0x7FF, b"\x09")):
-        asking.take(FrameReceived("can0", frame), world.now)
+        asking.receive_event(FrameReceived("can0", frame), world.now)
     world.until(lambda: asking.over, 60.0)
     assert asking.found[0] == ProbedNode(5, **{k: v for k, v in vars(asking.found[0]).items() if k != "node"})
     assert asking.found[0].answers

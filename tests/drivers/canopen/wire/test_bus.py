@@ -55,7 +55,7 @@ def test_frames_come_in_go_out_and_come_back(buses):
     bus, other = buses
     assert bus.poll() == [BusChanged("can0", "active", "", None)]
     assert (bus.fileno() is None) == (bus.wiring.interface == "virtual")
-    assert bus.send(FRAME) is None
+    assert bus.send_frame(FRAME) is None
     assert wait(bus, len) == [FrameEchoed("can0", FRAME)]
     message = other.recv(20)
     assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x77F, b"\x05", False)
@@ -73,7 +73,10 @@ def test_frames_tell_when_they_were_on_the_bus(buses):
     bus, other = buses
     bus.poll()
     times = [time.monotonic()]
-    for send in (lambda: bus.send(FRAME), lambda: other.send(can.Message(arbitration_id=0x185, is_extended_id=False))):
+    for send in (
+        lambda: bus.send_frame(FRAME),
+        lambda: other.send(can.Message(arbitration_id=0x185, is_extended_id=False)),
+    ):
         send()
         while not (events := bus.poll()):
             time.sleep(0.001)
@@ -118,7 +121,7 @@ def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
     interface.hold()
     why = None
     for _ in range(1000):
-        why = why or bus.send(FRAME)
+        why = why or bus.send_frame(FRAME)
         time.sleep(0.001)
     assert "No buffer space" in why
     interface.release()
@@ -136,7 +139,7 @@ def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
     interface.down() if how == "down" else interface.delete()
     [event] = wait(bus, len)
     assert (event.state, "opened again" in event.why) == ("down", True)
-    assert bus.send(FRAME) is not None
+    assert bus.send_frame(FRAME) is not None
     assert bus.poll() == []  # it waits between attempts
     for pause in (0.1, 0.2, 0.4, 0.8, 1.0, 1.0):
         clock.now += pause + 1e-6
@@ -144,7 +147,7 @@ def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
     interface.up() if how == "down" else interface.make()
     clock.now += 1.1
     assert [event.state for event in wait(bus, len)] == ["active"]
-    assert bus.send(FRAME) is None
+    assert bus.send_frame(FRAME) is None
     wait(bus, lambda events: FrameEchoed("can0", FRAME) in events)
     bus.close()
     interface.close()
@@ -156,7 +159,7 @@ def test_sending_on_a_bus_that_is_down_shows_it(tmp_path):
     bus.open()
     bus.poll()
     interface.down()
-    assert "Network is down" in bus.send(FRAME)
+    assert "Network is down" in bus.send_frame(FRAME)
     assert [event.state for event in bus.poll()] == ["down"]
     bus.close()
     interface.close()
@@ -167,7 +170,7 @@ def test_a_bus_that_cannot_be_opened_is_named(interface):
     bus = CanBus(BusWiring("can7", interface, "nowhere0"))
     with pytest.raises(BusError, match=rf"can7.*nowhere0.*{interface}"):
         bus.open()
-    assert bus.send(FRAME) == "the bus is closed"
+    assert bus.send_frame(FRAME) == "the bus is closed"
     assert bus.poll() == []
     assert bus.fileno() is None
 
@@ -177,4 +180,4 @@ def test_a_closed_bus_says_so():
     bus.open()
     bus.close()
     assert [event.state for event in bus.poll()] == ["closed"]
-    assert bus.send(FRAME) is not None
+    assert bus.send_frame(FRAME) is not None

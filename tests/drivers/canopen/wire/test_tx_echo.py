@@ -38,11 +38,11 @@ def test_a_bus_is_stuck_after_its_own_time():
     link = Link(BusWiring("can0", "none", ""), lambda bus, frame: sent.append(frame), stuck_after=1.2)
     link.changed("active", "", None, 0.0)
     assert link.rearm() is None
-    link.send(BEAT, 0.0)
+    link.send_frame(BEAT, 0.0)
     assert link.echoed(BEAT, 0.001)
     faults = []
     for k in range(1, 200):
-        link.send(BEAT, 0.01 * k)
+        link.send_frame(BEAT, 0.01 * k)
         if (fault := link.tick(0.01 * k, 0.01 * k)) is not None:
             faults.append((k, fault.code))
     assert faults == [(122, "bus-busy")]
@@ -54,9 +54,9 @@ def test_transfers_wait_until_the_heartbeat_has_left():
     sent: list[Frame] = []
     link = Link(BusWiring("can0", "virtual", "can0"), lambda _, frame: sent.append(frame), stuck_after=0.2)
     link.changed("active", "", None, 0.0)
-    link.send(BEAT, 0.0)
+    link.send_frame(BEAT, 0.0)
     link.echoed(BEAT, 0.001)
-    link.send(BEAT, 0.1)
+    link.send_frame(BEAT, 0.1)
     request = Frame(0x601, bytes(8))
     link.queue(Outgoing(request), 0.101)
     assert sent == [BEAT, BEAT]
