@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, ExecutorTick, FromClient, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.process import Log, Notify
 from controller.program import (
@@ -121,9 +121,9 @@ class Rig:
         self.alive = False
         self.do(ClientGone(client))
 
-    def go(self, seconds: float = PERIOD) -> None:
-        for _ in range(max(round(seconds / PERIOD), 1)):
-            self.agenda.run(PERIOD)
+    def go(self, seconds: float = TICK) -> None:
+        for _ in range(max(round(seconds / TICK), 1)):
+            self.agenda.run(TICK)
             if self.alive:
                 self.send(Alive())
             self.do(ExecutorTick())
@@ -132,7 +132,7 @@ class Rig:
         """Sends a program whose stages each have a mark."""
         self._programs += 1
         stages = tuple(
-            Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + PERIOD)
+            Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + TICK)
             for k, bits in enumerate(states)
         )
         given = {"number": self._programs, "epoch": self.snapshot.epoch, "start": self.states, "begin": 0.0}
@@ -217,7 +217,7 @@ def ready(**fields: Any) -> Rig:
     """Returns a ready rig with a planner; switches of a previous executor would have settled."""
     rig = Rig(**fields)
     rig.connect()
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert rig.mode == "ready", rig.reason
     rig.go(TRAVEL)
     return rig

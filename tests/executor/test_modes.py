@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.executor.core.modes import CLEARING, RETRY
 from controller.executor.motion.actuation import BUSY_FOR
 from controller.host.process import Quit
@@ -67,7 +67,7 @@ def test_a_halt_stays_until_reset(rig: Rig) -> None:
     rig.go(3 * RETRY)
     rig.send(Reset(2))
     assert rig.mode == "starting"
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.mode == "ready"
     rig.send(Reset(3))
     assert answer(rig) == (True, "nothing to reset: the arm is ready")
@@ -94,7 +94,7 @@ def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
     rig.go(5 * RETRY)
     assert rig.mode == "fault"
     rig.send(Reset(1))
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert (rig.mode, rig.snapshot.faults, rig.switched) == ("ready", (), [A])
 
 
@@ -116,7 +116,7 @@ def test_faults_that_clear_by_themselves_are_left_without_a_reset(rig: Rig, code
     rig.go(5 * RETRY)
     assert rig.mode == "fault"
     rig.master.back = True
-    rig.go(RETRY + 3 * PERIOD)
+    rig.go(RETRY + 3 * TICK)
     assert (rig.mode, rig.snapshot.faults, rig.switched) == ("ready", (), [A])
 
 
@@ -134,7 +134,7 @@ def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
     rig.master.warnings = lambda: (limit,)
     rig.send(Halt(1))
     rig.send(Reset(2))
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert (rig.mode, (logging.WARNING, f"board-limits: {limit.message}") in rig.logged) == ("ready", True)
 
 
@@ -142,7 +142,7 @@ def test_faults_of_a_boot_are_reported_at_its_end(rig: Rig) -> None:
     rig.master.boot_faults = [LOST, ArmFault("board-missing", "can0/2", "another")]
     rig.send(Halt(1))
     rig.send(Reset(2))
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert (rig.mode, rig.reason) == ("fault", f"{LOST.message} (and 1 more)")
 
 
@@ -161,14 +161,14 @@ def test_a_halted_process_acts_on_nothing_old(rig: Rig) -> None:
 def test_a_bus_that_takes_nothing_is_tried_again_and_then_a_fault(rig: Rig) -> None:
     rig.master.busy = True
     rig.run(A)
-    rig.go(BUSY_FOR - 2 * PERIOD)
+    rig.go(BUSY_FOR - 2 * TICK)
     assert rig.mode == "executing"
     rig.master.busy = False
     rig.go(0.3)
     assert rig.results == [(1, "done")]
     rig.master.busy = True
     rig.run(B)
-    rig.go(BUSY_FOR + 3 * PERIOD)
+    rig.go(BUSY_FOR + 3 * TICK)
     assert (rig.mode, rig.reason) == ("fault", "no command could be sent for 0.25 s: the queue is full")
     assert sum(rig.journal.counts) == 3
 
@@ -185,7 +185,7 @@ def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, ve
     assert sum("Traceback" in text for text in rig.errors()) == 1
     rig.master.broken = set()
     rig.send(Reset(1))
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.mode == "ready"
 
 

@@ -11,8 +11,8 @@ from typing import Literal
 
 import can
 
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import ClientGone, ClientId, Event, FromClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
 from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
@@ -124,12 +124,12 @@ class World(Hardware, Witness):
 
     def go(self, ticks: int = 1) -> None:
         """Advances the time of all parts by a number of periods."""
-        self.agenda.run(ticks * PERIOD)
+        self.agenda.run(ticks * TICK)
         self._end_event()
 
     def _keep_alive(self) -> None:
         self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
-        self.agenda.after(PERIOD, self._keep_alive)
+        self.agenda.after(TICK, self._keep_alive)
 
     # --- the planner
 

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, ExecutorTick, FromClient, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import decode_down, encode
 from tests.executor.rig import SIZE, FakeMaster, small_arm
@@ -50,11 +50,11 @@ class CoreExecutor:
         due = time.monotonic()
         while not self.closed.is_set():
             if self.frozen.is_set():
-                time.sleep(PERIOD)
+                time.sleep(TICK)
                 continue
             self._listen(max(due - time.monotonic(), 0.0))
             if time.monotonic() >= due:
-                due = time.monotonic() + PERIOD
+                due = time.monotonic() + TICK
                 self._do(ExecutorTick())
 
     def _listen(self, timeout: float) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import can
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientId, ExecutorTick, FromClient, SendFrame, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.process import Log
 from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
@@ -133,7 +133,7 @@ class World:
                 board.step(self.now)
             if self.core is not None:
                 self._poll()
-                if k % round(PERIOD / STEP) == 0:
+                if k % round(TICK / STEP) == 0:
                     self.send(Alive())
                     self._do(ExecutorTick())
 
@@ -142,7 +142,7 @@ class World:
         end = self.now + seconds
         while self.mode != mode:
             assert self.now < end, f"not {mode} but {self.mode}: {self.reason}; {self.logged[-5:]}"
-            self.go(PERIOD)
+            self.go(TICK)
 
     def up(self) -> World:
         """Starts an executor, and waits until it is ready."""
@@ -194,7 +194,7 @@ class World:
     def reset(self) -> None:
         """Resets the executor, and waits until it is ready."""
         self.send(Reset(1))
-        self.go(PERIOD)
+        self.go(TICK)
         self.until("ready")
 
     def last(self, kind: type) -> Any:

@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping
 from random import Random
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
+from controller.executor.core.core import Executor
 from controller.executor.core.events import (
+    TICK,
     Action,
     ClientGone,
     ClientId,
@@ -194,8 +195,8 @@ class ExecutorProcess:
             self._ticked = True
             (self._events.appendleft if first else self._events.append)(ExecutorTick())
             self._run_now()
-            late = int((self._agenda.now - self._next_tick) / PERIOD)
-            self._next_tick += (1 + late) * PERIOD
+            late = int((self._agenda.now - self._next_tick) / TICK)
+            self._next_tick += (1 + late) * TICK
             self._agenda.at(self._next_tick, due)
 
         self._agenda.at(self._next_tick, due)

@@ -9,6 +9,7 @@ from typing import ParamSpec
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.ending import Ending
 from controller.executor.core.events import (
+    TICK,
     Action,
     ClientGone,
     ClientId,
@@ -36,8 +37,7 @@ from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-PERIOD = 0.01  # [s] between two ticks
-LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay
+LONGEST_TICK = 2 * TICK  # [s] that supervision counts at most, so that a late tick is no delay
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 P = ParamSpec("P")
@@ -222,7 +222,7 @@ class Executor:
 
     def _clock(self, now: float) -> float:
         """Returns the executor's awake time [s], which does not grow while a tick is late."""
-        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST))
+        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK))
 
     # --- clients
 

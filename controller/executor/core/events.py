@@ -7,6 +7,8 @@ from controller.program import Down, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event as CanEvent
 
+TICK = 0.01  # [s] from one `ExecutorTick` to the next
+
 
 class ClientId(NamedTuple):
     """A connection to the executor's socket.

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Action, ClientId, ToClient
+from controller.executor.core.events import TICK, Action, ClientId, ToClient
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
 from controller.executor.motion.motion import ArmMotion
@@ -29,8 +29,6 @@ from controller.program import (
     Reset,
     Setpoint,
 )
-
-TICK = 0.01  # [s]; an answer that waits is looked at with each event, and at each tick
 
 
 class HeldAnswer(NamedTuple):
@@ -83,7 +81,9 @@ class ClientRequests:
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
         self._held: list[HeldAnswer] = []
-        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK  # [s] for which an answer waits
+        self._longest = (
+            arm.timing.heartbeat_timeout / 2 - 2 * TICK
+        )  # [s] for which an answer waits, until a tick at the latest
 
     @property
     def greatest(self) -> int:

@@ -19,7 +19,7 @@ from drivers.simulation.buses import SimulatedBuses, board_names
 from drivers.simulation.fault_commands import perform
 from drivers.simulation.variants import Variant, choose
 
-PATIENCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
+STALL_ALLOWANCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
 INPUT = 0  # file descriptor of the standard input
 MOST_STEPS = 100  # of the boards in one poll
 LONGEST = 0.02  # [s] of simulated time between two calls: a stall of the process stalls the boards as well
@@ -35,7 +35,7 @@ def simulated(arm: ExecutedArm, board: Sequence[str]) -> tuple[ExecutedArm, "Emb
     Raises:
         InputFaults: a board or variant is unknown.
     """
-    arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + PATIENCE))
+    arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + STALL_ALLOWANCE))
     try:
         variants = choose(board, board_names(arm.wiring))
     except ValueError as error:

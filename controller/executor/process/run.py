@@ -11,8 +11,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Action, Defect, Event, ExecutorTick, Health, SendFrame, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, Action, Defect, Event, ExecutorTick, Health, SendFrame, ToClient
 from controller.executor.process.buses import Buses
 from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder
@@ -60,7 +60,7 @@ class EventLoop:
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
         self._clock, self._recorder = clock, recorder
-        self._time = Timekeeper(PERIOD)
+        self._time = Timekeeper(TICK)
         self._garbage = Garbage()
         self._quitting = False
         self._queued = deque[Action]()
@@ -113,11 +113,11 @@ class EventLoop:
     def _wait(self) -> list[int]:
         """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
         now = self._clock()
-        patience = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
+        timeout = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
         clients = [] if self._time.tick_is_near(now) else self._server.readable()
         readable = [self._wake, *self._buses.filenos(), *clients]
         writable = self._server.writable()
-        read, written, _ = select.select(readable, writable, [], patience)
+        read, written, _ = select.select(readable, writable, [], timeout)
         if written:
             self._server.flush()
         if self._wake in read:
@@ -187,7 +187,7 @@ class EventLoop:
         """Ends the program with a result, and closes everything. A second `quit` waits for no stage and contraction."""
         self._quitting = False
         self._step(Quit())
-        until = self._clock() + CLOSING + self._core.ending.patience
+        until = self._clock() + CLOSING + self._core.ending.timeout
         while not (self._core.ended or self._quitting) and self._clock() < until:
             self._round()
         self._step(Quit())

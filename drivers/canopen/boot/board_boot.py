@@ -24,7 +24,7 @@ from drivers.canopen.wiring import ErrorState, Timing
 
 _LAST_DUMMY = 7  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
 _TELL_STATE = (0x100C, 0x100D, 0x1017)
-_ERROR_PATIENCE = 0.5  # [s] in which an error may end after the board hears the master
+_ERROR_TIMEOUT = 0.5  # [s] in which an error may end after the board hears the master
 
 
 @dataclass
@@ -77,12 +77,12 @@ def _steps(boot: Boot) -> Procedure:
         yield from step(boot)
 
 
-def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
+def find(layout: BoardLayout, timeout: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
     """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
 
     Args:
         layout: wiring of the board.
-        patience: longest time until its answer [s].
+        timeout: longest time until its answer [s].
         board: the frames heard from it; None if nobody listens.
     """
     name, kind, ordered = layout.name, None, False
@@ -91,7 +91,7 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
     def stopped() -> bool:  # a stopped board answers no SDO
         return board is not None and board.state is State.STOPPED and not ordered
 
-    for _ in range(1 + math.ceil(patience / SDO_TIMEOUT)):
+    for _ in range(1 + math.ceil(timeout / SDO_TIMEOUT)):
         outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
         if outcome.silence is None:
             kind = objects.number(name, 0x1000, 0, 4, outcome)
@@ -103,9 +103,9 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
             board.guard()  # a stopped board without heartbeats answers only the remote frames of node guarding
     if kind is not None:
         return kind, ordered
-    text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
+    text = f"board {name} neither booted nor answered within {timeout:g} s: is it powered?"
     if board is not None and board.frames > before:
-        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
+        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {timeout:g} s"
     raise BoardError(ArmFault("board-missing", name, text))
 
 
@@ -209,7 +209,7 @@ def _await_operational(boot: Boot) -> Procedure:
 
     A board that has just missed a heartbeat of the master does so.
     """
-    board, patience = boot.board, boot.timing.boot_timeout
+    board, timeout = boot.board, boot.timing.boot_timeout
     up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
     if (yield up).data is not None:
         return
@@ -217,9 +217,9 @@ def _await_operational(boot: Boot) -> Procedure:
         yield from _order(board.layout, Command.PRE_OPERATIONAL)
     if board.state in (State.STOPPED, State.PRE_OPERATIONAL):
         yield from _configure(boot)
-    if (yield Wait(up.until, patience)).data is None:
+    if (yield Wait(up.until, timeout)).data is None:
         seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
-        text = f"board {board.name} did not become operational within {patience:g} s; {seen}"
+        text = f"board {board.name} did not become operational within {timeout:g} s; {seen}"
         if board.state is not State.STOPPED:
             _, why, _ = yield from inspection.read_errors(boot.it, board)
             text += f"; {why}" if why else ""
@@ -239,7 +239,7 @@ def _check_errors(boot: Boot) -> Procedure:
         if not register:
             board.emergency, board.emergency_register = None, 0  # its end was missed
             return
-        yield Wait(lambda: False, _ERROR_PATIENCE / 5)
+        yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
     if not lost:
         text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
         raise BoardError(ArmFault("board-error", board.name, text))

@@ -11,7 +11,10 @@ from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link, Outgoing
 
 SDO_TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
-_PATIENCE, _LONGEST = 2.5, 3.0  # timeout of a slow board: factor on its longest answer time, and its limit [s]
+_SLOW_FACTOR, _LONGEST_TIMEOUT = (
+    2.5,
+    3.0,
+)  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
 _WINDOW, _MOST_TWICE = 20, 15  # transfers, and of them those that one board alone never has answered twice
@@ -144,7 +147,7 @@ class SdoClient:
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
             return
-        if now - outgoing.first_at < max(transfer.timeout, min(_PATIENCE * self._slowest, _LONGEST)):
+        if now - outgoing.first_at < max(transfer.timeout, min(_SLOW_FACTOR * self._slowest, _LONGEST_TIMEOUT)):
             return
         outgoing.cancelled = True
         if self._segments is not None:

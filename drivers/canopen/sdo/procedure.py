@@ -23,10 +23,10 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Waits for a condition, at most `patience` [s]; checks it after each frame of the board and at each tick."""
+    """Waits for a condition, at most `timeout` [s]; checks it after each frame of the board and at each tick."""
 
     until: Callable[[], bool]
-    patience: float
+    timeout: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ class Runner:
         if isinstance(step, Wait):
             if step.until():
                 return DONE
-            return SdoOutcome(silence="timed out") if now - self._since >= step.patience else None
+            return SdoOutcome(silence="timed out") if now - self._since >= step.timeout else None
         if self._outgoing is None or self._outgoing.sent:
             return DONE
         if now - self._since < _ORDER_TIMEOUT:

@@ -25,7 +25,7 @@ from drivers.canopen.wire.link import Link
 from drivers.canopen.wiring import Timing, Wiring
 
 _STUCK_AFTER = 0.5  # [s]
-_PATIENCE = 1.0  # [s] for the first answer of a board
+_BOARD_TIMEOUT = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # changes that the answer lists
 
 
@@ -126,7 +126,7 @@ class BusCheck:
 
     def _ask(self, board: BoardLayout) -> Procedure:
         try:
-            kind, _ = yield from find(board, _PATIENCE, None)
+            kind, _ = yield from find(board, _BOARD_TIMEOUT, None)
         except BoardError as error:
             if error.fault.code == "board-missing":
                 yield from self._refuse_heard(board)
@@ -164,7 +164,9 @@ class BusCheck:
         if state is State.STOPPED:
             raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name)))
         if state is not None:
-            text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_PATIENCE:g} s"
+            text = (
+                f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_BOARD_TIMEOUT:g} s"
+            )
             raise BoardError(ArmFault("board-missing", board.name, text))
 
     def _note(self, board: BoardLayout) -> Callable[[ArmFault | None, float], None]:

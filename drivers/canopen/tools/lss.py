@@ -27,8 +27,8 @@ from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
 _REQUEST, _ANSWER = LssMaster.LSS_TX_COBID, LssMaster.LSS_RX_COBID
-_PATIENCE, _TRIES = 1.0, 3  # [s] for an answer, and attempts
-_SCAN_PATIENCE = 0.2  # [s] for an answer in a fast scan, where silence is an answer
+_LSS_TIMEOUT, _TRIES = 1.0, 3  # [s] for an answer, and attempts
+_SCAN_TIMEOUT = 0.2  # [s] for an answer in a fast scan, where silence is an answer
 _PAUSE = 0.02  # [s] after a request without an answer: some boards keep only one request
 _MORE = 0.05  # [s] for the answers of other boards after the first one
 _POLL = 0.001  # [s]
@@ -91,7 +91,7 @@ class Lss:
         self._master = cast(Any, LssMaster())
         self._master.network = self  # the package's master uses only send_message of its network
         self._master.RESPONSE_TIMEOUT = 0.001  # the answers are there before it waits
-        self._exchange, self._patience, self._tries = exchange, _PATIENCE, _TRIES
+        self._exchange, self._timeout, self._tries = exchange, _LSS_TIMEOUT, _TRIES
         self._identity: dict[int, bytes] = {}  # answers with the parts of the selected board's identity, by first byte
 
     def send_message(self, cob_id: int, data: bytes, remote: bool = False) -> None:
@@ -103,7 +103,7 @@ class Lss:
         due = data[0] in ListMessageNeedResponse
         code = _ANSWERS.get(data[0], data[0]) if due else None
         for _ in range(self._tries if due else 1):
-            heard = {answer for answer in self._exchange(bytes(data), code, self._patience) if answer}
+            heard = {answer for answer in self._exchange(bytes(data), code, self._timeout) if answer}
             own = [answer for answer in heard if answer[0] == code]
             if len(own) > 1 or any(self._identity.get(late[0], late) != late for late in heard):
                 raise LssRefused("several boards answer: connect one alone, or name one by its identity")
@@ -116,7 +116,7 @@ class Lss:
     def unconfigured(self) -> list[LssIdentity]:
         """Returns the boards without a node id, by LSS fast scan."""
         self.release()  # an earlier session may have ended in the configuration state
-        self._patience, self._tries = _SCAN_PATIENCE, 1
+        self._timeout, self._tries = _SCAN_TIMEOUT, 1
         found: list[LssIdentity] = []
         try:
             while len(found) < _MOST_BOARDS:
@@ -125,7 +125,7 @@ class Lss:
                     break
                 found.append(LssIdentity(*numbers))  # this board is silent in the next scan
         finally:
-            self._patience, self._tries = _PATIENCE, _TRIES
+            self._timeout, self._tries = _LSS_TIMEOUT, _TRIES
             self.release()
         return found
 
@@ -211,12 +211,12 @@ def over(bus: CanBus) -> Exchange:
         frames = [event.frame for event in bus.poll() if isinstance(event, FrameEchoed | FrameReceived)]
         return [frame.data for frame in frames if frame.id == _ANSWER]
 
-    def exchange(request: bytes, code: int | None, patience: float) -> list[bytes]:
+    def exchange(request: bytes, code: int | None, timeout: float) -> list[bytes]:
         answers = heard()
         answered = False
         if (why := bus.send_frame(Frame(_REQUEST, request))) is not None:
             raise LssRefused(f"{bus.name}: {why}")
-        until = time.monotonic() + (_PAUSE if code is None else patience)
+        until = time.monotonic() + (_PAUSE if code is None else timeout)
         while time.monotonic() < until:
             answers += (got := heard())
             if not answered and any(answer[:1] == bytes((code,)) for answer in got if code is not None):

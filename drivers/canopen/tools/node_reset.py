@@ -26,15 +26,15 @@ class NodeReset:
     Args:
         bus: the bus.
         node: node id.
-        patience: longest wait for the boot-up message [s].
+        timeout: longest wait for the boot-up message [s].
         send: hands out a frame for a bus, by its name; must not call this object.
     """
 
-    def __init__(self, bus: BusWiring, node: int, patience: float, send: Callable[[str, Frame], None]) -> None:
+    def __init__(self, bus: BusWiring, node: int, timeout: float, send: Callable[[str, Frame], None]) -> None:
         self.booted_after: float | None = None
         self.fault: ArmFault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
-        self._node, self._patience = node, patience
+        self._node, self._timeout = node, timeout
         self._begun = 0.0
         self._silent = False
 
@@ -68,19 +68,19 @@ class NodeReset:
         """Call every millisecond: handles timeouts."""
         self._link.armed = self._link.usable  # so that a stuck bus is found
         self._note(self._link.tick(now, now))
-        self._silent = now - self._begun >= self._patience
+        self._silent = now - self._begun >= self._timeout
 
     def _note(self, fault: ArmFault | None) -> None:
         self.fault = self.fault or fault
 
 
-def reset_node(bus: BusWiring, node: int, patience: float) -> NodeReset:
+def reset_node(bus: BusWiring, node: int, timeout: float) -> NodeReset:
     """Resets a node; blocks until its boot-up message or the timeout.
 
     Raises:
         BusError: the bus cannot be opened.
     """
     outbox: list[tuple[str, Frame]] = []
-    it = NodeReset(bus, node, patience, lambda name, frame: outbox.append((name, frame)))
+    it = NodeReset(bus, node, timeout, lambda name, frame: outbox.append((name, frame)))
     converse(it, outbox, [CanBus(bus)])
     return it

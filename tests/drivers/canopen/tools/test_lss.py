@@ -27,7 +27,7 @@ class Wire:
         self.slaves = [LssSlave(identity, node, lambda _, data: self.answers.append(data)) for identity, node in slaves]
         self.lss = Lss(self.exchange)
 
-    def exchange(self, request: bytes, code: int | None, patience: float) -> list[bytes]:
+    def exchange(self, request: bytes, code: int | None, timeout: float) -> list[bytes]:
         self.requests.append(request)
         self.answers.clear()
         for slave in self.slaves:
@@ -106,8 +106,8 @@ def test_a_slow_board_is_asked_again_and_a_late_answer_is_told_from_that_of_anot
     late: list[bytes] = []
     exchange = wire.exchange
 
-    def slow(request: bytes, code: int | None, patience: float) -> list[bytes]:
-        heard, late[:] = list(late), exchange(request, code, patience)
+    def slow(request: bytes, code: int | None, timeout: float) -> list[bytes]:
+        heard, late[:] = list(late), exchange(request, code, timeout)
         return heard
 
     lss = Lss(slow)
@@ -120,8 +120,8 @@ def test_a_late_answer_of_a_second_board_is_noticed() -> None:
     wire = Wire((ONE, UNCONFIGURED), (TWO, UNCONFIGURED))
     late: list[bytes] = []
 
-    def one_is_late(request: bytes, code: int | None, patience: float) -> list[bytes]:
-        heard = wire.exchange(request, code, patience)
+    def one_is_late(request: bytes, code: int | None, timeout: float) -> list[bytes]:
+        heard = wire.exchange(request, code, timeout)
         now, late[:] = late + heard[:1], heard[1:]
         return now
 
